@@ -1,4 +1,4 @@
-"""What an arm's folder lacks: missing files, implausible values, unmeasured assumptions."""
+"""Checks an arm's folder: missing files, implausible values, unmeasured assumptions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
 
 @dataclass(frozen=True)
 class _FolderFinding:
-    """One thing about a folder: where (file, and the key in it), what it is, and what to do.
+    """A thing about a folder: where (file, and the key in it), what it is, and what to do.
 
     Level: missing and implausible must be put right; unmeasured is an assumption; measured is what
     a command measured and nobody changed since; declared is what arm.yaml says, to compare.
@@ -43,7 +43,7 @@ class _FolderFinding:
 
     @property
     def blocks(self) -> bool:
-        """Whether the folder cannot be used as it is."""
+        """True if the folder cannot be used as it is."""
         return self.level in ("missing", "implausible")
 
 
@@ -116,7 +116,7 @@ def _section(beam: Beam) -> str:
 
 
 def _standing(fell: np.ndarray, gravity: float) -> str:
-    """Which side is up; `fell`: gravity along width and height."""
+    """Say which side is up; `fell`: gravity along width and height."""
     if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
         return "; the beam is vertical here, so no side is up"
     lean = math.degrees(math.atan2(abs(fell[0]), abs(fell[1])))
@@ -133,7 +133,7 @@ _SESSIONS = ("samples.csv", "session", "session_1")
 
 
 def check_folder(folder: Path) -> list[_FolderFinding]:
-    """Findings on a folder, or on that of an arm.yaml; what blocks first."""
+    """Return findings on a folder, or on that of an arm.yaml; what blocks first."""
     folder = folder.parent if folder.name == ARM and folder.is_file() else folder
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")

@@ -61,7 +61,7 @@ Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
 
 
 class _Row(Closed):
-    """One row of the modified DH table; deg and m.
+    """A row of the modified DH table; deg and m.
 
     `tube_a`, `tube_d`: outer and inner diameter (m) of a tube along a or d; 0: rigid. `servo_kg`:
     of the servo at this joint's frame. `mimic`: the joint that drives it, and the factor.
@@ -81,7 +81,7 @@ class _Row(Closed):
     mimic: Mimic = None
 
     def joint(self, number: int) -> dict[str, Any]:
-        """An entry of `joints`."""
+        """Return an entry of `joints`."""
         row: dict[str, Any] = {"id": number, **({"name": self.name} if self.name else {})}
         row |= {
             "type": self.type,
@@ -97,7 +97,7 @@ class _Row(Closed):
         return row
 
     def beam(self, number: int, role: str) -> list[dict[str, Any]]:
-        """The entry of `links` along a or d, where there is one."""
+        """Return the entry of `links` along a or d, where there is one."""
         (outer, inner), length = getattr(self, f"tube_{role}"), abs(getattr(self, role))
         if not outer:
             return []

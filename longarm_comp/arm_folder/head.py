@@ -32,7 +32,7 @@ _BASELINE = 0.18
 
 
 def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
-    """Parameters of `stereo_bridge` and `simulated_arm` with the whole range of the tip in view.
+    """Return parameters of `stereo_bridge` and `simulated_arm` that see the whole range of the tip.
 
     The cameras are those of the package's own `simulated_arm.yaml`, 53 degrees across as webcams
     are. The head looks level, from the side where the marker shows: of 16 directions the one from
@@ -145,7 +145,7 @@ class View:
 
     @classmethod
     def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
-        """From parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
+        """Make it from parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
         from longarm_comp.devices.stereo.found import Limits  # these take a second, with OpenCV
         from longarm_comp.devices.stereo.target import TagBoard
         from longarm_comp.sim.cameras import CameraPair
@@ -176,7 +176,7 @@ class View:
         )
 
     def through(self, left: CameraInfo, right: CameraInfo) -> View:
-        """The same view through the lenses of a pair; as it is where that is not calibrated."""
+        """Return the view through the lenses of a pair; itself where that is not calibrated."""
         p, across = left.p, right.p
         if not p[0] > 0.0 or not across[0] > 0.0:
             return self
@@ -189,7 +189,7 @@ class View:
         )
 
     def unseen(self, tips: np.ndarray) -> list[str]:
-        """For each of the tip poses (M, 4, 4), base frame: why it is not measured, or "".
+        """Say for each of the tip poses (M, 4, 4), base frame, why it is not measured, or "".
 
         Both cameras must see `share` of the tags, large and straight enough.
         """
@@ -232,7 +232,7 @@ class View:
         return np.asarray(inside.all(axis=(-1, -2)))
 
     def _where(self, point: np.ndarray) -> str:
-        """On which side of the images a point (3,) lies, seen from the middle of the cameras."""
+        """Say on which side of the images a point (3,) lies, from the middle of the cameras."""
         if point[2] <= 0.0:
             return "behind"
         x, y = self._projected(point)
@@ -244,7 +244,7 @@ class View:
 
 
 def view_beside(arm: Path) -> View | None:
-    """What the cameras see by the files beside an arm.yaml; None where there are none."""
+    """Return what the cameras see by the files beside an arm.yaml; None where there are none."""
     from longarm_comp.devices.stereo.camera_file import read_camera
 
     folder = arm.absolute().parent

@@ -64,7 +64,7 @@ _SIMULATED = "The simulated {name}. Cameras and marker stand where stereo_bridge
 def arm_file(
     data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], *, seen: bool
 ) -> tuple[str, Arm]:
-    """Text of an arm.yaml that holds `data`, and the arm.
+    """Return the text of an arm.yaml that holds `data`, and the arm.
 
     Args:
         head: comment on top; `of_rows`: a comment beside a row of `joints`, by id.
@@ -99,7 +99,7 @@ def arm_file(
 
 
 def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
-    """Texts of the parameter files that fit an arm, by node."""
+    """Return the texts of the parameter files that fit an arm, by node."""
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos, direct),
@@ -146,7 +146,7 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
 def narrow_limits(
     data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]
 ) -> tuple[dict[str, Any], dict[int, str]]:
-    """What arm.yaml holds with narrower limits, and by row what they were.
+    """Narrow the limits of what arm.yaml holds; return also by row what they were.
 
     Args:
         range_deg: largest range of a turning joint; 0 leaves them as they are.
@@ -177,7 +177,7 @@ def narrow_limits(
 
 
 def find_range_in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
-    """Largest range of turning joints, deg, that two webcams see from the arm's own table.
+    """Find the largest range of turning joints, deg, that two webcams see from the arm's own table.
 
     They stand within one and a half times the arm's reach then, and the marker is small.
     """

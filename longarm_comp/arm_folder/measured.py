@@ -1,4 +1,4 @@
-"""What commands measured of an arm's folder: the record of it, and the cameras' files.
+"""The record of what commands measured of an arm's folder, and the cameras' files.
 
 `measured.yaml` says what was measured, when, by which command.
 """
@@ -33,7 +33,7 @@ _HEAD = "# What was measured, when, by which command, and how well. `longarm che
 
 @dataclass(frozen=True)
 class Measured:
-    """One measurement: when, by which command, and what was found of it."""
+    """A measurement: when, by which command, and what was found of it."""
 
     at: str
     by: str
@@ -95,7 +95,7 @@ def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
 
 
 def head_at(folder: Path, session: str) -> np.ndarray:
-    """Left optical frame in the base frame (4, 4), as it was taken when a session was measured.
+    """Return the left optical frame in the base (4, 4), as taken when a session was measured.
 
     That is what stereo_bridge.yaml has now, unless it was written from this very session.
     """

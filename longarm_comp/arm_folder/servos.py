@@ -24,7 +24,7 @@ KEYS = ("servo_id", "model", "direction", "zero_ticks", "stored")
 def with_joints(
     text: str, bus: Mapping[str, Any], joints: Mapping[str, JointConfig], where: object
 ) -> str:
-    """Text of a servo file with other values of the bus and of each joint's `KEYS`."""
+    """Return the text of a servo file with other values of the bus and of each joint's `KEYS`."""
     old = ServoConfig.parse(parse_yaml(text, str(where)), str(where))
     values: dict[tuple[str, ...], Any] = {
         ("bus", key): v for key, v in bus.items() if v != getattr(old.bus, key)
@@ -44,7 +44,7 @@ _SPEED = 0.85 * 3000.0
 
 
 def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, Any]:
-    """Key ``joints`` of a servo driver's file, in the order of the arm.
+    """Return key ``joints`` of a servo driver's file, in the order of the arm.
 
     The gearing is an assumption. It is the demonstration's (10:1, a pinion of 8 mm) where the
     joint's range fits into the turns of the servo, else as much less as needed; where arm.yaml
@@ -95,7 +95,7 @@ def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict
 
 
 def _transmission(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
-    """Keys of the gearing, and rad or m a tick; ``least``: the smallest tick that fits."""
+    """Return keys of the gearing, and rad or m a tick; ``least``: the smallest tick that fits."""
     own = own_parameters("servo_driver")  # the demonstration's gearing, assumed until it is told
     if joint.type == "prismatic":
         if joint.step:

@@ -51,8 +51,10 @@ class _Row(NamedTuple):
 
 
 class Rows:
-    """What the arm did, command by command, taken off a buffer: each row is made as soon as nothing
-    that is read later can change it."""
+    """The rows of a recording, command by command, taken off a buffer.
+
+    Each row is made as soon as nothing that is read later can change it.
+    """
 
     def __init__(self, buffer: MessageBuffer) -> None:
         self._buffer = buffer
@@ -289,7 +291,7 @@ def _topics_of_one_arm(reader: Reader, namespace: str | None, where: str) -> lis
 
 
 def in_namespace(topic: str, namespace: str | None) -> bool:
-    """Whether a topic is of this namespace; None: of any."""
+    """Tell whether a topic is of this namespace; None: of any."""
     return namespace is None or topic.rpartition("/")[0].strip("/") == namespace.strip("/")
 
 

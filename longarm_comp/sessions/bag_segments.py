@@ -87,7 +87,7 @@ class SegmentedBag:
             shutil.rmtree(self._path, ignore_errors=True)
 
     def discard(self) -> None:
-        """Where an error ends the recording, leave no folder, unless it was there before."""
+        """Leave no folder where an error ends the recording, unless it was there before."""
         self._discarded = True
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:

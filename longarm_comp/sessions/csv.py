@@ -177,7 +177,7 @@ def joint_names(n: int) -> tuple[str, ...]:
 def recorded_besides(
     table: Table, known: set[str]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Numbers and texts that were recorded besides; a column that is blank throughout is absent."""
+    """Read further numbers and texts; a column that is blank throughout is absent."""
     columns: dict[str, np.ndarray] = {}
     labels: dict[str, np.ndarray] = {}
     for name in table.header:
@@ -206,7 +206,7 @@ def approach_names(n: int) -> tuple[str, ...]:
 
 
 def read_approach(table: Table, n: int) -> np.ndarray | None:
-    """Sides as a table has them: (N,) for all joints, (N, n) per joint, or None."""
+    """Read sides as a table has them: (N,) for all joints, (N, n) per joint, or None."""
 
     def side(value: float) -> bool:
         return value in (-1.0, 0.0, 1.0)
@@ -223,7 +223,7 @@ def read_approach(table: Table, n: int) -> np.ndarray | None:
 
 
 def _run_up(table: Table, q: np.ndarray) -> np.ndarray | None:
-    """Where the last approaches began; a side of arrival that contradicts one is refused."""
+    """Read where the last approaches began; a side of arrival that contradicts one is refused."""
     n = q.shape[1]
     names = [f"run_up_{name}" for name in joint_names(n)]
     if not table.has(names):
@@ -241,7 +241,7 @@ def _run_up(table: Table, q: np.ndarray) -> np.ndarray | None:
 
 
 def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarray]:
-    """Sides (N, n) of arrival as `read_approach` reads them: one column where the joints' agree."""
+    """Return sides (N, n) as `read_approach` reads them: one column where the joints' agree."""
     if (sides == sides[:, :1]).all():
         return {"approach": [None if side == 0 else int(side) for side in sides[:, 0]]}
     return dict(zip(approach_names(sides.shape[1]), sides.T, strict=True))
@@ -254,7 +254,7 @@ _TOUCHES = "touches.yaml"
 
 
 def read_touches(session: Path) -> tuple[KnownDistance, ...]:
-    """What the file in a bag's folder, or beside a session, says; nothing where there is none."""
+    """Read the file in a bag's folder, or beside a session; nothing where there is none."""
     for folder in (session, session.parent):
         path = folder / _TOUCHES
         if path.is_file():

@@ -21,7 +21,7 @@ _ASKED, _SAID = "compensation", "diagnostics"
 
 @dataclass(frozen=True)
 class Notice:
-    """What a part of a node said, from its first time to its last; numbers as they were at last."""
+    """A text of a part of a node, from its first time to its last; numbers as they were at last."""
 
     first_s: float
     last_s: float
@@ -48,7 +48,7 @@ class Day:
     said: tuple[Notice, ...] = ()
 
     def by_hour(self) -> list[dict[str, Any]]:
-        """A row an hour and one of the whole: targets, those seen, errors in mm."""
+        """Return a row an hour and one of the whole: targets, those seen, errors in mm."""
         hour = (self.t_s // 3600).astype(int)
         parts = [(f"{h}-{h + 1} h", self.error_mm[hour == h]) for h in np.unique(hour)]
         rows = []

@@ -33,7 +33,8 @@ _NEVER = QosTime(9223372036, 854775807)
 
 
 def offered(depth: int = 10, *, latched: bool = False) -> Qos:
-    """As the graph's publishers offer it: reliable; the last messages for late ones if latched."""
+    """Return the quality of service of the graph's publishers: reliable; if latched, late ones get
+    the last messages."""
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=depth,
@@ -52,7 +53,7 @@ INTERFACES = "longarm_interfaces"
 
 @cache
 def message_types() -> Typestore:
-    """Jazzy's types and, where its message text is found, those of `longarm_interfaces`."""
+    """Return Jazzy's types and, where its message text is found, those of `longarm_interfaces`."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in interface_files():
         name = f"{INTERFACES}/msg/{path.stem}"
@@ -61,7 +62,7 @@ def message_types() -> Typestore:
 
 
 def interface_files() -> list[Path]:
-    """The .msg files of `longarm_interfaces`: installed, in an overlay, or in the source tree."""
+    """Find the .msg files of `longarm_interfaces`: installed, in an overlay or the source tree."""
     for place in interface_folders(INTERFACES, "msg"):
         found = sorted(place.glob("*.msg"))
         if found:
@@ -74,12 +75,12 @@ CLOCKS_APART = 60.0
 
 
 def moment(stamp_ns: int, received_ns: int) -> int:
-    """Time (ns) of a message that was stamped and received then; a stamp of 0 is none."""
+    """Return the time (ns) of a message, stamped and received then; a stamp of 0 is none."""
     return stamp_ns if abs(stamp_ns - received_ns) < CLOCKS_APART * 1e9 else received_ns
 
 
 def stamp_of_raw(raw: bytes) -> int:
-    """Stamp (ns) of a serialised message that begins with a header."""
+    """Return the stamp (ns) of a serialised message that begins with a header."""
     seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
     return int(seconds) * 10**9 + int(rest)
 

@@ -22,7 +22,7 @@ FILE = "next_poses.csv"
 
 
 def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
-    """The first n poses of a diagnosis' ``next_poses.csv``, most informative first."""
+    """Read the first n poses of a diagnosis' ``next_poses.csv``, most informative first."""
     path = Path(folder) / FILE
     if not path.is_file():
         raise InputError(path, "file", "missing", "a diagnosis that asks for poses writes it")

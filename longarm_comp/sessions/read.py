@@ -15,7 +15,7 @@ from longarm_comp.sessions.table import read_table
 
 
 def read_session(path: str | Path, arm: Arm) -> Session:
-    """A CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
+    """Read a CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
 
     ``touches.yaml`` beside it holds known distances of the points that it touched.
 
@@ -37,7 +37,7 @@ def _is_bag(path: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _RecordedRing:
-    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
+    """A ring, seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
 
     times: np.ndarray
     seen: np.ndarray
@@ -46,7 +46,7 @@ class _RecordedRing:
 
 
 def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
-    """A ring after a move: a CSV with t_s and x, y, z of the tip, or read_q1..qn; or a bag.
+    """Read a ring after a move: a CSV with t_s and x, y, z of the tip, or read_q1..qn; or a bag.
 
     Rows with a blank are left out. Of a bag it is the ring after the last command, from where the
     joints stand: of the tip, or of the joints where it was not seen often enough.

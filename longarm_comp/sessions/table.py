@@ -49,7 +49,7 @@ class Table:
         return InputError(self.where, f"line {self.lines[row]}, {column}", value, allowed)
 
     def blank(self, column: str) -> np.ndarray:
-        """(N,) whether a cell is empty; all True if there is no such column."""
+        """Tell (N,) whether a cell is empty; all True if there is no such column."""
         if column not in self.cells:
             return np.ones(len(self), dtype=bool)
         return np.array([not cell for cell in self.cells[column]])
@@ -61,7 +61,7 @@ class Table:
         blanks: bool = False,
         test: Callable[[float], bool] | None = None,
     ) -> np.ndarray:
-        """(N,) numbers; an empty cell is NaN where `blanks` are allowed."""
+        """Return (N,) numbers; an empty cell is NaN where `blanks` are allowed."""
         allowed = f"a finite number ({unit})" + (", or blank" if blanks else "")
         values = np.empty(len(self))
         for row, cell in enumerate(self.cells[column]):
@@ -84,12 +84,12 @@ class Table:
         blanks: bool = False,
         test: Callable[[float], bool] | None = None,
     ) -> np.ndarray:
-        """(N, k) numbers of columns that all must be there."""
+        """Return (N, k) numbers of columns that all must be there."""
         check_header(self.where, self.header, columns)
         return np.stack([self.numbers(name, unit, blanks, test) for name in columns], axis=-1)
 
     def has(self, columns: Collection[str]) -> bool:
-        """Whether any of these columns is there."""
+        """Tell whether any of these columns is there."""
         return not set(columns).isdisjoint(self.cells)
 
     def lengths(self, columns: Sequence[str], unit: str = "m", blanks: bool = False) -> np.ndarray:
@@ -98,7 +98,7 @@ class Table:
         return self.block(columns, unit, blanks, lambda v: abs(v) <= FARTHEST)
 
     def integers(self, column: str, blank: int | None = None) -> np.ndarray:
-        """(N,) whole numbers; an empty cell becomes `blank` where that is given."""
+        """Return (N,) whole numbers; an empty cell becomes `blank` where that is given."""
 
         def is_whole(value: float) -> bool:
             return value.is_integer() and abs(value) < 2**53
@@ -107,7 +107,7 @@ class Table:
         return np.where(np.isnan(values), -1 if blank is None else blank, values).astype(np.int64)
 
     def is_numeric(self, column: str) -> bool:
-        """Whether every filled cell of a column reads as a number."""
+        """Tell whether every filled cell of a column reads as a number."""
         try:
             for cell in filter(None, self.cells[column]):
                 float(cell)
@@ -196,7 +196,7 @@ def check_header(where: str, header: Sequence[str], required: Collection[str]) -
 
 
 def _conversion(where: str, header: Sequence[str]) -> str:
-    """The call that converts a table of another program, where its names look like one's."""
+    """Return the call that converts a table of another program, where its names look like one's."""
     split = [split_name(name) for name in header]
     suffixed = [unit for name, unit in split if unit is not None and _FOREIGN.fullmatch(name)]
     bare = [name for name, unit in split if unit is None and _FOREIGN.fullmatch(name)]
@@ -224,7 +224,7 @@ def check_unknown(where: str, names: Collection[str], known: Collection[str]) ->
 
 
 def nearest(name: str, known: Collection[str]) -> str | None:
-    """The known name that `name` most likely means, or None."""
+    """Return the known name that `name` most likely means, or None."""
     plain = _plain(name)
     stems = {plain, _plain(split_name(name)[0])}
     for candidate in known:

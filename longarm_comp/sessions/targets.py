@@ -37,7 +37,7 @@ class Targets:
         return len(self.xyz)
 
     def context(self, n: int) -> Context:
-        """Circumstances of the targets for an arm of n joints: scalars are (N,) arrays."""
+        """Return circumstances of the targets for an arm of n joints: scalars are (N,) arrays."""
         return Context(
             approach=(self.approach,) * n if self.approach.any() else (),
             columns=self.columns,
@@ -46,7 +46,7 @@ class Targets:
 
     @classmethod
     def one(cls, numbers: Sequence[float]) -> Targets:
-        """One target from the command line: x y z, or x y z qx qy qz qw."""
+        """Read one target from the command line: x y z, or x y z qx qy qz qw."""
         values = np.asarray(numbers, dtype=float)
         if values.shape not in ((3,), (7,)) or not (np.abs(values) <= FARTHEST).all():
             allowed = f"x y z or x y z qx qy qz qw, up to {FARTHEST:g}"

@@ -45,7 +45,7 @@ _TRIED_ROWS = 100
 
 @dataclass(frozen=True)
 class _Belief:
-    """Whether rows fit the arm, its placement apart."""
+    """The fit of rows to the arm, its placement apart."""
 
     misfit: float
     """misfit, spread: median distance (m) of the rows as they are; of the sightings from their
@@ -60,7 +60,7 @@ class _Belief:
 
     @property
     def belong(self) -> bool:
-        """Whether the rows may be this arm's."""
+        """True if the rows may be this arm's."""
         near = self.misfit < _STRANGE_SHARE * self.spread
         return not self.mistake and near and self.stray < MOST_STRAYS
 

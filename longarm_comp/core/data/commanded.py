@@ -34,14 +34,14 @@ def commanded_errors(model: Model, session: Session, near: Posture | None = None
 
 
 def with_frame_shift(model: Model, session: Session) -> Model:
-    """The model with the mean of what its measuring side moves the rows of a session by."""
+    """Return the model with the mean of what its measuring side moves the rows of a session by."""
     moved = moved_by_measuring(model, session)
     x, y, z = moved.mean(axis=0).tolist() if len(moved) else (0.0, 0.0, 0.0)
     return dataclasses.replace(model, frame_shift=(x, y, z))
 
 
 def in_frame_of_start(model: Model, session: Session) -> Model:
-    """The model with targets in the frame of the session's first row, where it drifts for sure.
+    """Return the model with targets in the frame of the session's first row, where it surely drifts.
 
     The tip does not move with what measures it, and points are marked before a session.
     """
@@ -81,7 +81,7 @@ def _moved(less: Model, more: Model, session: Session) -> np.ndarray:
 
 
 def as_commanded(model: Model) -> Model:
-    """The model without what no command compensates: measuring side, circumstances never told.
+    """Return the model without what no command compensates: measuring side, what is never told.
 
     Frames of sensors and anchors stay: they say in which frame a row was measured.
     """
@@ -93,14 +93,14 @@ def as_commanded(model: Model) -> Model:
 
 
 def own_way(session: Session) -> Session:
-    """The rows without moves before the last that nobody recorded: only a side was told."""
+    """Return the rows without moves before the last that nobody recorded: only a side was told."""
     legs = session.legs.copy()
     legs[session.told != 0, 1:] = 0.0
     return dataclasses.replace(session, legs=legs)
 
 
 def not_commanded(model: Model, session: Session) -> list[str]:
-    """What `commanded_errors` leaves out of a model at these rows, in words."""
+    """Name what `commanded_errors` leaves out of a model at these rows."""
     said = [
         f"{term.name} {MEASURING_SIDE if isinstance(term, Bias) else NEVER_TOLD}"
         for term in model.terms

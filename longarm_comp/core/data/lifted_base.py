@@ -1,4 +1,4 @@
-"""Where a base stands, from coordinates, distances, rays and axes, none of them a whole position.
+"""Places a base by coordinates, distances, rays and axes, none of them a whole position.
 
 With the base's rotation R and place p as twelve free numbers ("lifting"), most readings of a tip
 whose place o in the base is predicted are linear: ``c . (R o + p) = v``.  A coordinate has c along
@@ -45,7 +45,7 @@ class _LinearEquations(NamedTuple):
 def lifted_base(
     arm: Arm, points: np.ndarray, axes: np.ndarray, rows: Session
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and place (3,) m of the base that agree with what N rows of it measured.
+    """Return rotation (3, 3) and place (3,) m of the base that agree with N rows measured from it.
 
     What they do not determine is left as declared: the base unturned and at the origin.
 
@@ -159,7 +159,7 @@ def _rotation(found: _LinearEquations) -> np.ndarray:
 
 
 def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """The rotation closest to none among those that differ about an axis that was not measured."""
+    """Return the smallest rotation among those that differ about an axis that was not measured."""
     cross = np.cross(np.eye(3), axis)  # the matrix of v -> axis x v
     flat = np.eye(3) - np.outer(axis, axis)
     angle = np.arctan2(np.trace(cross @ turn), np.trace(flat @ turn))

@@ -1,4 +1,4 @@
-"""What the rows of a session hold: readings of any kind, and the channels of their equations."""
+"""The rows of a session: readings of any kind, and the channels of their equations."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class MeasuredRows:
 
     @cached_property
     def plain(self) -> bool:
-        """Whether whole positions by one sensor are all that was measured."""
+        """True if whole positions by one sensor are all that was measured."""
         half = np.isfinite(self.xyz).any(axis=1) & ~self.located
         return self.blocks == (ChannelBlock("position"),) and not half.any()
 
@@ -78,12 +78,12 @@ class MeasuredRows:
         return tuple(KINDS[name] for name in dict.fromkeys(b.kind for b in self.blocks))
 
     def framed(self, arm: Arm) -> bool:
-        """Whether the rows measure in a frame of their own, in which the base is to be placed."""
+        """Tell whether the rows measure in a frame of their own, so that the base is placed."""
         return any(kind.framed(arm) for kind in self.kinds)
 
     @property
     def turns(self) -> bool:
-        """Whether a kind of measurement depends on the tip's axes."""
+        """True if a kind of measurement depends on the tip's axes."""
         return any(kind.turns for kind in self.kinds)
 
     @cached_property
@@ -136,7 +136,7 @@ class MeasuredRows:
         return np.where(told, whole, np.nan)
 
     def named(self, kind: Kind) -> tuple[str, ...]:
-        """The texts beside its readings of one kind, each once: anchors, touched points."""
+        """Return the texts beside its readings of one kind, each once: anchors, touched points."""
         if kind.label not in self.labels:
             return ()
         held = kind.measured(self.reading(kind)).any(axis=1)
@@ -149,15 +149,17 @@ class MeasuredRows:
         return {name: float(np.median(values)) for name, values in held if len(values)}
 
     def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
-        """(N,) noise that each row states over the usual one by channel, the geometric mean over
-        its channels; 1 where it states none."""
+        """Return (N,) noise that each row states over the usual one by channel.
+
+        It is the geometric mean over its channels; 1 where it states none.
+        """
         share = self.stated / np.array([usual.get(name, np.nan) for name in self.channels])
         known = np.isfinite(share)
         logs = np.log(share, where=known, out=np.zeros(share.shape))
         return np.asarray(np.exp(logs.sum(axis=1) / np.maximum(known.sum(axis=1), 1)))
 
     def reading(self, kind: Kind) -> np.ndarray:
-        """(N, c) readings of one kind, NaN where not measured; 0 where a text measures."""
+        """Return (N, c) readings of one kind, NaN where not measured; 0 where a text measures."""
         if kind.name == "position":
             return self.xyz
         if not kind.cells:
@@ -218,7 +220,7 @@ class MeasuredRows:
         object.__setattr__(self, "sigmas", sigmas)
 
     def _blocks(self) -> tuple[ChannelBlock, ...]:
-        """One block a kind, or a kind and sensor where several sensors measured."""
+        """Return a block a kind, or a kind and sensor where several sensors measured."""
         names = np.unique(self.labels.get("sensor", np.array([""])))
         held = {k: v.measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
         kinds = [k for k in KINDS if held[k].any()] or ["position"]

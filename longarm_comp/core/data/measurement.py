@@ -1,4 +1,4 @@
-"""What a session measured against what a model predicts: stacked scalar equations.
+"""Stacked scalar equations: what a session measured against what a model predicts.
 
 Every row has the session's d channels, and what it did not measure is 0 in residual and columns:
 such an equation says nothing in a least-squares problem.
@@ -22,14 +22,14 @@ from longarm_comp.core.model.tip_motion import TipMotion
 
 
 def posture(model: Model, session: Session) -> Posture:
-    """The arm at the rows of a session."""
+    """Return the arm's posture at the rows of a session."""
     return model.posture([session.q[:, j] for j in range(session.n)], session.context())
 
 
 def equations(
     model: Model, session: Session, at: Posture, slots: Sequence[Slot] | None = None
 ) -> Equations:
-    """Equations of all channels of a session by some parameters, all of a model's by default."""
+    """Return a session's equations, all channels, by some parameters; by default the model's."""
     slots = model.slots if slots is None else slots
     model = with_touched(model, session, at)
     return _stacked(model.motion(at, slots, session.turns), session)
@@ -38,13 +38,13 @@ def equations(
 def shifts(
     model: Model, session: Session, at: Posture, terms: Sequence[Effect | Bias]
 ) -> np.ndarray:
-    """(N, d, k) change of the prediction by each of k terms outside the model."""
+    """Return the (N, d, k) change of the prediction by each of k terms outside the model."""
     model = with_touched(model, session, at)
     return _stacked(model.added(at, terms, session.turns), session).columns
 
 
 def metres(model: Model, session: Session) -> np.ndarray:
-    """(d,) length at the tip (m) that a unit of each channel stands for: 0 of an orientation.
+    """Return (d,) length at the tip (m) that a unit of each channel means: 0 of an orientation.
 
     A ray's is the median distance of the tip from its camera, an encoder's the median lever of the
     tip about its joint.
@@ -67,7 +67,7 @@ def metres(model: Model, session: Session) -> np.ndarray:
 
 
 def errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
-    """(M, 3) measured - predicted of the M rows that say where the tip is, m.
+    """Return (M, 3) measured - predicted of the M rows that say where the tip is, m.
 
     Where fewer than three coordinates were measured it is the smallest displacement of the tip
     that explains the row.  A similar model's posture at the M rows (`near`) saves time.
@@ -85,7 +85,7 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
 
 
 def spreads(model: Model, session: Session) -> np.ndarray:
-    """(M,) distance of the predicted tip from the touched point, m, of the M rows of a touch.
+    """Return (M,) distances of predicted tip and touched point, m, of the M rows of a touch.
 
     The points are solved from these rows alone.
     """
@@ -102,7 +102,7 @@ def spreads(model: Model, session: Session) -> np.ndarray:
 
 
 def turns(model: Model, session: Session) -> np.ndarray:
-    """(M, 3) rotation from the predicted to the measured tip, rad, of the M rows that tell it."""
+    """Return (M, 3) rotations from predicted to measured tip, rad, of the M rows that tell it."""
     turned = session.take(session.turned)
     if not len(turned):
         return np.zeros((0, 3))

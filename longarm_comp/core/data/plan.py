@@ -1,4 +1,4 @@
-"""Which poses to measure: the paper's grid, space-filling points, random targets; which may be.
+"""Poses to measure: the paper's grid, space-filling points, random targets; which may be.
 
 A plan is an array of commanded joints (N, n) inside the joint box, and the side from which each
 joint shall arrive.  Poses that separate two effects are planned by the diagnosis.
@@ -47,14 +47,14 @@ class Plan:
         return len(self.q)
 
     def take(self, rows: np.ndarray) -> Plan:
-        """Some of the poses, by number."""
+        """Return some of the poses, by number."""
         payload = None if self.payload_kg is None else self.payload_kg[rows]
         touch = None if self.touch is None else self.touch[rows]
         return Plan(self.q[rows], self.approach[rows], payload, touch)
 
 
 def paper_grid(arm: Arm) -> np.ndarray:
-    """The paper's training grid (Section III.B) for any arm, (N, n).
+    """Return the paper's training grid (Section III.B) for any arm, (N, n).
 
     Each revolute joint takes its lower limit, its middle and its upper limit.  Two prismatic
     joints take the paper's six pairs of strokes scaled to their limits; any other number of
@@ -80,7 +80,7 @@ def _levels(joints: int) -> np.ndarray:
 
 
 def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n poses of the paper's grid in random order, none twice."""
+    """Draw n poses of the paper's grid in random order, none twice."""
     rng = np.random.default_rng(rng)
     poses = paper_grid(arm)
     if not 1 <= n <= len(poses):
@@ -89,7 +89,7 @@ def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
 
 
 def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n scrambled Sobol points in the joint box, which fill it evenly."""
+    """Draw n scrambled Sobol points in the joint box, which fill it evenly."""
     if not 1 <= n <= 2**20:
         raise InputError("plan", "n", n, f"1 to {2**20}")
     rng = np.random.default_rng(rng)
@@ -101,24 +101,24 @@ def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
 
 
 def uniform(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n uniformly random poses in the joint box."""
+    """Draw n uniformly random poses in the joint box."""
     rng = np.random.default_rng(rng)
     return _with_sides(arm, random_joints(arm, n, rng), rng)
 
 
 def at_levels(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n random poses with every joint at its lower limit, its middle or its upper limit."""
+    """Draw n random poses with every joint at its lower limit, its middle or its upper limit."""
     rng = np.random.default_rng(rng)
     return _with_sides(arm, _in_box(arm, rng.integers(0, 3, (n, arm.n)) / 2.0), rng)
 
 
 def random_joints(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """n uniformly random joint vectors in the box, (n, arm.n)."""
+    """Draw n uniformly random joint vectors in the box, (n, arm.n)."""
     return _in_box(arm, np.random.default_rng(rng).random((n, arm.n)))
 
 
 def random_targets(model: Model, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """n random reachable points (n, 3), m: the tip of a model at random joints."""
+    """Draw n random reachable points (n, 3), m: the tip of a model at random joints."""
     return model.tip(random_joints(model.arm, n, rng))
 
 

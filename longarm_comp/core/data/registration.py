@@ -145,7 +145,7 @@ def _registration_at(
 
 
 def _step(rows: Sightings, now: Registration) -> Registration:
-    """One weighted Gauss-Newton step in turn and shift of every base and place of every marker."""
+    """Take one weighted Gauss-Newton step in the pose of every base and place of every marker."""
     n, groups, kinds = len(rows.seen), len(now.offset), len(now.tip)
     turned = rows.seen - now.residual
     centre = np.stack([turned[rows.group == g].mean(0) for g in range(groups)])

@@ -1,4 +1,4 @@
-"""When the arm is at rest: in a stream (`RestWatch`), and in what was recorded (`mean_at_rest`).
+"""Rest of the arm: in a stream (`RestWatch`), and in what was recorded (`mean_at_rest`).
 
 Sightings of one pose share the pose's model error, so only their mean is an independent sample.
 """
@@ -113,7 +113,7 @@ def is_of_two_arms(joints: np.ndarray) -> bool:
 
 
 class Sighting(NamedTuple):
-    """One measured tip at t (s): (3,) m and m^2, (4,) x, y, z, w and rad^2; NaN: not measured."""
+    """A measured tip at t (s): (3,) m and m^2, (4,) x, y, z, w and rad^2; NaN: not measured."""
 
     t: float
     xyz: np.ndarray

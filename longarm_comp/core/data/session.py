@@ -246,7 +246,7 @@ class Session(MeasuredRows):
         return digest.hexdigest()
 
     def context(self, rows: _Rows | None = None) -> Context:
-        """Circumstances of some rows, or all, for the effects. Scalars are (N,) arrays.
+        """Return circumstances of some rows, or all, for the effects. Scalars are (N,) arrays.
 
         The history of the joints is absent when no side of arrival is known in the whole session.
         """
@@ -262,7 +262,7 @@ class Session(MeasuredRows):
         )
 
     def take(self, rows: _Rows) -> Session:
-        """Some of the rows: a mask (N,), indices or a slice."""
+        """Return some of the rows: a mask (N,), indices or a slice."""
         arrays = ("index", "q", "xyz", "approach", "legs", "told", "repeat_id")
         taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}
         for kind in ("columns", "labels", "readings", "sigmas"):
@@ -271,11 +271,11 @@ class Session(MeasuredRows):
         return dataclasses.replace(self, sigma=sigma, **taken)
 
     def on_clock_of(self, other: Session) -> Session:
-        """The same, with a time that counts from where it does in another session."""
+        """Return the same, with a time that counts from where it does in another session."""
         return dataclasses.replace(self, begun_s=other.begun_s)
 
     def where(self, label: str, value: str) -> Session:
-        """The rows whose text column `label` holds `value`."""
+        """Return the rows whose text column `label` holds `value`."""
         if label not in self.labels:
             known = ", ".join(self.labels) or "none"
             raise self.error(label, "missing", f"a text column (there are: {known})")

@@ -28,7 +28,7 @@ FEW = 3
 
 @dataclass(frozen=True)
 class SharedBy:
-    """What rows set aside have in common.
+    """A common trait of rows set aside.
 
     Attributes:
         input: column of the session, or ``order`` (the row's place in the file).
@@ -75,7 +75,7 @@ class SetAside:
 
     @property
     def record(self) -> dict[str, object]:
-        """As report.json holds it: their number, share, and what they share."""
+        """The entry of report.json: their number, share, and what they share."""
         shared = [dataclasses.asdict(each) for each in self.shared_by]
         return {"rows": len(self.rows), "share": self.share, "shared_by": shared}
 
@@ -123,7 +123,7 @@ def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Fou
 
 
 def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
-    """The text that most visits set aside have in common; None where there is one text only."""
+    """Find the text that most visits set aside have in common; None where there is but one."""
     names = np.unique(texts)
     if len(names) < 2 or spoilt.sum() < FEW:
         return None
@@ -148,7 +148,7 @@ def _by_motion(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Fou
 
 
 def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
-    """The stretch of a number in which the visits set aside lie closest together."""
+    """Find the stretch of a number in which the visits set aside lie closest together."""
     order = np.argsort(values, kind="stable")
     values, spoilt, rows = values[order], spoilt[order], rows[order]
     at = values[spoilt]

@@ -59,7 +59,7 @@ class Cells:
         return [row[place] for _, row in self.rows]
 
     def place(self, key: str, field: str) -> int:
-        """Place of the column that the user calls so: whole, without its unit, or without a title.
+        """Find the place of a column by its name: whole, without its unit, or without a title.
 
         Raises:
             InputError: about the option ``field``; there is none, or more than one.
@@ -79,7 +79,7 @@ class Cells:
         return found[0]
 
     def number(self, text: str) -> float | None:
-        """The number in a cell; None where the cell holds no number. Raises nothing."""
+        """Return the number in a cell; None where the cell holds no number. Raises nothing."""
         plain = text.strip()
         if (_COMMA if self.decimal == "," else _POINT).fullmatch(plain) is None:
             return None
@@ -87,7 +87,7 @@ class Cells:
 
     @staticmethod
     def empty(text: str) -> bool:
-        """Whether a cell says that there is no value."""
+        """Tell whether a cell says that there is no value."""
         return text.strip().lower() in _NONE
 
 

@@ -1,4 +1,4 @@
-"""Which column of a session a column of another program is."""
+"""Finds which column of a session a column of another program is."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _TURNED = re.compile(
 
 @dataclass(frozen=True)
 class Column:
-    """One column of the session: its name, which column of the file it is, and that one's unit."""
+    """A column of the session: its name, which column of the file it is, and that one's unit."""
 
     name: str
     source: str
@@ -47,7 +47,7 @@ class Column:
 
 
 def kind_of(name: str, arm: Arm | None = None) -> str:
-    """What the values of a session's column are: a kind of unit, `JOINT`, or nothing."""
+    """Return the kind of unit of a session's column, `JOINT`, or nothing."""
     joint = re.fullmatch(r"(?:run_up_|read_)?q(\d+)", name)
     if joint:
         number = int(joint.group(1))
@@ -64,7 +64,7 @@ def kind_of(name: str, arm: Arm | None = None) -> str:
 
 
 def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str | None:
-    """The session's column that a name without its unit means, or None.
+    """Return the session's column that a name without its unit means, or None.
 
     Args:
         headings: a heading over several columns may stand before it.
@@ -95,7 +95,7 @@ def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str 
 
 
 def turned(name: str) -> bool:
-    """Whether a name looks like a part of an orientation."""
+    """Tell whether a name looks like a part of an orientation."""
     return _TURNED.fullmatch(re.sub(r"\s", "_", split_name(name)[0].lower())) is not None
 
 
@@ -107,7 +107,7 @@ def understand(
     apart: Collection[str] = (),
     axes: Mapping[int, str] | None = None,
 ) -> list[Column]:
-    """The columns of the session that a file holds.
+    """Find the columns of the session that a file holds.
 
     Args:
         given: by name of a column, with or without its unit: a session's column, or one and its
@@ -152,7 +152,7 @@ def understand(
 def _fitting(
     cells: Cells, column: Column, defaults: Mapping[str, Unit], arm: Arm | None
 ) -> Unit | None:
-    """The unit of a column; None where it has none, as times of the day."""
+    """Return the unit of a column; None where it has none, as times of the day."""
     name, source, unit = column.name, column.source, column.unit
     kind = kind_of(name, arm)
     if not kind or (name == "t_s" and seconds(cells.column(column.place)) is not None):

@@ -171,8 +171,11 @@ def _clocks(tables: Sequence[Cells], places: Sequence[int], column: str) -> list
 
 
 def _nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
-    """By entry of ``one``, the place of the entry of ``two`` nearest to it that has none nearer to
-    it, -1 if none is within the tolerance; and this: half the shorter of both median steps."""
+    """Find for each entry of ``one`` the place of the nearest of ``two`` that has none nearer.
+
+    It is -1 where none is within the tolerance, which is half the shorter of both median steps and
+    returned as well.
+    """
     near, back = _closest(one, two), _closest(two, one)
     steps = [np.diff(np.unique(times)) for times in (one, two)]
     limit = min((float(np.median(step)) / 2 for step in steps if len(step)), default=0.0)

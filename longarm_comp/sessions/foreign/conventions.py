@@ -1,4 +1,4 @@
-"""Which convention an orientation's numbers follow: the one that the arm's own tip bears out."""
+"""Finds the convention of an orientation's numbers: the one that the arm's own tip bears out."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Conventions:
     errors: Mapping[str, float]
 
     def refutes(self, rotation: Rotation) -> bool:
-        """Whether the rows clearly follow another convention."""
+        """Tell whether the rows clearly follow another convention."""
         best = next(iter(self.errors))
         own = self.errors.get(rotation.spelt, np.inf)
         return self._clear and own > max(SUSPECT_TURN, _CLEAR * self.errors[best])

@@ -43,7 +43,7 @@ _MAY_BE_BLANK = re.compile(
 
 @dataclass(frozen=True)
 class Options:
-    """What the user says of a file.
+    """The user's words about a file.
 
     Attributes:
         units: of columns that name none, such as ``mm`` and ``deg``.
@@ -65,7 +65,7 @@ class Options:
     columns: tuple[str, ...] = ()
 
     def like(self, mapping: Path) -> Options:
-        """With what an earlier mapping says beside; what is told here goes before it."""
+        """Add what an earlier mapping says; what is told here goes before it."""
         form = Like(mapping)
         own = {name.partition(":")[0] for name in self.given.values()}
         kept = {
@@ -98,7 +98,7 @@ class _Imported:
     markers: tuple[str, ...] = ()  # that stood side by side
 
     def preview(self) -> list[dict[str, Any]]:
-        """One row a column: what it was read from, in which unit, and its range."""
+        """Return a row a column: what it was read from, in which unit, and its range."""
         rows = []
         for column in self.sources:
             values = self.columns[column.name]

@@ -1,4 +1,4 @@
-"""Which columns of a table are one marker's pose: `FORMS` is the one list of their names."""
+"""Finds the columns of a table that are one marker's pose: `FORMS` is the list of their names."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Found:
 
 
 def found_in(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
-    """All that a table holds in full, orientations before positions; no column is in two.
+    """Find all that a table holds in full, orientations before positions; no column is in two.
 
     Args:
         names: of the columns, with their units.
@@ -134,7 +134,7 @@ def _complete(form: Form, names: Sequence[str]) -> Iterable[Found]:
 
 
 def _meant(found: Found, names: Sequence[str]) -> bool:
-    """Whether three turns about x, y, z are that: beside a position, else they are a marker's."""
+    """Tell whether three turns about x, y, z are an orientation: only beside a position."""
     if found.form.convention or found.form.parts != ("x", "y", "z"):
         return True
     positions = (p for form in FORMS if form.convention == POSITION for p in _complete(form, names))
@@ -151,7 +151,7 @@ def axis_of(name: str) -> str | None:
 
 
 def of_marker(found: Sequence[Found], read: Collection[int]) -> list[Found]:
-    """The orientations of the marker whose position is in columns of these places: under its
+    """Find the orientations of the marker whose position is in columns of these places: under its
     heading, under none, or under one that has no position."""
     own = {each.heading for each in found if not each.turn and set(read) & set(each.places)}
     others = set(headings(found)) - own
@@ -161,7 +161,7 @@ def of_marker(found: Sequence[Found], read: Collection[int]) -> list[Found]:
 
 
 def headings(found: Iterable[Found]) -> dict[str, Found]:
-    """By heading, the position of each marker; the first where a heading has several."""
+    """Return the position of each marker by heading; the first where a heading has several."""
     made: dict[str, Found] = {}
     for each in found:
         if not each.turn:

@@ -75,7 +75,7 @@ class Rotation:
 
     @classmethod
     def parse(cls, text: str, where: str) -> Rotation:
-        """From ``CONVENTION:COLUMNS``. Raises InputError."""
+        """Read ``CONVENTION:COLUMNS``. Raises InputError."""
         convention, colon, names = text.partition(":")
         inverse, convention = convention.startswith("-"), convention.removeprefix("-")
         columns = tuple(name.strip() for name in names.split(","))
@@ -86,12 +86,12 @@ class Rotation:
 
     @property
     def spelt(self) -> str:
-        """As the user says it, without the columns."""
+        """The convention as the user says it, without the columns."""
         return "-" * self.inverse + self.convention
 
     @property
     def angles(self) -> bool:
-        """Whether the columns are angles, with a unit."""
+        """True if the columns are angles, with a unit."""
         return len(self.columns) == 3
 
     def quaternions(self, values: np.ndarray) -> np.ndarray:
@@ -180,13 +180,13 @@ _SUFFIXED = re.compile(r"^(.*\S)\s*(?:[_/,]|\s)\s*([^\s_/,]+)$")
 
 
 def unit_of(text: str) -> Unit | None:
-    """The unit that a text names, or None."""
+    """Return the unit that a text names, or None."""
     plain = text.strip().strip("[](){}<>").strip().lower()
     return _BY_WORD.get(plain)
 
 
 def split_name(name: str) -> tuple[str, Unit | None]:
-    """A column's name and its unit: ``q1 [deg]``, ``x_mm``, ``Time (ms)``, ``A1/deg``."""
+    """Split a column's name and its unit: ``q1 [deg]``, ``x_mm``, ``Time (ms)``, ``A1/deg``."""
     for pattern in (_BRACKETED, _SUFFIXED):
         found = pattern.match(name)
         unit = unit_of(found.group(2)) if found else None
