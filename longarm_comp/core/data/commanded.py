@@ -41,7 +41,7 @@ def with_frame_shift(model: Model, session: Session) -> Model:
 
 
 def in_frame_of_start(model: Model, session: Session) -> Model:
-    """Return the model with targets in the frame of the session's first row, where it surely drifts.
+    """Return the model with targets in the frame of the session's first row, if it drifts.
 
     The tip does not move with what measures it, and points are marked before a session.
     """
