@@ -71,17 +71,17 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     position = middle - distance * axis - 0.5 * baseline * x
     if given:
         position = np.array(given.position_m)
-    at, along = _rounded(position, 3), _rounded(axis, 9)
+    at, along = _round(position, 3), _round(axis, 9)
     turn = quaternion.from_rotation(CameraPair(tuple(at), tuple(along)).left_in_base[:3, :3])
     marker = {"marker.tag_m": tag, "marker.gap_m": round(tag / 5, 6)}
     return {
-        "stereo_bridge": {"hand_eye.xyz": at, "hand_eye.quaternion": _rounded(turn, 12), **marker},
+        "stereo_bridge": {"hand_eye.xyz": at, "hand_eye.quaternion": _round(turn, 12), **marker},
         "simulated_arm": {
             "camera.position": at,
             "camera.axis": along,
             "camera.baseline_m": baseline,
             **marker,
-            "marker.mounting": _rounded(mounting, 9),
+            "marker.mounting": _round(mounting, 9),
         },
     }
 
@@ -114,7 +114,7 @@ def _choose_direction(
     return axis, quaternion.rotation_vector(quaternion.from_rotation(plate))
 
 
-def _rounded(values: np.ndarray, digits: int) -> list[Any]:
+def _round(values: np.ndarray, digits: int) -> list[Any]:
     return [round(float(v), digits) + 0.0 for v in values]
 
 
@@ -220,13 +220,13 @@ class View:
                 why.append("")
         return why
 
-    def _projected(self, points: np.ndarray) -> np.ndarray:
+    def _project(self, points: np.ndarray) -> np.ndarray:
         ahead = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         return np.asarray(self.focal_px * points[..., :2] / ahead + self.middle_px)
 
     def _inside(self, tags: np.ndarray) -> np.ndarray:
         """(M, T) whether all of a tag, corners (M, T, 4, 3) in the camera's frame, is in view."""
-        pixels = self._projected(tags)
+        pixels = self._project(tags)
         with np.errstate(invalid="ignore"):
             inside = (pixels >= 0.0) & (pixels <= np.array(self.size_px) - 1.0)
         return np.asarray(inside.all(axis=(-1, -2)))
@@ -235,7 +235,7 @@ class View:
         """Say on which side of the images a point (3,) lies, from the middle of the cameras."""
         if point[2] <= 0.0:
             return "behind"
-        x, y = self._projected(point)
+        x, y = self._project(point)
         width, height = self.size_px
         beside, above = abs(x - width / 2) / width, abs(y - height / 2) / height
         if beside >= above:

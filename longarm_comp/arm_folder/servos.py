@@ -57,7 +57,9 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) ->
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))
     made = {
-        name: _servo(number, arm.joints[row - 1], models()[model], reach(arm) if direct else 0.0)
+        name: _fit_servo(
+            number, arm.joints[row - 1], models()[model], reach(arm) if direct else 0.0
+        )
         for number, (name, row) in enumerate(zip(arm.joint_names, arm.commanded, strict=True), 1)
     }
     protocol = models()[model].protocol
@@ -65,7 +67,7 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) ->
     return made
 
 
-def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict[str, Any]:
+def _fit_servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict[str, Any]:
     """``reach_m``: of an arm whose joints sit on the servos' horns; 0: geared."""
     horn = reach_m > 0.0 and joint.type == "revolute"
     low, high = model.multi_turn
@@ -76,7 +78,7 @@ def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict
     if joint.step and farthest / joint.step > room:
         allowed = f"at least {farthest / room:.3g} with {model.name}, or a servo with more turns"
         raise InputError("servos", f"step of {joint.name or joint.id}", joint.step, allowed)
-    transmission, tick = _transmission(joint, farthest / room, model.ticks_per_turn)
+    transmission, tick = _fit_gearing(joint, farthest / room, model.ticks_per_turn)
     if horn:
         transmission, tick = {"gear_ratio": 1.0}, 2 * math.pi / model.ticks_per_turn
     # Speed of the tip at which people may stand beside an arm (ISO 10218-1, reduced speed)
@@ -94,7 +96,7 @@ def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict
     }
 
 
-def _transmission(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
+def _fit_gearing(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
     """Return keys of the gearing, and rad or m a tick; ``least``: the smallest tick that fits."""
     own = own_parameters("servo_driver")  # the demonstration's gearing, assumed until it is told
     if joint.type == "prismatic":

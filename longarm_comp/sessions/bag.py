@@ -227,7 +227,7 @@ def read_bag(
         chosen = _topics_of_one_arm(reader, namespace, where)
         has_rows = any(_last(c.topic) == "session_row" and c.msgcount for c in chosen)
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
-        rows = _rows(recorded(reader, chosen), buffer)
+        rows = _rows(raw_messages(reader, chosen), buffer)
     if buffer.sent is None or not buffer.frames:
         topic = "joint_trajectory" if buffer.sent is None else "tip_measured"
         raise InputError(where, topic, "no message", "commands and the sightings they led to")
@@ -266,8 +266,8 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
     where = str(path)
     with open_bag(path) as reader:
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=True)
-        messages = recorded(reader, _topics_of_one_arm(reader, None, where))
-        for name, stamp, message in decoded(messages, arm, where):
+        messages = raw_messages(reader, _topics_of_one_arm(reader, None, where))
+        for name, stamp, message in decode(messages, arm, where):
             buffer.take(name, stamp, message)
             while len(buffer.commands) > 1:
                 buffer.commands.popleft()
@@ -295,7 +295,7 @@ def in_namespace(topic: str, namespace: str | None) -> bool:
     return namespace is None or topic.rpartition("/")[0].strip("/") == namespace.strip("/")
 
 
-def recorded(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
+def raw_messages(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
     """The messages of these topics; none of an empty list."""
     raw = reader.messages(connections=chosen) if chosen else ()
     return ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
@@ -310,7 +310,7 @@ def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
 
 def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     rows = Rows(buffer)
-    for name, stamp, message in decoded(messages, buffer.arm, buffer.where):
+    for name, stamp, message in decode(messages, buffer.arm, buffer.where):
         buffer.take(name, stamp, message)
         if name == "joint_trajectory":
             rows.close()
@@ -318,7 +318,7 @@ def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     return rows
 
 
-def decoded(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
+def decode(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
     """Last part of the topic's name, time of recording (ns), message; in the order of time."""
     types = message_types()
     joint_states = JointStates(arm.joint_names, types)

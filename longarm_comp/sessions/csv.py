@@ -132,7 +132,7 @@ def read_csv(
         xyz=np.hstack(xyz),
         index=table.integers("index") if "index" in table.cells else None,
         approach=read_approach(table, arm.n),
-        run_up=_run_up(table, q),
+        run_up=_read_run_up(table, q),
         repeat_id=table.integers("repeat_id", -1) if "repeat_id" in table.cells else None,
         sigma=sigma,
         columns=columns,
@@ -222,7 +222,7 @@ def read_approach(table: Table, n: int) -> np.ndarray | None:
     return table.block(per_joint, "+1 from below, -1 from above, 0 unknown", False, side)
 
 
-def _run_up(table: Table, q: np.ndarray) -> np.ndarray | None:
+def _read_run_up(table: Table, q: np.ndarray) -> np.ndarray | None:
     """Read where the last approaches began; a side of arrival that contradicts one is refused."""
     n = q.shape[1]
     names = [f"run_up_{name}" for name in joint_names(n)]

@@ -14,7 +14,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.bag import decoded, in_namespace, open_bag, read_bag, recorded
+from longarm_comp.sessions.bag import decode, in_namespace, open_bag, raw_messages, read_bag
 
 _ASKED, _SAID = "compensation", "diagnostics"
 
@@ -82,12 +82,10 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
     asked: list[tuple[float, Any]] = []
     with open_bag(path) as reader:
         start = reader.start_time
-        wanted = [
-            c for c in reader.connections
-            if c.topic.endswith(f"/{_SAID}")
-            or (c.topic.endswith(f"/{_ASKED}") and in_namespace(c.topic, namespace))
-        ]  # fmt: skip
-        for name, stamp, message in decoded(recorded(reader, wanted), arm, str(path)):
+        own = [c for c in reader.connections if in_namespace(c.topic, namespace)]
+        wanted = [c for c in own if c.topic.endswith(f"/{_ASKED}")]
+        wanted += [c for c in reader.connections if c.topic.endswith(f"/{_SAID}")]
+        for name, stamp, message in decode(raw_messages(reader, wanted), arm, str(path)):
             t = (stamp - start) * 1e-9
             if name == _ASKED:
                 asked.append((t, message))

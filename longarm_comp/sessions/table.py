@@ -191,11 +191,11 @@ def check_header(where: str, header: Sequence[str], required: Collection[str]) -
             hint = f" (is it {near}?)" if near else ""
             allowed = " ".join(required)
             if "q1" in (*required, *header):  # a session, which it converts
-                allowed += _conversion(where, header)
+                allowed += _suggest_conversion(where, header)
             raise InputError(where, f"column {name}", f"missing{hint}", allowed)
 
 
-def _conversion(where: str, header: Sequence[str]) -> str:
+def _suggest_conversion(where: str, header: Sequence[str]) -> str:
     """Return the call that converts a table of another program, where its names look like one's."""
     split = [split_name(name) for name in header]
     suffixed = [unit for name, unit in split if unit is not None and _FOREIGN.fullmatch(name)]

@@ -201,14 +201,13 @@ def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
         within = (scaled > arm.lower[j] - slack) & (scaled < arm.upper[j] + slack)
         # five times a joint's largest value, and more, are another unit
         many = abs(q[row, j]) > 5.0 * max(abs(arm.lower[j]), abs(arm.upper[j]))
-        if other := _exchanged(arm, session):
+        if other := _find_exchange(arm, session):
             limits = f"{limits} ({other})"
         elif many and within.mean() > 0.95:
             # joints that all stay within a turn may well be in radians
             small = factor == np.pi / 180 and np.abs(q[:, kind]).max() < (2 * np.pi)
-            limits = f"{limits}; degrees, or limits that are too narrow?" if small else (
-                f"{hint}: {limits}"
-            )  # fmt: skip
+            doubt = f"{limits}; degrees, or limits that are too narrow?"
+            limits = doubt if small else f"{hint}: {limits}"
         raise session.error(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
     for j in np.flatnonzero((beyond > 1e-6).any(0) & ~endless):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
@@ -216,8 +215,8 @@ def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
         yield AdmissionFinding("limits", f"q{j + 1}", text)
 
 
-def _exchanged(arm: Arm, session: Session) -> str:
-    """The sign or order of joints that brings all of them within their limits; else empty."""
+def _find_exchange(arm: Arm, session: Session) -> str:
+    """Find the sign or order of joints that brings all of them within their limits; else empty."""
     slack = 0.05 * (arm.upper - arm.lower)
     for what, undone in mistakes(arm, session):
         inside = (undone.q > arm.lower - slack) & (undone.q < arm.upper + slack)

@@ -56,7 +56,7 @@ def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
     """(M, 3) m, what the measuring side moves the rows by that say where the tip is; none where
     the model has nothing there."""
     told = as_commanded(model)
-    return _moved(told, dataclasses.replace(told, biases=model.biases), session)
+    return _difference(told, dataclasses.replace(told, biases=model.biases), session)
 
 
 def moved_with_time(model: Model, session: Session) -> np.ndarray:
@@ -67,12 +67,12 @@ def moved_with_time(model: Model, session: Session) -> np.ndarray:
     """
     told = as_commanded(model)
     still = tuple(e for e in told.effects if e.joints or not {CLOCK, ORDER} & set(e.inputs))
-    moved = _moved(dataclasses.replace(told, effects=still), told, session)
+    moved = _difference(dataclasses.replace(told, effects=still), told, session)
     return moved - moved[-1:]
 
 
-def _moved(less: Model, more: Model, session: Session) -> np.ndarray:
-    """(M, 3) m, by how much a model moves more rows than one that lacks some of its terms."""
+def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
+    """Return (M, 3) m that a model moves rows by beyond one that lacks some of its terms."""
     if less.terms == more.terms:
         return np.zeros((0, 3))
     rows = own_way(session)

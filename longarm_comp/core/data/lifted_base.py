@@ -130,10 +130,10 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     pairs = (np.roll(a, 1, axis=0) @ np.swapaxes(a, 1, 2) for a in (seen, mine))
     to, of = (Rotation.from_matrix(pair).as_rotvec() for pair in pairs)
     angle = np.linalg.norm(of, axis=1)
-    told = (angle > _LEAST_TURN_RAD) & (angle < _MOST_TURN_RAD) & (np.roll(body, 1) == body)
-    if told.sum() < 2:
+    kept = (angle > _LEAST_TURN_RAD) & (angle < _MOST_TURN_RAD) & (np.roll(body, 1) == body)
+    if kept.sum() < 2:
         return None
-    of, to = np.concatenate([of[told], -of[told]]), np.concatenate([to[told], -to[told]])
+    of, to = np.concatenate([of[kept], -of[kept]]), np.concatenate([to[kept], -to[kept]])
     return robust_kabsch(of, to)[0]  # each turn is there both ways, so the offset is 0
 
 
@@ -155,11 +155,9 @@ def _rotation(found: _LinearEquations) -> np.ndarray:
     if s[0] < EXACT:
         return np.eye(3)
     turn = nearest_rotation(free)
-    return turn if s[1] > _SEEN_SHARE * s[0] else _least_turned(turn, u[:, 0])
-
-
-def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Return the smallest rotation among those that differ about an axis that was not measured."""
+    if s[1] > _SEEN_SHARE * s[0]:
+        return turn
+    axis = u[:, 0]  # the turn about it was not measured: the smallest rotation of those left
     cross = np.cross(np.eye(3), axis)  # the matrix of v -> axis x v
     flat = np.eye(3) - np.outer(axis, axis)
     angle = np.arctan2(np.trace(cross @ turn), np.trace(flat @ turn))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def equations(
     """Return a session's equations, all channels, by some parameters; by default the model's."""
     slots = model.slots if slots is None else slots
     model = with_touched(model, session, at)
-    return _stacked(model.motion(at, slots, session.turns), session)
+    return _stack(model.motion(at, slots, session.turns), session)
 
 
 def shifts(
@@ -40,7 +41,7 @@ def shifts(
 ) -> np.ndarray:
     """Return the (N, d, k) change of the prediction by each of k terms outside the model."""
     model = with_touched(model, session, at)
-    return _stacked(model.added(at, terms, session.turns), session).columns
+    return _stack(model.added(at, terms, session.turns), session).columns
 
 
 def metres(model: Model, session: Session) -> np.ndarray:
@@ -92,12 +93,10 @@ def spreads(model: Model, session: Session) -> np.ndarray:
     rows = session.take(session.reading(KINDS["touch"])[:, 0] == 0.0)
     if not len(rows):
         return np.zeros(0)
+    nothing: dict[str, Any] = {"sigma": None, "readings": {}, "sigmas": {}, "blocks": ()}
     labels = {k: v for k, v in rows.labels.items() if k not in ("plane", "sensor")}
     blank = np.full(rows.xyz.shape, np.nan)
-    alone = dataclasses.replace(
-        rows, xyz=blank, sigma=None, readings={}, sigmas={}, labels=labels, touch_distances=(),
-        blocks=(),
-    )  # fmt: skip
+    alone = dataclasses.replace(rows, xyz=blank, labels=labels, touch_distances=(), **nothing)
     return np.asarray(np.linalg.norm(errors(model.lasting(), alone), axis=1))
 
 
@@ -111,7 +110,7 @@ def turns(model: Model, session: Session) -> np.ndarray:
     return kind.equations(motion, turned.readings[kind.name], turned.labels).residual
 
 
-def _stacked(motion: TipMotion, session: Session) -> Equations:
+def _stack(motion: TipMotion, session: Session) -> Equations:
     if session.plain:
         point, columns = motion.point()
         return Equations(session.xyz - point, columns, np.zeros((0, 3, 3)))

@@ -169,11 +169,17 @@ def mean_at_rest(
             break
     kept = kept or seen[-1:]
     n = len(kept)
+    turn = kept[0].quaternion  # the others are close to it; NaN where one is unknown
+    if n > 1:
+        total = np.sum(
+            [s.quaternion if s.quaternion @ turn >= 0 else -s.quaternion for s in kept], 0
+        )
+        turn = total / np.linalg.norm(total)
     mean = Sighting(
         sum(s.t for s in kept) / n,
         np.mean([s.xyz for s in kept], axis=0),
         np.sum([s.variance for s in kept], axis=0) / n**2,
-        _mean_quaternion([s.quaternion for s in kept]),
+        turn,
         sum(s.turn_variance for s in kept) / n**2,
     )
     return mean, ""
@@ -210,12 +216,3 @@ def _still_from(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
     flicker = high - low
     moving = ((joints < low - flicker) | (joints > high + flicker)).any(axis=1)
     return float(times[np.flatnonzero(moving)[-1] + 1] if moving.any() else times[0])
-
-
-def _mean_quaternion(quaternions: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the mean of orientations that are close to each other; NaN where one is unknown."""
-    if len(quaternions) == 1:
-        return quaternions[0]
-    alike = [q if q @ quaternions[0] >= 0 else -q for q in quaternions]
-    total = np.sum(alike, axis=0)
-    return np.asarray(total / np.linalg.norm(total))

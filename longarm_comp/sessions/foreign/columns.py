@@ -94,7 +94,7 @@ def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str 
     return meaning(last, arm) if heading and headings else None
 
 
-def turned(name: str) -> bool:
+def looks_like_orientation(name: str) -> bool:
     """Tell whether a name looks like a part of an orientation."""
     return _TURNED.fullmatch(re.sub(r"\s", "_", split_name(name)[0].lower())) is not None
 
@@ -118,12 +118,12 @@ def understand(
         axes: coordinate of columns, by place, where more than the name says it.
     """
     where = cells.where
-    told = {cells.place(key, "--map"): key for key in given}
+    mapped = {cells.place(key, "--map"): key for key in given}
     ranked: list[tuple[int, Column]] = []
     for place, source in enumerate(cells.names):
         stem, unit = split_name(source)
-        if place in told:
-            rank, key = 0, told[place]
+        if place in mapped:
+            rank, key = 0, mapped[place]
             name, _, own = given[key].partition(":")
             if own and own not in KNOWN:
                 raise InputError(where, f"--map {key}", own, f"a unit: {', '.join(KNOWN)}")
@@ -145,11 +145,11 @@ def understand(
         if column is not first and rank == best:
             both, one = f"{first.source} and {column.source}", f"--map NAME={column.name}"
             raise InputError(where, f"column {column.name}", both, f"one; choose it with {one}")
-    made = [replace(c, unit=_fitting(cells, c, defaults, arm)) for _, c in found.values()]
+    made = [replace(c, unit=_choose_unit(cells, c, defaults, arm)) for _, c in found.values()]
     return sorted(made, key=lambda c: _order(c.name))
 
 
-def _fitting(
+def _choose_unit(
     cells: Cells, column: Column, defaults: Mapping[str, Unit], arm: Arm | None
 ) -> Unit | None:
     """Return the unit of a column; None where it has none, as times of the day."""

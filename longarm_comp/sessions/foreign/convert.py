@@ -18,7 +18,13 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_paths
 from longarm_comp.sessions.csv import LABELS, XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
-from longarm_comp.sessions.foreign.columns import JOINT, Column, kind_of, turned, understand
+from longarm_comp.sessions.foreign.columns import (
+    JOINT,
+    Column,
+    kind_of,
+    looks_like_orientation,
+    understand,
+)
 from longarm_comp.sessions.foreign.combine import append, beside_each_other, join, melt, sort
 from longarm_comp.sessions.foreign.conventions import try_conventions
 from longarm_comp.sessions.foreign.poses import Found, found_in, of_marker, unit_in
@@ -240,9 +246,8 @@ def _find_rotation(cells: Cells, found: list[Found], read: Collection[int]) -> R
         columns = tuple(cells.names[k] for k in known[0].places)
         return Rotation(known[0].form.convention, columns)
     whole = {k for each in found for k in each.places if each.turn}
-    looks = [
-        k for k, name in enumerate(cells.names) if k not in whole and k not in read and turned(name)
-    ]
+    others = [k for k in range(len(cells.names)) if k not in whole and k not in read]
+    looks = [k for k in others if looks_like_orientation(cells.names[k])]
     asked = [k for each in alike or turns[:1] for k in each.places] or looks
     return Rotation("", tuple(cells.names[k] for k in asked)) if len(asked) >= 3 else None
 

@@ -107,7 +107,7 @@ def found_in(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
             if turn == (form.convention == POSITION):
                 continue
             for found in _complete(form, names):
-                if not taken & set(found.places) and _meant(found, names):
+                if not taken & set(found.places) and _is_meant(found, names):
                     held.append(found)
                     taken |= set(found.places)
     return held
@@ -133,7 +133,7 @@ def _complete(form: Form, names: Sequence[str]) -> Iterable[Found]:
             yield Found(form, heading, word, tuple(places[k] for k in range(len(places))))
 
 
-def _meant(found: Found, names: Sequence[str]) -> bool:
+def _is_meant(found: Found, names: Sequence[str]) -> bool:
     """Tell whether three turns about x, y, z are an orientation: only beside a position."""
     if found.form.convention or found.form.parts != ("x", "y", "z"):
         return True
