@@ -56,10 +56,9 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) ->
     """
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))
+    horn_m = reach(arm) if direct else 0.0
     made = {
-        name: _fit_servo(
-            number, arm.joints[row - 1], models()[model], reach(arm) if direct else 0.0
-        )
+        name: _fit_servo(number, arm.joints[row - 1], models()[model], horn_m)
         for number, (name, row) in enumerate(zip(arm.joint_names, arm.commanded, strict=True), 1)
     }
     protocol = models()[model].protocol

@@ -113,7 +113,7 @@ class JointStates:
         self._layouts: deque[_Layout] = deque(maxlen=8)  # the latest first
 
     def __call__(self, raw: bytes) -> tuple[int, Numbers | None]:
-        """Read stamp (ns) and positions (n,) in the arm's order; None where one of its joints lacks."""
+        """Read stamp (ns) and positions (n,) in the arm's order; None where a joint lacks."""
         stamp_ns = stamp_of_raw(raw)
         for known in self._layouts:
             if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:

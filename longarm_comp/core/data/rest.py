@@ -171,9 +171,8 @@ def mean_at_rest(
     n = len(kept)
     turn = kept[0].quaternion  # the others are close to it; NaN where one is unknown
     if n > 1:
-        total = np.sum(
-            [s.quaternion if s.quaternion @ turn >= 0 else -s.quaternion for s in kept], 0
-        )
+        turns = [s.quaternion for s in kept]
+        total = np.sum([q if q @ turn >= 0 else -q for q in turns], axis=0)
         turn = total / np.linalg.norm(total)
     mean = Sighting(
         sum(s.t for s in kept) / n,
