@@ -254,27 +254,19 @@ def _check_constant(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
 
 def _check_copies(session: Session) -> Iterator[AdmissionFinding]:
     seen = session.take(session.located)
-    first: dict[bytes, int] = {}
-    copies = frozen = 0
+    _, first, which = np.unique(seen.xyz, axis=0, return_index=True, return_inverse=True)
+    before = first[which.reshape(-1)]
     marker = seen.labels.get("marker", np.full(len(seen), ""))
-    for i, xyz in enumerate(seen.xyz):
-        before = first.setdefault(xyz.tobytes(), i)
-        if before == i or marker[before] != marker[i]:
-            continue
-        if seen.pose_id[before] == seen.pose_id[i]:
-            copies += 1
-        else:
-            frozen += 1
+    again = (before < np.arange(len(seen))) & (marker[before] == marker)
+    same_pose = seen.pose_id[before] == seen.pose_id
+    copies, frozen = int((again & same_pose).sum()), int((again & ~same_pose).sum())
     hidden = (seen.xyz == 0.0).all(axis=1)
     if len(np.unique(seen.pose_id[hidden])) > 1:
         value = f"0, 0, 0 in {hidden.sum()} rows at several poses"
         raise session.error("x, y, z", value, "blank where the marker was hidden")
     if 2 * copies > len(seen):
-        raise session.error(
-            "rows",
-            f"{copies} of {len(seen)} are copies",
-            "measured rows, once each",
-        )
+        value = f"{copies} of {len(seen)} are copies"
+        raise session.error("rows", value, "measured rows, once each")
     if copies:
         text = f"{copies} repeat pose and measurement to the last digit"
         yield AdmissionFinding("duplicates", "rows", text)
