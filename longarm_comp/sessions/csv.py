@@ -122,6 +122,7 @@ def read_csv(
     blank = np.full((len(table), 1), np.nan)
     xyz = [table.lengths([k], blanks=True) if k in table.cells else blank for k in XYZ]
     q = table.lengths(joints, "rad or m")
+    sides = read_approach(table, arm.n)
     sigma = None
     if table.has(SIGMA):
         sigma = table.block(SIGMA, "m, above 0", True, lambda v: v > 0)
@@ -131,8 +132,8 @@ def read_csv(
         q=q,
         xyz=np.hstack(xyz),
         index=table.integers("index") if "index" in table.cells else None,
-        approach=read_approach(table, arm.n),
-        run_up=_read_run_up(table, q),
+        approach=sides,
+        run_up=_read_run_up(table, q, sides),
         repeat_id=table.integers("repeat_id", -1) if "repeat_id" in table.cells else None,
         sigma=sigma,
         columns=columns,
@@ -205,39 +206,35 @@ def approach_names(n: int) -> tuple[str, ...]:
     return tuple(f"approach_{name}" for name in joint_names(n))
 
 
-def read_approach(table: Table, n: int) -> np.ndarray | None:
-    """Read sides as a table has them: (N,) for all joints, (N, n) per joint, or None."""
+def read_approach(table: Table, n: int) -> np.ndarray:
+    """Read sides of arrival: (N,) for all joints or (N, n), as a table has them; 0 where none."""
 
-    def side(value: float) -> bool:
+    def is_side(value: float) -> bool:
         return value in (-1.0, 0.0, 1.0)
 
     per_joint = approach_names(n)
     if "approach" in table.cells:
-        common = table.numbers("approach", "+1 from below, -1 from above", True, side)
+        common = table.numbers("approach", "+1 from below, -1 from above", True, is_side)
         if not table.has(per_joint):
-            return common
+            return np.nan_to_num(common)
         raise InputError(table.where, "column approach", "beside approach_q1", "one of the two")
     if not table.has(per_joint):
-        return None
-    return table.block(per_joint, "+1 from below, -1 from above, 0 unknown", False, side)
+        return np.zeros(len(table))
+    return table.block(per_joint, "+1 from below, -1 from above, 0 unknown", False, is_side)
 
 
-def _read_run_up(table: Table, q: np.ndarray) -> np.ndarray | None:
+def _read_run_up(table: Table, q: np.ndarray, sides: np.ndarray) -> np.ndarray | None:
     """Read where the last approaches began; a side of arrival that contradicts one is refused."""
-    n = q.shape[1]
-    names = [f"run_up_{name}" for name in joint_names(n)]
+    names = [f"run_up_{name}" for name in joint_names(q.shape[1])]
     if not table.has(names):
         return None
-    made = table.block(names, "rad or m", True)
-    sides = read_approach(table, n)
-    if sides is None:
-        return made
-    told = np.nan_to_num(sides if sides.ndim == 2 else np.repeat(sides[:, None], n, axis=1))
-    wrong = ((q - made) * told < SAME_POSE) & (told != 0) & ~np.isnan(made)
+    begun = table.block(names, "rad or m", True)
+    each = np.broadcast_to(sides if sides.ndim == 2 else sides[:, None], q.shape)
+    wrong = ((q - begun) * each < SAME_POSE) & (each != 0) & ~np.isnan(begun)
     for row, joint in np.argwhere(wrong):
-        side = "below" if told[row, joint] > 0 else "above"
+        side = "below" if each[row, joint] > 0 else "above"
         raise table.error(row, names[joint], f"a place {side} q{joint + 1}, as approach says")
-    return made
+    return begun
 
 
 def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarray]:

@@ -84,8 +84,7 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
         for row in np.flatnonzero(~good).tolist():
             raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
         quaternion = quaternion / length[:, None]
-    sides = read_approach(table, 0)
-    approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
+    approach = read_approach(table, 0)
     columns, labels = recorded_besides(table, set(known))
     index = table.integers("index") if "index" in table.cells else np.arange(len(table))
     frame = tuple(table.cells.get("frame", ()))

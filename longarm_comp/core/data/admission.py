@@ -91,7 +91,7 @@ def admit(
 
 
 def _with_readings(session: Session, findings: list[AdmissionFinding]) -> Session:
-    """The rows in which every inclinometer was read; one that mostly was not is left out."""
+    """Take the rows in which every inclinometer was read; one that mostly was not is left out."""
     for name, values in session.columns.items():
         blank = np.isnan(values)
         if blank.mean() > 0.5:  # the inclinometer is left out instead of the rows
@@ -282,21 +282,18 @@ def _check_spread(session: Session, arm: Arm, predicted: np.ndarray) -> None:
     expected, found = median_spread(predicted), median_spread(session.xyz)
     if expected < 1e-6:
         return
-    ratio = found / expected
+    ratio, value = found / expected, f"spread {found:.4g}"
     for unit, size in (("millimetres", 1e3), ("centimetres", 1e2), ("inches", 39.37)):
         if size / 2 < ratio < size * 2:
-            raise session.error(
-                "x, y, z", f"spread {found:.4g}", f"metres (this looks like {unit})"
-            )
+            raise session.error("x, y, z", value, f"metres (this looks like {unit})")
     if not 0.4 < ratio < 2.5:
         allowed = f"positions in m that spread as arm {arm.name} does, {expected:.4g} m"
-        raise session.error("x, y, z", f"spread {found:.4g}", allowed)
-    stated = np.zeros(0) if session.sigma is None else session.sigma
-    value = float(np.median(stated[np.isfinite(stated)])) if np.isfinite(stated).any() else 0.0
-    if value > 0.2 * expected:
-        raise session.error(
-            "sigma_x, sigma_y, sigma_z", value, "metres, well below the arm's reach"
-        )
+        raise session.error("x, y, z", value, allowed)
+    stated = np.zeros(0) if session.sigma is None else session.sigma[np.isfinite(session.sigma)]
+    sigma = float(np.median(stated)) if len(stated) else 0.0
+    if sigma > 0.2 * expected:
+        allowed = "metres, well below the arm's reach"
+        raise session.error("sigma_x, sigma_y, sigma_z", sigma, allowed)
 
 
 def _check_frames(session: Session, arm: Arm, predicted: np.ndarray) -> Iterator[AdmissionFinding]:
@@ -312,24 +309,24 @@ def _check_frame(
     measured = session.xyz
     field = "x, y, z" + (f" of group {group}" if group else "")
 
-    def left(turn: np.ndarray) -> float:
+    def spread_after(turn: np.ndarray) -> float:
         return median_spread(measured - predicted @ turn.T)
 
-    clear = 0.3 * left(np.eye(3))
+    clear = 0.3 * spread_after(np.eye(3))
     turn, offset = robust_kabsch(predicted, measured)
     residual = measured - predicted @ turn.T - offset
-    misfit, (axes, name) = median_distance(residual), _axes(turn)
+    misfit, (axes, name) = median_distance(residual), _nearest_axes(turn)
     flip = np.diag([1.0, 1.0, -1.0])
-    mirror, mirrored = _axes(flip @ robust_kabsch(predicted, measured @ flip)[0])
-    if left(mirror) < min(clear, 0.5 * misfit):
+    mirror, mirrored = _nearest_axes(flip @ robust_kabsch(predicted, measured @ flip)[0])
+    if spread_after(mirror) < min(clear, 0.5 * misfit):
         allowed = "a right-handed x,y,z in the base frame"
         raise session.error(field, f"axes like {mirrored}", allowed)
     angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
     away = np.linalg.norm(np.median(measured - predicted, axis=0))
     if misfit < clear and angle > np.radians(20.0):
-        like = f", axes like {name}" if left(axes) < clear else ""
+        like = f", axes like {name}" if spread_after(axes) < clear else ""
         text = f"turned by {np.degrees(angle):.0f} deg against the declared arm{like}"
-        yield AdmissionFinding("frame", field, f"{text}; as {_base(arm, turn, offset)}")
+        yield AdmissionFinding("frame", field, f"{text}; as {_base_entry(arm, turn, offset)}")
     elif away > 0.3 * median_spread(predicted):
         yield AdmissionFinding("frame", field, f"{away:.3f} m away from where the declared arm is")
     distance = np.linalg.norm(residual, axis=1)
@@ -362,16 +359,16 @@ def _check_belonging(session: Session, model: Model, judge: bool) -> Iterator[Ad
     yield AdmissionFinding("belonging", field, value)
 
 
-def _axes(turn: np.ndarray) -> tuple[np.ndarray, str]:
-    """The exchange of axes, with signs, nearest to a rotation or mirror (3, 3); its name."""
+def _nearest_axes(turn: np.ndarray) -> tuple[np.ndarray, str]:
+    """Find the exchange of axes, with signs, nearest to a rotation or mirror (3, 3); its name."""
     place = np.abs(turn).argmax(axis=1)
     signs = np.sign(turn[range(3), place])
     names = ("-" * bool(v < 0) + "xyz"[k] for k, v in zip(place, signs, strict=True))
     return signs[:, None] * np.eye(3)[place], ",".join(names)
 
 
-def _base(arm: Arm, turn: np.ndarray, offset: np.ndarray) -> str:
-    """The `base` entry of arm.yaml that would explain a turned frame."""
+def _base_entry(arm: Arm, turn: np.ndarray, offset: np.ndarray) -> str:
+    """Return the `base` entry of arm.yaml that would explain a turned frame."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = turn, offset
     frame = matrix @ arm.base.frame().matrix()
