@@ -107,10 +107,10 @@ class MeasuredRows:
         """(N, d) which channels each row measured."""
         made = []
         for block in self.blocks:
-            held = KINDS[block.kind].measured(self.reading(KINDS[block.kind]))
+            rows = KINDS[block.kind].measured(self.reading(KINDS[block.kind]))
             if block.sensor is not None:
-                held = held & (self.labels["sensor"] == block.sensor)[:, None]
-            made.append(held)
+                rows = rows & (self.labels["sensor"] == block.sensor)[:, None]
+            made.append(rows)
         return np.concatenate(made, axis=1)
 
     @cached_property
@@ -139,14 +139,14 @@ class MeasuredRows:
         """Return the texts beside its readings of one kind, each once: anchors, touched points."""
         if kind.label not in self.labels:
             return ()
-        held = kind.measured(self.reading(kind)).any(axis=1)
-        return tuple(str(name) for name in np.unique(self.labels[kind.label][held]))
+        rows = kind.measured(self.reading(kind)).any(axis=1)
+        return tuple(str(name) for name in np.unique(self.labels[kind.label][rows]))
 
     @cached_property
     def claimed(self) -> dict[str, float]:
         """Median of `stated` by channel, of those in which a row states any."""
-        held = ((k, v[np.isfinite(v)]) for k, v in zip(self.channels, self.stated.T, strict=True))
-        return {name: float(np.median(values)) for name, values in held if len(values)}
+        stated = ((k, v[np.isfinite(v)]) for k, v in zip(self.channels, self.stated.T, strict=True))
+        return {name: float(np.median(values)) for name, values in stated if len(values)}
 
     def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
         """Return (N,) noise that each row states over the usual one by channel.
@@ -204,13 +204,13 @@ class MeasuredRows:
                 field = f"row {row + 1}, {', '.join(kind.cells)}"
                 said = ", ".join(f"{v:g}" for v in values[row])
                 raise self.error(field, said, allowed or "numbers, or all blank")
-            held = kind.measured(values).any(axis=1)
-            if kind.label and held.any():
+            rows = kind.measured(values).any(axis=1)
+            if kind.label and rows.any():
                 texts = self.labels.get(kind.label, np.full(n_rows, ""))
-                for row in np.flatnonzero(held & (texts == "")):
+                for row in np.flatnonzero(rows & (texts == "")):
                     field = f"row {row + 1}, {kind.label}"
                     raise self.error(field, "blank", f"a name beside {kind.name}")
-            if held.any():
+            if rows.any():
                 readings[name] = values
                 values.flags.writeable = False
         object.__setattr__(self, "readings", readings)
@@ -222,14 +222,14 @@ class MeasuredRows:
     def _blocks(self) -> tuple[ChannelBlock, ...]:
         """Return a block a kind, or a kind and sensor where several sensors measured."""
         names = np.unique(self.labels.get("sensor", np.array([""])))
-        held = {k: v.measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
-        kinds = [k for k in KINDS if held[k].any()] or ["position"]
+        rows = {k: v.measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
+        kinds = [k for k in KINDS if rows[k].any()] or ["position"]
         joints = (KINDS[name] for name in self.readings if KINDS[name].of_joint)
         read = tuple(ChannelBlock(k.name) for k in sorted(joints, key=lambda k: k.number))
         if len(names) < 2:
             return tuple(ChannelBlock(kind) for kind in kinds) + read
         mine = {str(name): self.labels["sensor"] == name for name in names}
-        sensed = ((k, s) for k in kinds for s in mine if (held[k] & mine[s]).any())
+        sensed = ((k, s) for k in kinds for s in mine if (rows[k] & mine[s]).any())
         return (*(ChannelBlock(k, s) for k, s in sensed), *read)
 
 

@@ -62,8 +62,8 @@ def metres(model: Model, session: Session) -> np.ndarray:
         return made
     pull = np.linalg.norm(equations(model, session, posture(model, session), ()).pull, axis=2)
     for k in np.flatnonzero((units == "rad") & (made == 0.0)):
-        held = pull[:, k][pull[:, k] > 0]
-        made[k] = 1.0 / float(np.median(held)) if len(held) else 0.0
+        some = pull[:, k][pull[:, k] > 0]
+        made[k] = 1.0 / float(np.median(some)) if len(some) else 0.0
     return made
 
 

@@ -93,11 +93,11 @@ class Session(MeasuredRows):
             self._set("sigma", self.sigma, float, (n_rows, 3))
         columns = {k: np.asarray(v, dtype=float) for k, v in self.columns.items()}
         labels = {k: np.asarray(v, dtype=str) for k, v in self.labels.items()}
-        for kind, held in (("columns", columns), ("labels", labels)):
-            for name, values in held.items():
+        for kind, by_name in (("columns", columns), ("labels", labels)):
+            for name, values in by_name.items():
                 check_shape(self.source, name, values, (n_rows,))
                 values.flags.writeable = False
-            object.__setattr__(self, kind, held)
+            object.__setattr__(self, kind, by_name)
         for name, values in columns.items():
             if np.isinf(values).any() or (np.isnan(values).any() and not INCLINATION.match(name)):
                 raise self.error(name, "not finite", "a finite number in every row")
@@ -266,7 +266,7 @@ class Session(MeasuredRows):
         arrays = ("index", "q", "xyz", "approach", "legs", "told", "repeat_id")
         taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}
         for kind in ("columns", "labels", "readings", "sigmas"):
-            taken[kind] = {name: held[rows] for name, held in getattr(self, kind).items()}
+            taken[kind] = {name: values[rows] for name, values in getattr(self, kind).items()}
         sigma = None if self.sigma is None else self.sigma[rows]
         return dataclasses.replace(self, sigma=sigma, **taken)
 

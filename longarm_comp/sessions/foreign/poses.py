@@ -100,17 +100,17 @@ def found_in(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
         names: of the columns, with their units.
         apart: places of columns that are something else.
     """
-    held: list[Found] = []
-    taken = set(apart)
+    whole: list[Found] = []
+    used = set(apart)
     for turn in (True, False):
         for form in FORMS:
             if turn == (form.convention == POSITION):
                 continue
             for found in _complete(form, names):
-                if not taken & set(found.places) and _is_meant(found, names):
-                    held.append(found)
-                    taken |= set(found.places)
-    return held
+                if not used & set(found.places) and _is_meant(found, names):
+                    whole.append(found)
+                    used |= set(found.places)
+    return whole
 
 
 def unit_in(name: str) -> Unit | None:

@@ -38,8 +38,8 @@ class Like:
         data = read_yaml(mapping)
         try:
             self.columns = {
-                str(name): (str(held["from"]), UNITS[held["unit"]] if "unit" in held else None)
-                for name, held in data["columns"].items()
+                str(name): (str(entry["from"]), UNITS[entry["unit"]] if "unit" in entry else None)
+                for name, entry in data["columns"].items()
             }
             self.units, self.rotation = tuple(map(str, data["units"])), data.get("rotation")
             self.workbook = Path(str(data["source"])).suffix.lower() in WORKBOOK
@@ -63,7 +63,7 @@ class Like:
         """A table in this form as one in SI; columns that the mapping does not know stay."""
         cells = read_cells(Path(path))
         known = {s: (n, u) for n, (s, u) in self.columns.items()}
-        known = {split_name(s)[0]: held for s, held in known.items()} | known
+        known = {split_name(s)[0]: form for s, form in known.items()} | known
         made: dict[str, list[str]] = {}
         for place, source in enumerate(cells.names):
             stem, stated = split_name(source)
