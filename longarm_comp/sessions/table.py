@@ -225,18 +225,19 @@ def check_unknown(where: str, names: Collection[str], known: Collection[str]) ->
 
 def nearest(name: str, known: Collection[str]) -> str | None:
     """Return the known name that `name` most likely means, or None."""
-    plain = _plain(name)
-    stems = {plain, _plain(split_name(name)[0])}
+    plain = plain_name(name)
+    stems = {plain, plain_name(split_name(name)[0])}
     for candidate in known:
         without = re.sub(r"_id$", "", split_name(candidate)[0])
-        if stems & {_plain(candidate), _plain(without)}:
+        if stems & {plain_name(candidate), plain_name(without)}:
             return candidate
     wrong = 2 if len(plain) >= 8 else 1
-    spelt = {_plain(candidate): candidate for candidate in known}
+    spelt = {plain_name(candidate): candidate for candidate in known}
     alike = [text for text in spelt if abs(len(text) - len(plain)) <= wrong and len(plain) >= 4]
     close = get_close_matches(plain, alike, 1, 1 - (wrong + 1e-9) / max(len(plain), 4))
     return spelt[close[0]] if close else None
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
+    """Return the letters and digits of a name, in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())

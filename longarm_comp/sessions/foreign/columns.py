@@ -22,6 +22,7 @@ from longarm_comp.sessions.foreign.units import (
     split_name,
 )
 from longarm_comp.sessions.foreign.units import UNITS as KNOWN
+from longarm_comp.sessions.table import plain_name
 from longarm_comp.sessions.targets import QUATERNION
 
 JOINT = "joint"
@@ -31,6 +32,14 @@ _EXACT = re.compile(
     r"index|repeat_id|approach(_q\d+)?|(run_up|read)_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor|touch|plane"
     r"|ray_[xyz]|sensor|incl_\w+_[xy]|t_s|temperature_c|payload_kg|role|group|marker"
 )
+_WORDS = {
+    **dict.fromkeys(("t", "time", "timestamp", "datetime", "clock"), "t_s"),
+    **dict.fromkeys(("pointid", "pointno", "pointnr", "pointnumber"), "point"),
+    **dict.fromkeys(("point", "pt", "no", "nr"), "point"),  # the user's own number or name of a row
+    **dict.fromkeys(("temp", "temperature"), "temperature_c"),
+    "payload": "payload_kg",
+    "row": "index",
+}
 _TURNED = re.compile(
     r"(?:q(?:uat(?:ernion)?)?_?[wxyz0]|quat.*|roll|pitch|yaw|r[xyz]|[abc]|o[xyz]|euler.*|rot.*)"
 )
@@ -73,23 +82,17 @@ def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str 
         return name
     if arm is not None and name in arm.joint_names:
         return f"q{arm.joint_names.index(name) + 1}"
-    plain = re.sub(r"[^a-z0-9]", "", name.lower())
+    plain = plain_name(name)
     if joint := _JOINT.fullmatch(plain):
         return f"q{int(joint.group(1))}"
     if axis := axis_of(_TIP.sub("", plain, count=1)):
         return axis
-    spelt = [re.sub(r"[^a-z0-9]", "", own.lower()) for own in arm.joint_names] if arm else []
+    spelt = [plain_name(own) for own in arm.joint_names] if arm else []
     for given in (plain, f"{plain}joint"):
         if spelt.count(given) == 1:
             return f"q{spelt.index(given) + 1}"
-    if plain in ("t", "time", "timestamp", "datetime", "clock"):
-        return "t_s"
-    if plain in ("point", "pointid", "pointno", "pointnr", "pointnumber", "pt", "no", "nr"):
-        return "point"  # the user's own number or name of a row
-    if plain in ("temp", "temperature"):
-        return "temperature_c"
-    if plain in ("payload", "row"):
-        return {"payload": "payload_kg", "row": "index"}[plain]
+    if plain in _WORDS:
+        return _WORDS[plain]
     heading, _, last = name.rpartition(" ")  # a heading over several columns, and the name below
     return meaning(last, arm) if heading and headings else None
 
