@@ -109,7 +109,7 @@ class _Row(Closed):
         modulus, poisson, density = MATERIALS[self.material]
         slides = role == "d" and self.type == "prismatic"
         mass = density * math.pi / 4 * (outer**2 - inner**2) * length
-        return [{
+        entry = {
             "name": f"tube_{number}{role}",
             "row": number,
             "role": role,
@@ -119,7 +119,8 @@ class _Row(Closed):
             "poisson": poisson,
             "mass_kg": round(mass, 4),
             "body_length_m": length,
-        }]  # fmt: skip
+        }
+        return [entry]
 
 
 def _where(number: int) -> str:
