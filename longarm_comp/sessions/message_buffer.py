@@ -12,6 +12,7 @@ from array import array
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -25,6 +26,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import moment
 
 T = TypeVar("T", bound=tuple[Any, ...])
+_time = itemgetter(0)
+"""The time (s) of a sighting or row."""
 
 TYPES = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
@@ -211,10 +214,6 @@ class MessageBuffer:
 def _stamp_ns(message: Any) -> int:
     stamp = message.header.stamp
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
-
-
-def _time(record: tuple[Any, ...]) -> float:
-    return float(record[0])
 
 
 def between(records: list[T], begin: float, end: float) -> list[T]:

@@ -74,10 +74,9 @@ def believe(model: Model, session: Session) -> _Belief | None:
     if len(np.unique(seen.pose_id)) < MIN_POSES:
         return None
     found = register(Sightings.of(model, session))
-    distance = np.linalg.norm(found.residual, axis=1)
     spread = median_spread(seen.xyz)
-    least = max(_STRAY_RATIO * float(np.quantile(distance, 0.25)), _SUSPECT_SHARE * spread)
-    belief = _Belief(found.misfit, spread, float((distance > least).mean()))
+    least = max(_STRAY_RATIO * float(np.quantile(found.distance, 0.25)), _SUSPECT_SHARE * spread)
+    belief = _Belief(found.misfit, spread, float((found.distance > least).mean()))
     if _mean_distance(found, spread) < _SUSPECT_SHARE * spread:
         axes = _find_mistake_of_axes(model, session)
         if axes is not None:
@@ -89,15 +88,14 @@ def believe(model: Model, session: Session) -> _Belief | None:
     names, undone = _find_mistakes(model, session, parts, spread)
     if not names:
         return belief
-    left = np.linalg.norm(register(Sightings.of(model, undone)).residual, axis=1)
-    fall = f"{1e3 * distance.mean():.3g} -> {1e3 * left.mean():.3g} mm"
+    left = register(Sightings.of(model, undone)).distance.mean()
+    fall = f"{1e3 * found.distance.mean():.3g} -> {1e3 * left:.3g} mm"
     return dataclasses.replace(belief, mistake=" and ".join(names), fall=fall)
 
 
 def _mean_distance(found: Registration, spread: float) -> float:
     """Return the mean distance (m) of all rows, none farther off than a stranger's."""
-    distance = np.linalg.norm(found.residual, axis=1)
-    return float(np.minimum(distance, _STRANGE_SHARE * spread).mean())
+    return float(np.minimum(found.distance, _STRANGE_SHARE * spread).mean())
 
 
 def _find_mistakes(

@@ -87,9 +87,14 @@ class Registration:
     residual: np.ndarray  # (N, 3) seen - registered, m
 
     @property
+    def distance(self) -> np.ndarray:
+        """(N,) distance of each row from its sighting, m."""
+        return np.linalg.norm(self.residual, axis=1)
+
+    @property
     def misfit(self) -> float:
         """Median distance of a row, m."""
-        return median_distance(self.residual)
+        return float(np.median(self.distance))
 
 
 def register(rows: Sightings, tips: bool = True) -> Registration:
@@ -102,14 +107,10 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
     still = np.zeros((int(rows.marker.max()) + 1, 3))
     best = _refine(rows, still, tips)
     if tips:
-        linear = _linear_tips(rows, _weights(best.residual))
+        linear = _linear_tips(rows, robust_weights(best.distance))
         other = best if linear is None else _refine(rows, linear, tips)
         best = min(best, other, key=lambda r: r.misfit)
     return best
-
-
-def _weights(residual: np.ndarray) -> np.ndarray:
-    return robust_weights(np.linalg.norm(residual, axis=1))
 
 
 def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
@@ -159,7 +160,7 @@ def _step(rows: Sightings, now: Registration) -> Registration:
     moved = np.einsum("nij,njk->nik", now.rotation[rows.group], rows.axes)
     for k in range(3):
         design[every, :, 6 * groups + 3 * rows.marker + k] = moved[:, :, k]
-    root = np.sqrt(_weights(now.residual))[:, None]
+    root = np.sqrt(robust_weights(now.distance))[:, None]
     a = (design * root[..., None]).reshape(3 * n, -1)
     x = np.linalg.lstsq(a, (now.residual * root).reshape(-1), rcond=1e-7)[0]
     change = x[: 6 * groups].reshape(groups, 6)
