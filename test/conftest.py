@@ -19,6 +19,8 @@ import numpy as np
 import pytest
 from cli_shell import Shell, made_by_commands
 
+from longarm_comp.core.arm.arm import Arm
+
 if TYPE_CHECKING:
     from driver_rig import Rig
 
@@ -94,6 +96,12 @@ def photographs() -> Path:
 def demo_arm_path() -> Path:
     """The declared arm of the demonstration."""
     return Path(__file__).parents[1] / "config" / "arm_demo.yaml"
+
+
+@pytest.fixture(scope="session")
+def demo(demo_arm_path: Path) -> Arm:
+    """The arm of the demonstration, as declared."""
+    return Arm.load(demo_arm_path)
 
 
 @contextmanager

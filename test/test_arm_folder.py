@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import math
 import re
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -29,9 +31,13 @@ UR5 = ("--urdf", "UR5", "--base", "base_link", "--tip", "tool0")
 NODES = ("servo_driver", "stereo_bridge", "simulated_arm")
 
 
+def in_full(words: Sequence[str]) -> list[str]:
+    """The words of a call, with the path of the UR5's file."""
+    return [str(example("ur_description/urdf/ur5_robot.urdf")) if w == "UR5" else w for w in words]
+
+
 def made(shell: Shell, folder: str, *words: str) -> Path:
-    path = str(example("ur_description/urdf/ur5_robot.urdf")) if "UR5" in words else ""
-    assert shell("init", folder, *(path if w == "UR5" else w for w in words)) == 0, shell.err
+    assert shell("init", folder, *in_full(words)) == 0, shell.err
     return shell.folder / folder
 
 
@@ -96,8 +102,8 @@ def test_a_urdf_is_narrowed_about_its_home(shell: Shell) -> None:
     wide = ServoConfig.load(shell.folder / "whole" / "servo_driver.yaml")
     assert wide.joints["shoulder_pan_joint"].gear_ratio < 10
     word = "--home", "elbow_joint=200"
-    assert "--home elbow_joint" in shell.refused("init", "no", *_urdf(), *word)
-    assert "shoulder_pan_joint" in shell.refused("init", "no", *_urdf(), "--home", "knee=2")
+    assert "--home elbow_joint" in shell.refused("init", "no", *in_full(UR5), *word)
+    assert "shoulder_pan_joint" in shell.refused("init", "no", *in_full(UR5), "--home", "knee=2")
 
 
 def test_turned_through_all_of_its_range_a_marker_hides_from_any_head(shell: Shell) -> None:
@@ -130,10 +136,6 @@ def test_a_camera_that_the_arm_declares_stays_where_it_is(shell: Shell) -> None:
     folder = made(shell, "second", "--arm", "mine.yaml")
     shell("check", folder)
     assert "arm.yaml: camera" not in shell.out
-
-
-def _urdf() -> tuple[str, ...]:
-    return ("--urdf", str(example("ur_description/urdf/ur5_robot.urdf")), *UR5[2:])
 
 
 def test_gearing_and_cameras_are_those_of_the_packages_own_files(shell: Shell) -> None:
@@ -235,56 +237,50 @@ def hobby(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def copied(folder: Path, to: Path) -> Path:
-    to.mkdir()
-    for file in folder.iterdir():
-        (to / file.name).write_text(file.read_text())
-    return to
+@pytest.fixture
+def mine(shell: Shell, hobby: Path) -> Path:
+    """A folder of its own for a test that changes files."""
+    return Path(shutil.copytree(hobby, shell.folder / "mine"))
 
 
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
 def test_check_names_what_is_wrong(
-    shell: Shell, hobby: Path, fault: tuple[str, str, str, str, str]
+    shell: Shell, mine: Path, fault: tuple[str, str, str, str, str]
 ) -> None:
     file, old, new, level, where = fault
-    folder = copied(hobby, shell.folder / "mine")
-    replaced(folder / file, old, new)
-    assert "cannot be used yet" in shell.refused("check", folder, code=3)
+    replaced(mine / file, old, new)
+    assert "cannot be used yet" in shell.refused("check", mine, code=3)
     listed = [line for line in shell.out.splitlines() if line.startswith(level)]
     assert any(line.split()[1].startswith(where.split()[0]) and where in line for line in listed)
 
 
 @pytest.mark.parametrize("name", ["arm.yaml", *(f"{node}.yaml" for node in NODES)])
-def test_check_names_a_missing_file(shell: Shell, hobby: Path, name: str) -> None:
-    folder = copied(hobby, shell.folder / "mine")
-    (folder / name).unlink()
-    assert levels(folder, "missing") == [name]
+def test_check_names_a_missing_file(mine: Path, name: str) -> None:
+    (mine / name).unlink()
+    assert levels(mine, "missing") == [name]
 
 
-def test_half_a_file_is_missing_the_rest(shell: Shell, hobby: Path) -> None:
-    folder = copied(hobby, shell.folder / "mine")
-    file = folder / "stereo_bridge.yaml"
+def test_half_a_file_is_missing_the_rest(mine: Path) -> None:
+    file = mine / "stereo_bridge.yaml"
     lines = file.read_text().splitlines()
     file.write_text("\n".join(lines[: len(lines) // 2]))
-    assert levels(folder, "missing") == ["stereo_bridge.yaml"]
+    assert levels(mine, "missing") == ["stereo_bridge.yaml"]
 
 
-def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> None:
-    folder = copied(hobby, shell.folder / "mine")
-    before = levels(folder, "unmeasured")
+def test_what_was_measured_is_no_longer_listed(shell: Shell, mine: Path) -> None:
+    before = levels(mine, "unmeasured")
     assert [where.split(":")[0] for where in before] == [
         *("servo_driver.yaml", "stereo_bridge.yaml", "stereo_bridge.yaml", "stereo_bridge.yaml"),
         *("samples.csv", "cameras"),
     ]
-    servos = folder / "servo_driver.yaml"
+    servos = mine / "servo_driver.yaml"
     servos.write_text(servos.read_text().replace("zero_ticks: 2048.0", "zero_ticks: 1990.0"))
-    replaced(
-        folder / "stereo_bridge.yaml", r"tip_in_marker: \[.*\]", "tip_in_marker: [0.0, 0.001, 0.0]"
-    )
-    (folder / "samples.csv").write_text("")
-    after = levels(folder, "unmeasured")
+    bridge = mine / "stereo_bridge.yaml"
+    replaced(bridge, r"tip_in_marker: \[.*\]", "tip_in_marker: [0.0, 0.001, 0.0]")
+    (mine / "samples.csv").write_text("")
+    after = levels(mine, "unmeasured")
     assert after == ["stereo_bridge.yaml: hand_eye", "stereo_bridge.yaml: marker", "cameras"]
-    listed = shell.json("check", folder)
+    listed = shell.json("check", mine)
     assert [f["where"] for f in listed if f["level"] != "declared"] == after
     assert "no such" not in shell.err
     assert shell.refused("check", shell.folder / "nowhere").startswith("longarm: ")
@@ -353,7 +349,7 @@ def test_check_says_how_beams_stand_and_prints_the_sag(
     assert "width_m is upright there, to 0 deg" in beam
 
 
-def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path) -> None:
+def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path, mine: Path) -> None:
     """The page, scanned at 300 dpi, through the real detector."""
     given = own_parameters("stereo_bridge") | read_parameters(hobby / "stereo_bridge.yaml")
     board = TagBoard.of(given)
@@ -373,9 +369,8 @@ def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path) -> None:
     box = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", printed)
     assert box is not None
     np.testing.assert_allclose(np.array(box.groups(), float) * 25.4 / 72, [width, height], atol=0.1)
-    folder = copied(hobby, shell.folder / "mine")
-    replaced(folder / "stereo_bridge.yaml", r"tag_m: [\d.]+", "tag_m: 0.9")
-    assert "fits on A0" in shell.refused("stereo", "marker", folder)
+    replaced(mine / "stereo_bridge.yaml", r"tag_m: [\d.]+", "tag_m: 0.9")
+    assert "fits on A0" in shell.refused("stereo", "marker", mine)
 
 
 def test_the_arm_file_says_what_it_means(hobby: Path) -> None:

@@ -31,11 +31,6 @@ ANYWHERE = BasePose("", 12.0, -15.0, 4.0, 0.7, -1.1, 1.84)
 
 
 @pytest.fixture(scope="module")
-def demo(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
-
-
-@pytest.fixture(scope="module")
 def session(demo: Arm) -> Session:
     """A sagging arm with a joint's zero off, seen from far away."""
     rng = np.random.default_rng(5)

@@ -91,11 +91,6 @@ def models(arm: Arm) -> list[Model]:
     return [Model(arm, tuple(t for terms in m for t in terms)) for m in made]
 
 
-@pytest.fixture(scope="module")
-def demo(demo_arm_path) -> Arm:
-    return Arm.load(demo_arm_path)
-
-
 @pytest.mark.parametrize(
     "engine",
     [pytest.param(e, marks=[pytest.mark.long] * (e != Engine.MODEL)) for e in ENGINES],

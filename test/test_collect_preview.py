@@ -18,7 +18,7 @@ from longarm_comp.arm_folder.parameter_file import own_parameters
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Box
-from longarm_comp.core.data.plan import Plan, above, sobol
+from longarm_comp.core.data.plan import Plan, sobol, with_floor
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
@@ -110,7 +110,7 @@ def test_every_question_is_asked_of_every_pose(hobby: Path) -> None:
     floor = float(np.sort(tips[:, 2])[3]) - 1e-4
     lamp = tips[7]
     box = Box(min_m=tuple((lamp - 1e-3).tolist()), max_m=tuple((lamp + 1e-3).tolist()))
-    arm = above(hung.model_copy(update={"keep_out": {"lamp": box}}), floor)
+    arm = with_floor(hung.model_copy(update={"keep_out": {"lamp": box}}), floor)
     todo = [Visit(k, q[None]) for k, q in enumerate(plan.q)]
     view, servos = (
         view_beside(hobby / "arm.yaml"),

@@ -53,11 +53,6 @@ VIEW = DiscoveredView(
 
 
 @pytest.fixture(scope="module")
-def demo(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
-
-
-@pytest.fixture(scope="module")
 def model(demo: Arm) -> Model:
     """Every shape, all kinds of component and quantity."""
     made = Model(demo, (LinkDeflection(), *TERMS), (VIEW,))

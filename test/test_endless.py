@@ -10,7 +10,7 @@ import pytest
 from test_circle import TIMES, arm, follow, wrapped
 from test_urdf import CHAIN
 
-from longarm_comp.arm_folder.make import narrowed
+from longarm_comp.arm_folder.make import narrow_limits
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
@@ -151,8 +151,8 @@ def test_a_urdf_keeps_it_and_only_a_range_takes_it_away(tmp_path: Path) -> None:
     assert not any(row.get("endless") for row in import_urdf(path, "base", "c")["joints"])
     path.write_text(path.read_text().replace('multiplier="1.5"', 'multiplier="2"'))
     assert Arm.parse(import_urdf(path, "base", "c"), "lift").bounds[1][0] == np.inf
-    less = Arm.parse(narrowed(data, 45.0, {})[0], "lift")
+    less = Arm.parse(narrow_limits(data, 45.0, {})[0], "lift")
     assert np.isfinite(less.bounds[1]).all()
     assert np.ptp([less.lower, less.upper], axis=0).max() == pytest.approx(np.radians(45.0))
-    same = Arm.parse(narrowed(data, 0.0, {})[0], "lift")
+    same = Arm.parse(narrow_limits(data, 0.0, {})[0], "lift")
     np.testing.assert_array_equal(same.bounds, made.bounds)

@@ -11,7 +11,7 @@ from hidden_arm import at, session, tip
 from small_arm import ARM
 
 import longarm_comp as la
-from longarm_comp.core.data.plan import Plan, above, outside_boxes
+from longarm_comp.core.data.plan import Plan, outside_boxes, with_floor
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.csv import write_csv
@@ -135,7 +135,7 @@ def test_a_floor_above_the_foot_is_risen_above_once(rng: np.random.Generator) ->
     q = ARM.lower + rng.random((60, ARM.n)) * (ARM.upper - ARM.lower)
     lines = outline(model, q)
     for height in (-0.2, 0.05, float(np.median(lines[:, -1, 2]))):
-        floor = declared_model(above(upright, height))
+        floor = declared_model(with_floor(upright, height))
         plan = Plan(q, np.zeros_like(q))
         free = outside_boxes(floor, plan)
         risen = np.maximum.accumulate(lines[..., 2] > height, axis=1)
@@ -145,7 +145,7 @@ def test_a_floor_above_the_foot_is_risen_above_once(rng: np.random.Generator) ->
     assert not free.all()
     for wrong in (np.inf, -np.inf, np.nan):
         with pytest.raises(la.InputError, match="a height"):
-            above(ARM, wrong)
+            with_floor(ARM, wrong)
 
 
 def test_training_that_does_not_help_ends_well_without_a_file(

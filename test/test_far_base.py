@@ -32,7 +32,7 @@ from longarm_comp.cli.fit import evaluate as evaluate_command
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.standing import places, untold
-from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
+from longarm_comp.core.data.lifted_base import lifted_base, multilaterate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
@@ -150,7 +150,7 @@ def test_every_step_of_the_closed_form_is_exact() -> None:
     anchor = np.array(ANCHORS["top"])
     length = np.linalg.norm(near.xyz - anchor, axis=1)
     length[2] += 1.0
-    np.testing.assert_allclose(multilaterated(near.xyz, length), anchor, atol=1e-9)
+    np.testing.assert_allclose(multilaterate(near.xyz, length), anchor, atol=1e-9)
 
 
 def test_what_one_coordinate_leaves_open_is_turned_as_little_as_can_be() -> None:

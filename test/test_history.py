@@ -183,12 +183,12 @@ def test_a_side_without_a_length_leaves_the_legs_unknown_until_a_length_is_taken
     session = Session.record(q, np.zeros((3, 3)), approach=sides)
     assert session.approach.ravel().tolist() == [0, 1, 1]
     assert (session.legs[2] == 0).all()
-    taken = session.taken(np.array([0.1]))
+    taken = session.with_run_ups(np.array([0.1]))
     np.testing.assert_allclose(taken.legs[2, 0, :3], [0.1, -0.7, 1.0])
     np.testing.assert_array_equal(taken.legs[:2], session.legs[:2])
     assert taken.approach.tolist() == session.approach.tolist()
     assert np.isnan(session.run_up).all() and np.isnan(taken.run_up).all()
-    again = taken.taken(np.array([0.2]))
+    again = taken.with_run_ups(np.array([0.2]))
     np.testing.assert_allclose(again.legs[2, 0, :3], [0.2, -0.8, 1.0])
 
 

@@ -178,6 +178,7 @@ def test_the_convention_of_an_orientation_is_asked(shell: Shell) -> None:
         ("q1_deg,x_mm,y_mm,z_mm\n1,2,3,4\n1,2,a,4\n", (), "line 3, y_mm: 'a'"),
         ("q1_deg,x_mm,y_mm,z_mm\n1,2,3,4\n1,2,4\n", (), "line 3: '3 cells'"),
         ("q1_deg;x_mm;y_mm;z_mm\n1,5;2;3.5;4\n", (), "numbers: '1 with a comma, 1 with a point'"),
+        ("q1_deg;x_mm;y_mm;z_mm\n1,5;2;3.5;4\n", ("--decimal", ","), "line 2, y_mm: '3.5'"),
         ("1,2,3,4\n5,6,7,8\n", (), "header: 'none'"),
         ("q1_deg,x_mm,y_mm,z_mm\n", (), "rows: 'no row of numbers'"),
         ("hello\n", (), "file: 'no columns'"),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from discover_rows import DEMO
+from numeric_columns import numeric_columns
 from scipy.spatial.transform import Rotation
 from sensed_arm import (
     ANCHORS,
@@ -84,21 +85,9 @@ def test_columns_are_derivatives_of_every_equation() -> None:
     base = started(Model(arm).plus(*terms), session)
     base = base.with_values(base.values + 1e-3 * np.sin(np.arange(len(base.values))))
     found = equations(base, session, posture(base, session))
-    for k, slot in enumerate(base.slots):
-        h = 1e-5
-        ends = []
-        for by in (h, -h):
-            values = base.values.copy()
-            values[k] += by
-            moved = base.with_values(values)
-            ends.append(equations(moved, session, posture(moved, session), ()).residual)
-        want = -(ends[0] - ends[1]) / (2 * h)
-        np.testing.assert_allclose(
-            found.columns[..., k],
-            want,
-            atol=0.02 * max(np.abs(want).max(), 1e-3),
-            err_msg=slot.label,
-        )
+    for k, slot, want in numeric_columns(base, session, lambda _: 1e-5):
+        limit = 0.02 * max(np.abs(want).max(), 1e-3)
+        np.testing.assert_allclose(found.columns[..., k], want, atol=limit, err_msg=slot.label)
         assert np.abs(want).max() > 0, slot.label
 
 

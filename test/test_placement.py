@@ -35,11 +35,6 @@ TURNS = [Rotation.from_rotvec([0.7, -1.1, 1.84]), Rotation.from_rotvec([-3.0, 0.
 FAR = np.array([12.0, -15.0, 4.0])
 
 
-@pytest.fixture(scope="module")
-def demo(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
-
-
 def box(arm: Arm, n: int, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(arm.lower, arm.upper, (n, arm.n))
 

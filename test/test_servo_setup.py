@@ -21,7 +21,7 @@ from cli_shell import Shell
 from faulty_bus import FaultyBus
 from servo_bench import MODELS, POSE, POSE_FLAGS, TRUE, bus, folder, off_by
 
-from longarm_comp.arm_folder.check import of_record
+from longarm_comp.arm_folder.check import check_record
 from longarm_comp.arm_folder.measured import read_measured
 from longarm_comp.devices.servo_bus.registry import models, open_bus, scan_line
 from longarm_comp.devices.servo_config import ServoConfig
@@ -99,7 +99,7 @@ def test_setup_finds_the_true_zeros(shell: Shell, protocol: str) -> None:
     text = (mine / "servo_driver.yaml").read_text()
     assert "# cycles a second" in text and f"port: {emulator.port}" in text
     file = mine / "servo_driver.yaml"
-    assert [f.level for f in of_record(mine) if file.name in f.where] == ["measured"]
+    assert [f.level for f in check_record(mine) if file.name in f.where] == ["measured"]
     assert read_measured(mine)["servo_driver.yaml"].facts["zero"] == "pose"
 
 

@@ -15,7 +15,7 @@ from session_bag import write_bag
 from small_arm import ARM, measured
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.rest import Sighting, settled
+from longarm_comp.core.data.rest import Sighting, mean_at_rest
 from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import bag_info, read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
@@ -112,13 +112,13 @@ def test_orientations_are_averaged_as_turns(tmp_path: Path) -> None:
 
 
 def _still_from(readings: list[float], sighted: dict[float, float]) -> float:
-    """The tip that `settled` takes, of readings every 0.05 s and sightings by time."""
+    """The tip that `mean_at_rest` takes, of readings every 0.05 s and sightings by time."""
     times = 0.05 * np.arange(1, len(readings) + 1)
     seen = [
         Sighting(t, np.array([x, 0.0, 0.0]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 0.0)
         for t, x in sighted.items()
     ]
-    found = settled(seen, times, np.array(readings)[:, None], 0.0)
+    found = mean_at_rest(seen, times, np.array(readings)[:, None], 0.0)
     assert found[0] is not None
     return float(found[0].xyz[0])
 
@@ -320,9 +320,9 @@ def test_a_marker_that_is_seen_on_the_way_only_is_lost(lost_told: bool) -> None:
     joints = np.minimum(times, 1.0)[:, None]
     moving = [at(0.3, 0.1, 0, 0), at(0.8, 0.4, 0, 0)]
     resting = [at(1.4, *[np.nan] * 3), at(1.9, *[np.nan] * 3)] if lost_told else []
-    lost, why = settled([*moving, *resting], times, joints, 0.0)
+    lost, why = mean_at_rest([*moving, *resting], times, joints, 0.0)
     assert lost is not None and "on the way" in why
     assert np.isnan(lost.xyz).all() and np.isnan(lost.quaternion).all()
-    found, why = settled([*moving, *resting, at(1.95, 0.7, 0, 0)], times, joints, 0.0)
+    found, why = mean_at_rest([*moving, *resting, at(1.95, 0.7, 0, 0)], times, joints, 0.0)
     assert found is not None and not why
     np.testing.assert_allclose(found.xyz, [0.7, 0, 0])

@@ -13,7 +13,7 @@ from bag_robot import STORAGES, command, refusal, robot, sighting, state
 from session_bag import write_bag
 from small_arm import ARM, measured
 
-from longarm_comp.core.data.rest import in_turn
+from longarm_comp.core.data.rest import is_of_two_arms
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.bag import read_bag
 
@@ -175,8 +175,8 @@ def test_leaps_of_a_single_command_lose_only_that(tmp_path: Path, rng: np.random
 def test_an_endless_joint_at_half_a_turn_is_one_arm_and_so_is_one_that_swings() -> None:
     """Readings of the former flicker between pi and -pi."""
     flicker = np.where(np.arange(40) % 2, np.pi - 1e-3, 1e-3 - np.pi)
-    assert not in_turn(np.stack([flicker, np.zeros(40)], axis=1))
-    assert in_turn(np.stack([np.where(np.arange(40) % 2, 0.5, 0.0), np.zeros(40)], axis=1))
+    assert not is_of_two_arms(np.stack([flicker, np.zeros(40)], axis=1))
+    assert is_of_two_arms(np.stack([np.where(np.arange(40) % 2, 0.5, 0.0), np.zeros(40)], axis=1))
     swing = 0.2 * np.sin(np.pi / 3 * np.arange(60))  # two steps of six change its direction
-    assert not in_turn(np.stack([swing, np.zeros(60)], axis=1))
-    assert not in_turn(np.zeros((1, 2))) and not in_turn(np.zeros((0, 2)))
+    assert not is_of_two_arms(np.stack([swing, np.zeros(60)], axis=1))
+    assert not is_of_two_arms(np.zeros((1, 2))) and not is_of_two_arms(np.zeros((0, 2)))

@@ -16,7 +16,7 @@ import pytest
 from cli_shell import Shell
 from stereo_head import HEAD, marker_pose, rigid_rms
 
-from longarm_comp.arm_folder.check import of_record
+from longarm_comp.arm_folder.check import check_record
 from longarm_comp.arm_folder.marker_sheet import sheet
 from longarm_comp.arm_folder.measured import camera_path, read_measured
 from longarm_comp.core.errors import JobError
@@ -101,7 +101,7 @@ def test_the_written_files_measure_the_tip_where_it_is(shell: Shell, pictures: P
     assert np.linalg.norm(np.subtract(seen, true), axis=1).max() < 1.5e-3
     # Where the head stands is found by hand-eye: what is left is what the tip is measured to.
     assert rigid_rms(np.array(seen), np.array(true)) < 0.2e-3
-    assert [f.level for f in of_record(Path("mine"))] == ["measured"]
+    assert [f.level for f in check_record(Path("mine"))] == ["measured"]
     measured = read_measured(Path("mine"))["cameras"]
     assert measured.facts["views"] == found["views_used"]
 

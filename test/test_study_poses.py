@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +13,6 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.planning.optimal_poses import OptimalPlan
 from studies import poses
 from studies.poses import command
-
-
-@pytest.fixture(scope="module")
-def demo(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 @pytest.mark.long

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numeric_columns import numeric_columns
 from scipy.spatial.transform import Rotation
 from session_bag import write_bag
 from touching import (
@@ -95,11 +96,7 @@ def test_columns_are_derivatives_of_touches_and_planes(session: Session) -> None
     base = base.with_values(base.values + 1e-3 * np.sin(np.arange(len(base.values))))
     at = posture(base, both)
     found = equations(base, both, at)
-    for k, slot in enumerate(base.slots):
-        step = 1e-5 * np.eye(len(base.values))[k]
-        up, down = (base.with_values(base.values + s * step) for s in (1.0, -1.0))
-        ends = [equations(m, both, posture(m, both), ()).residual for m in (up, down)]
-        want = -(ends[0] - ends[1]) / 2e-5
+    for k, slot, want in numeric_columns(base, both, lambda _: 1e-5):
         limit = 0.02 * max(float(np.abs(want).max()), 1e-3)
         np.testing.assert_allclose(found.columns[..., k], want, atol=limit, err_msg=slot.label)
     moved = np.einsum("nkj,j->nk", found.pull, (1e-4, 2e-4, -1e-4))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from longarm_comp.arm_folder.parameter_file import edited
+from longarm_comp.arm_folder.parameter_file import edit_text
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml
 
@@ -20,7 +20,7 @@ a:
   three: {}
 b: "last"
 """
-    made = edited(
+    made = edit_text(
         text,
         {
             ("a", "one", "zero"): 7.5, ("a", "one", "sign"): -1, ("a", "two", "sign"): -1,
@@ -41,10 +41,10 @@ b: "last"
         " mine", " measured?", " between", " flow",
     ]  # fmt: skip
     with pytest.raises(InputError, match="d"):
-        edited(text, {("d", "e"): 1}, "file")
-    assert edited("a:\nb: {c: , d: 1}\n", {("a",): 2, ("b", "c"): [3]}, "file") == (
+        edit_text(text, {("d", "e"): 1}, "file")
+    assert edit_text("a:\nb: {c: , d: 1}\n", {("a",): 2, ("b", "c"): [3]}, "file") == (
         "a: 2\nb: {c: [3], d: 1}\n"
     )
-    assert parse_yaml(edited("a: &x 1\nb: *x\n", {("a",): 2}, "file"), "") == {"a": 2, "b": 1}
+    assert parse_yaml(edit_text("a: &x 1\nb: *x\n", {("a",): 2}, "file"), "") == {"a": 2, "b": 1}
     with pytest.raises(InputError, match=r"a\.c: 'cannot be edited'"):
-        edited("a: &x {c: 1}\nb: *x\n", {("a", "c"): 2, ("b", "c"): 3}, "file")
+        edit_text("a: &x {c: 1}\nb: *x\n", {("a", "c"): 2, ("b", "c"): 3}, "file")

@@ -1,4 +1,4 @@
-"""What an arm's folder lacks: missing files, implausible values, unmeasured assumptions."""
+"""Checks an arm's folder: missing files, implausible values, unmeasured assumptions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from longarm_comp.arm_folder.head import View, head_for
 from longarm_comp.arm_folder.make import ARM, NODES
 from longarm_comp.arm_folder.measured import CAMERAS, FILE, SIDES, camera_path, read_measured
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
+from longarm_comp.arm_folder.parameter_file import find_strangers, own_parameters, read_parameters
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol
@@ -31,7 +31,7 @@ LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
 
 @dataclass(frozen=True)
 class _FolderFinding:
-    """One thing about a folder: where (file, and the key in it), what it is, and what to do.
+    """A thing about a folder: where (file, and the key in it), what it is, and what to do.
 
     Level: missing and implausible must be put right; unmeasured is an assumption; measured is what
     a command measured and nobody changed since; declared is what arm.yaml says, to compare.
@@ -43,7 +43,7 @@ class _FolderFinding:
 
     @property
     def blocks(self) -> bool:
-        """Whether the folder cannot be used as it is."""
+        """True if the folder cannot be used as it is."""
         return self.level in ("missing", "implausible")
 
 
@@ -52,8 +52,8 @@ missing, implausible, unmeasured, measured, declared = (
 )
 
 
-def of_record(folder: Path) -> Iterator[_FolderFinding]:
-    """Findings on every measurement, and on cameras without a calibration."""
+def check_record(folder: Path) -> Iterator[_FolderFinding]:
+    """Yield findings on every measurement, and on cameras without a calibration."""
     try:
         entries = read_measured(folder)
     except InputError as error:
@@ -68,8 +68,8 @@ def of_record(folder: Path) -> Iterator[_FolderFinding]:
         yield unmeasured(CAMERAS, said)
 
 
-def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
-    """A finding a beam, and one on the sag, at the pose of q (N, n) that reaches out farthest."""
+def _describe_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
+    """Yield a finding a beam, and on the sag, at the pose of q (N, n) that reaches out farthest."""
     model, rigid = declared_model(arm), declared_model(arm, deflection=False)
     tips = rigid.tip(q)
     level = np.array(arm.gravity_mps2) / (np.linalg.norm(arm.gravity_mps2) or 1.0)
@@ -116,7 +116,7 @@ def _section(beam: Beam) -> str:
 
 
 def _standing(fell: np.ndarray, gravity: float) -> str:
-    """Which side is up; `fell`: gravity along width and height."""
+    """Say which side is up; `fell`: gravity along width and height."""
     if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
         return "; the beam is vertical here, so no side is up"
     lean = math.degrees(math.atan2(abs(fell[0]), abs(fell[1])))
@@ -133,20 +133,20 @@ _SESSIONS = ("samples.csv", "session", "session_1")
 
 
 def check_folder(folder: Path) -> list[_FolderFinding]:
-    """Findings on a folder, or on that of an arm.yaml; what blocks first."""
+    """Return findings on a folder, or on that of an arm.yaml; what blocks first."""
     folder = folder.parent if folder.name == ARM and folder.is_file() else folder
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")
-    arm, found = _loaded(folder / ARM, Arm.load)
+    arm, found = _load(folder / ARM, Arm.load)
     if arm is None:
         return found
-    found += _of_arm(arm)
-    record = list(of_record(folder))
+    found += _check_arm(arm)
+    record = list(check_record(folder))
     known = {finding.where for finding in record if finding.level == "measured"}
     if any((folder / f"{node}.yaml").exists() for node in NODES):
-        found += _of_servos(folder, arm, known)
+        found += _check_servos(folder, arm, known)
         look = not any(finding.blocks for finding in found)
-        found += _of_cameras(folder, arm, known, look)
+        found += _check_cameras(folder, arm, known, look)
     else:
         said = "no servo and camera files: another program drives the arm (longarm init --arm)"
         found.append(unmeasured(ARM, said))
@@ -156,7 +156,7 @@ def check_folder(folder: Path) -> list[_FolderFinding]:
     return sorted(found + record, key=lambda finding: LEVELS.index(finding.level))
 
 
-def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[_FolderFinding]]:
+def _load(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[_FolderFinding]]:
     if not path.is_file():
         how = "longarm init" if path.name == ARM else f"longarm init DIR --arm {ARM}"
         return None, [missing(path.name, f"no such file; {how} makes it")]
@@ -167,7 +167,7 @@ def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[_FolderF
         return None, [implausible(f"{path.name}: {error.field}", said)]
 
 
-def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
+def _check_arm(arm: Arm) -> Iterator[_FolderFinding]:
     q = np.vstack([arm.mid, sobol(arm, 64, 0).q])
     rigid = declared_model(arm, deflection=False).tip(q)
     reach = float(np.linalg.norm(rigid - np.array(arm.base.xyz_m), axis=1).max())
@@ -180,9 +180,8 @@ def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
     for joint in arm.joints:
         farthest = max(map(abs, joint.limits_deg or (0.0, 0.0)))
         if farthest > _MOST_DEG and not joint.endless:
-            said = (
-                f"{farthest:g} deg is more than two turns; endless: true where it turns on and on"
-            )
+            said = f"{farthest:g} deg is more than two turns; "
+            said += "endless: true where it turns on and on"
             name = joint.name or f"joint{joint.id}"
             yield implausible(f"{ARM}: joints.{name}.limits_deg", said)
     if not arm.links:
@@ -193,7 +192,7 @@ def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
         if float(sag.max()) > 0.15 * reach:
             said = f"the tip sags by up to {1e3 * sag.max():.0f} mm of {1e3 * reach:.0f} mm"
             yield implausible(f"{ARM}: links", f"{said}: check E_pa, sections, masses")
-        yield from _of_beams(arm, q)
+        yield from _describe_beams(arm, q)
     weight = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
     if not weight:
         until = "Compliances are relative to 1 kg a metre until then"
@@ -205,9 +204,9 @@ def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield implausible(f"{ARM}: gravity_mps2", "no gravity")
 
 
-def _of_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
+def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
     path = folder / "servo_driver.yaml"
-    servos, found = _loaded(path, ServoConfig.load)
+    servos, found = _load(path, ServoConfig.load)
     if servos is None:
         return found
     if sorted(servos.joints) != sorted(arm.joint_names):
@@ -233,16 +232,16 @@ def _of_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
     return found
 
 
-def _of_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_FolderFinding]:
+def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_FolderFinding]:
     """``known``: files that were measured; ``look``: also say what the cameras see."""
     read, found = {}, []
     for node in NODES[1:]:
-        given, faults = _loaded(folder / f"{node}.yaml", read_parameters)
+        given, faults = _load(folder / f"{node}.yaml", read_parameters)
         found += faults
         if given is not None:
             found += [
                 implausible(f"{node}.yaml: {name}", f"{value!r}; allowed: {allowed}")
-                for name, value, allowed in strangers(node, given)
+                for name, value, allowed in find_strangers(node, given)
             ]
             lacking = [name for name in own_parameters(node) if name not in given]
             if lacking:
@@ -253,7 +252,7 @@ def _of_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_Fo
         return found
     bridge = read["stereo_bridge"]
     placed = "stereo_bridge.yaml" in known
-    found += _assumed(arm, bridge, placed)
+    found += _check_assumed(arm, bridge, placed)
     if not look or "simulated_arm" not in read:
         return found
     simulated = read["simulated_arm"]
@@ -266,7 +265,9 @@ def _of_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_Fo
     read_as = assumed.left_in_base @ np.linalg.inv(view.left_in_base) @ tips
     off = 1e3 * float(np.median(np.linalg.norm((read_as - tips)[:, :3, 3], axis=1)))
     if seen < 0.5 * len(why):
-        said = f"the marker is seen at {seen} of {len(why)} poses, at most others {_mostly(why)}: "
+        kinds = Counter(text.partition(":")[0] for text in why if text)
+        usual = next(text for text in why if text.startswith(kinds.most_common(1)[0][0]))
+        said = f"the marker is seen at {seen} of {len(why)} poses, at most others {usual}: "
         best = head_for(arm.model_copy(update={"camera": None}))
         found_best = View.of(bridge | best["stereo_bridge"], simulated | best["simulated_arm"])
         most = found_best.unseen(tips).count("")
@@ -284,14 +285,8 @@ def _of_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_Fo
     return found
 
 
-def _mostly(why: list[str]) -> str:
-    kinds = Counter(text.partition(":")[0] for text in why if text)
-    most = kinds.most_common(1)[0][0]
-    return next(text for text in why if text.startswith(most))
-
-
-def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_FolderFinding]:
-    """What stands as `longarm init` writes it; ``placed``: the head's place was measured."""
+def _check_assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_FolderFinding]:
+    """Yield what stands as `longarm init` writes it; ``placed``: the head's place was measured."""
     file, made = "stereo_bridge.yaml", head_for(arm)["stereo_bridge"]
     own = own_parameters("stereo_bridge")
     if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):
@@ -301,9 +296,9 @@ def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_Folder
         yield unmeasured(f"{file}: marker", "measure the printed tags: tag_m and gap_m")
     if not any(bridge["tip_in_marker"]):
         yield unmeasured(f"{file}: tip_in_marker", "the tip is assumed at the marker's middle")
-    if arm.camera is not None and not np.allclose(arm.camera.position_m, bridge["hand_eye.xyz"],
-                                                  atol=0.01):  # fmt: skip
-        said = f"{list(arm.camera.position_m)}; {file} has hand_eye.xyz {bridge['hand_eye.xyz']}"
+    place = bridge["hand_eye.xyz"]
+    if arm.camera is not None and not np.allclose(arm.camera.position_m, place, atol=0.01):
+        said = f"{list(arm.camera.position_m)}; {file} has hand_eye.xyz {place}"
         if placed:  # a model belongs to one arm.yaml, so that file is left to the user
             yield unmeasured(f"{ARM}: camera", f"{said}, which was measured: correct it")
         else:

@@ -61,7 +61,7 @@ Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
 
 
 class _Row(Closed):
-    """One row of the modified DH table; deg and m.
+    """A row of the modified DH table; deg and m.
 
     `tube_a`, `tube_d`: outer and inner diameter (m) of a tube along a or d; 0: rigid. `servo_kg`:
     of the servo at this joint's frame. `mimic`: the joint that drives it, and the factor.
@@ -81,7 +81,7 @@ class _Row(Closed):
     mimic: Mimic = None
 
     def joint(self, number: int) -> dict[str, Any]:
-        """An entry of `joints`."""
+        """Return an entry of `joints`."""
         row: dict[str, Any] = {"id": number, **({"name": self.name} if self.name else {})}
         row |= {
             "type": self.type,
@@ -97,7 +97,7 @@ class _Row(Closed):
         return row
 
     def beam(self, number: int, role: str) -> list[dict[str, Any]]:
-        """The entry of `links` along a or d, where there is one."""
+        """Return the entry of `links` along a or d, where there is one."""
         (outer, inner), length = getattr(self, f"tube_{role}"), abs(getattr(self, role))
         if not outer:
             return []
@@ -109,7 +109,7 @@ class _Row(Closed):
         modulus, poisson, density = MATERIALS[self.material]
         slides = role == "d" and self.type == "prismatic"
         mass = density * math.pi / 4 * (outer**2 - inner**2) * length
-        return [{
+        entry = {
             "name": f"tube_{number}{role}",
             "row": number,
             "role": role,
@@ -119,17 +119,8 @@ class _Row(Closed):
             "poisson": poisson,
             "mass_kg": round(mass, 4),
             "body_length_m": length,
-        }]  # fmt: skip
-
-
-def _row_of(number: int, flag: str) -> _Row:
-    row = {}
-    for word in flag.split():
-        key, equals, value = word.partition("=")
-        if not equals:
-            raise InputError("init", "--joint", word, "KEY=VALUE")
-        row[key] = value
-    return parse_declared(_Row, row, _where(number))
+        }
+        return [entry]
 
 
 def _where(number: int) -> str:
@@ -139,8 +130,16 @@ def _where(number: int) -> str:
 def arm_of(
     name: str, given: Sequence[str], tip: Sequence[float], payload_kg: float
 ) -> dict[str, Any]:
-    """What arm.yaml holds for rows, at least one; `tip` (3,) m in the last frame."""
-    rows = [(number, _row_of(number, flag)) for number, flag in enumerate(given, 1)]
+    """Return what arm.yaml holds for rows, at least one; `tip` (3,) m in the last frame."""
+    rows = []
+    for number, flag in enumerate(given, 1):
+        row = {}
+        for word in flag.split():
+            key, equals, value = word.partition("=")
+            if not equals:
+                raise InputError("init", "--joint", word, "KEY=VALUE")
+            row[key] = value
+        rows.append((number, parse_declared(_Row, row, _where(number))))
     data: dict[str, Any] = {
         "name": name,
         "convention": "mdh_craig",

@@ -32,7 +32,7 @@ _BASELINE = 0.18
 
 
 def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
-    """Parameters of `stereo_bridge` and `simulated_arm` with the whole range of the tip in view.
+    """Return parameters of `stereo_bridge` and `simulated_arm` that see the whole range of the tip.
 
     The cameras are those of the package's own `simulated_arm.yaml`, 53 degrees across as webcams
     are. The head looks level, from the side where the marker shows: of 16 directions the one from
@@ -48,7 +48,7 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     axes = _LEVEL
     if given:
         axes = [np.array(given.optical_axis) / np.linalg.norm(given.optical_axis)]
-    axis, mounting = _facing(turns, axes)
+    axis, mounting = _choose_direction(turns, axes)
     x = np.cross(axis, [0.0, 0.0, 1.0])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     off = points - middle
@@ -71,23 +71,25 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     position = middle - distance * axis - 0.5 * baseline * x
     if given:
         position = np.array(given.position_m)
-    at, along = _rounded(position, 3), _rounded(axis, 9)
+    at, along = _round(position, 3), _round(axis, 9)
     turn = quaternion.from_rotation(CameraPair(tuple(at), tuple(along)).left_in_base[:3, :3])
     marker = {"marker.tag_m": tag, "marker.gap_m": round(tag / 5, 6)}
     return {
-        "stereo_bridge": {"hand_eye.xyz": at, "hand_eye.quaternion": _rounded(turn, 12), **marker},
+        "stereo_bridge": {"hand_eye.xyz": at, "hand_eye.quaternion": _round(turn, 12), **marker},
         "simulated_arm": {
             "camera.position": at,
             "camera.axis": along,
             "camera.baseline_m": baseline,
             **marker,
-            "marker.mounting": _rounded(mounting, 9),
+            "marker.mounting": _round(mounting, 9),
         },
     }
 
 
-def _facing(turns: np.ndarray, axes: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Of directions of looking the best (3,), and the plate's rotation vector (3,) on the tip."""
+def _choose_direction(
+    turns: np.ndarray, axes: Iterable[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Choose a direction of looking (3,) and the plate's rotation vector (3,) on the tip."""
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for axis in axes:
         normal = (-turns.transpose(0, 2, 1) @ axis).mean(axis=0)
@@ -112,7 +114,7 @@ def _facing(turns: np.ndarray, axes: Iterable[np.ndarray]) -> tuple[np.ndarray, 
     return axis, quaternion.rotation_vector(quaternion.from_rotation(plate))
 
 
-def _rounded(values: np.ndarray, digits: int) -> list[Any]:
+def _round(values: np.ndarray, digits: int) -> list[Any]:
     return [round(float(v), digits) + 0.0 for v in values]
 
 
@@ -143,7 +145,7 @@ class View:
 
     @classmethod
     def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
-        """From parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
+        """Make it from parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
         from longarm_comp.devices.stereo.found import Limits  # these take a second, with OpenCV
         from longarm_comp.devices.stereo.target import TagBoard
         from longarm_comp.sim.cameras import CameraPair
@@ -174,17 +176,20 @@ class View:
         )
 
     def through(self, left: CameraInfo, right: CameraInfo) -> View:
-        """The same view through the lenses of a pair; as it is where that is not calibrated."""
+        """Return the view through the lenses of a pair; itself where that is not calibrated."""
         p, across = left.p, right.p
         if not p[0] > 0.0 or not across[0] > 0.0:
             return self
         return replace(
-            self, focal_px=p[0], middle_px=(p[2], p[6]), size_px=(left.width, left.height),
+            self,
+            focal_px=p[0],
+            middle_px=(p[2], p[6]),
+            size_px=(left.width, left.height),
             baseline_m=-across[3] / across[0],
-        )  # fmt: skip
+        )
 
     def unseen(self, tips: np.ndarray) -> list[str]:
-        """For each of the tip poses (M, 4, 4), base frame: why it is not measured, or "".
+        """Say for each of the tip poses (M, 4, 4), base frame, why it is not measured, or "".
 
         Both cameras must see `share` of the tags, large and straight enough.
         """
@@ -215,22 +220,22 @@ class View:
                 why.append("")
         return why
 
-    def _projected(self, points: np.ndarray) -> np.ndarray:
+    def _project(self, points: np.ndarray) -> np.ndarray:
         ahead = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         return np.asarray(self.focal_px * points[..., :2] / ahead + self.middle_px)
 
     def _inside(self, tags: np.ndarray) -> np.ndarray:
         """(M, T) whether all of a tag, corners (M, T, 4, 3) in the camera's frame, is in view."""
-        pixels = self._projected(tags)
+        pixels = self._project(tags)
         with np.errstate(invalid="ignore"):
             inside = (pixels >= 0.0) & (pixels <= np.array(self.size_px) - 1.0)
         return np.asarray(inside.all(axis=(-1, -2)))
 
     def _where(self, point: np.ndarray) -> str:
-        """On which side of the images a point (3,) lies, seen from the middle of the cameras."""
+        """Say on which side of the images a point (3,) lies, from the middle of the cameras."""
         if point[2] <= 0.0:
             return "behind"
-        x, y = self._projected(point)
+        x, y = self._project(point)
         width, height = self.size_px
         beside, above = abs(x - width / 2) / width, abs(y - height / 2) / height
         if beside >= above:
@@ -239,7 +244,7 @@ class View:
 
 
 def view_beside(arm: Path) -> View | None:
-    """What the cameras see by the files beside an arm.yaml; None where there are none."""
+    """Return what the cameras see by the files beside an arm.yaml; None where there are none."""
     from longarm_comp.devices.stereo.camera_file import read_camera
 
     folder = arm.absolute().parent

@@ -32,7 +32,7 @@ _COMMENTS = {
     "E_pa and masses are usual values of the material: weigh the parts.",
     "point_masses": "Servos, grippers, links without a beam: kg, and the place in a row's frame.",
     "camera": "Left camera of the stereo head, in the base frame: as in stereo_bridge.yaml.",
-}  # fmt: skip
+}
 _NO_LINKS = """No beam is declared: the arm is taken as rigid. What bends (docs/arm.md)
 can lie along {places}:
 links:
@@ -45,7 +45,7 @@ _NO_CAMERA = """What measures: tracker, total_station or touch; if absent, every
 measuring: tracker"""
 
 
-def _commented(text: str) -> list[str]:
+def _comment(text: str) -> list[str]:
     return [f"# {line}" for line in text.splitlines()]
 
 
@@ -64,7 +64,7 @@ _SIMULATED = "The simulated {name}. Cameras and marker stand where stereo_bridge
 def arm_file(
     data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], *, seen: bool
 ) -> tuple[str, Arm]:
-    """Text of an arm.yaml that holds `data`, and the arm.
+    """Return the text of an arm.yaml that holds `data`, and the arm.
 
     Args:
         head: comment on top; `of_rows`: a comment beside a row of `joints`, by id.
@@ -75,11 +75,11 @@ def arm_file(
         stereo = head_for(Arm.parse(whole, ARM))["simulated_arm"]
         place, axis = stereo["camera.position"], stereo["camera.axis"]
         whole["camera"] = {"position_m": place, "optical_axis": axis}
-    arm, lines = Arm.parse(whole, ARM), _commented(head)
+    arm, lines = Arm.parse(whole, ARM), _comment(head)
     for key, value in whole.items():
         if value in ([], {}, None):
             continue
-        lines += _commented(_COMMENTS.get(key, ""))
+        lines += _comment(_COMMENTS.get(key, ""))
         if isinstance(value, list) and value and isinstance(value[0], Mapping):
             lines.append(f"{key}:")
             for row in value:
@@ -94,12 +94,12 @@ def arm_file(
     no_payload = _NO_PAYLOAD.format(frame=arm.tip.frame)
     for key, text in (("links", no_links), ("payload", no_payload), ("camera", _NO_CAMERA)):
         if not whole.get(key):
-            lines += _commented(text)
+            lines += _comment(text)
     return "\n".join(lines) + "\n", arm
 
 
 def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
-    """Texts of the parameter files that fit an arm, by node."""
+    """Return the texts of the parameter files that fit an arm, by node."""
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos, direct),
@@ -143,10 +143,10 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
         raise InputError(out, "DIR", error.strerror or str(error), "a folder to write") from error
 
 
-def narrowed(
+def narrow_limits(
     data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]
 ) -> tuple[dict[str, Any], dict[int, str]]:
-    """What arm.yaml holds with narrower limits, and by row what they were.
+    """Narrow the limits of what arm.yaml holds; return also by row what they were.
 
     Args:
         range_deg: largest range of a turning joint; 0 leaves them as they are.
@@ -176,13 +176,13 @@ def narrowed(
     return {**data, "joints": rows}, notes
 
 
-def in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
-    """Largest range of turning joints, deg, that two webcams see from the arm's own table.
+def find_range_in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
+    """Find the largest range of turning joints, deg, that two webcams see from the arm's own table.
 
     They stand within one and a half times the arm's reach then, and the marker is small.
     """
     for range_deg in (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0):
-        arm = Arm.parse(narrowed(data, range_deg, home_deg)[0], "arm.yaml")
+        arm = Arm.parse(narrow_limits(data, range_deg, home_deg)[0], "arm.yaml")
         tip = declared_model(arm, deflection=False).tip(arm.mid)
         if np.linalg.norm(tip - head_for(arm)["stereo_bridge"]["hand_eye.xyz"]) <= 1.5 * reach(arm):
             break

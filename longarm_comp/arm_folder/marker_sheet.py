@@ -46,11 +46,29 @@ def sheet(board: Printed) -> tuple[str, Figure]:
         cells = charuco_plate(*grid, board.dictionary).texture
         _draw(axes, cells, left, top, *size)
     else:
-        _draw_tags(axes, board, left, top)
+        pitch, side = 1e3 * (board.tag_m + board.gap_m), 1e3 * board.tag_m
+        family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+        for index in range(board.columns * board.rows):
+            row, column = divmod(index, board.columns)
+            tag, pixels = board.first_id + index, family.markerSize + 2
+            cells = cv2.aruco.generateImageMarker(family, tag, pixels)
+            _draw(axes, cells, left + column * pitch, top - row * pitch, side, side)
     low = top - size[1] - quiet - 8.0
+    what = f"{board.dictionary}, tag {1e3 * board.tag_m:g} mm"
+    if isinstance(board, CharucoTarget):
+        square = f"square {1e3 * board.square_m:g} mm"
+        what = f"ChArUco {board.columns}x{board.rows}, {square}, {what}"
+    else:
+        what += f", gap {1e3 * board.gap_m:g} mm"
     how = "Print at 100 %, measure the ruler, mount it flat."
-    axes.text(width / 2, low, f"{_said(board)} {how}", ha="center", fontsize=8)
-    _draw_ruler(axes, width / 2, low - 6.0)
+    axes.text(width / 2, low, f"{what}. {how}", ha="center", fontsize=8)
+    y = low - 6.0
+    for k in range(101):
+        length = 5.0 if k % 10 == 0 else 3.5 if k % 5 == 0 else 2.0
+        x = width / 2 - 50.0 + k
+        axes.plot([x, x], [y, y - length], color="black", lw=0.3)
+        if k % 50 == 0:
+            axes.text(x, y - 9.0, f"{k} mm", ha="center", fontsize=7)
     return paper, figure
 
 
@@ -73,34 +91,9 @@ def _size(board: Printed) -> tuple[np.ndarray, float]:
     return 1e3 * (grid * pitch - board.gap_m), 200.0 * board.tag_m
 
 
-def _said(board: Printed) -> str:
-    tag = f"{board.dictionary}, tag {1e3 * board.tag_m:g} mm"
-    if isinstance(board, CharucoTarget):
-        return f"ChArUco {board.columns}x{board.rows}, square {1e3 * board.square_m:g} mm, {tag}."
-    return f"{tag}, gap {1e3 * board.gap_m:g} mm."
-
-
-def _draw_tags(axes: Axes, board: TagBoard, left: float, top: float) -> None:
-    pitch, side = 1e3 * (board.tag_m + board.gap_m), 1e3 * board.tag_m
-    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-    for index in range(board.columns * board.rows):
-        row, column = divmod(index, board.columns)
-        cells = cv2.aruco.generateImageMarker(family, board.first_id + index, family.markerSize + 2)
-        _draw(axes, cells, left + column * pitch, top - row * pitch, side, side)
-
-
 def _draw(axes: Axes, cells: np.ndarray, left: float, top: float, wide: float, high: float) -> None:
-    """Black and white cells; left, top: their corner, mm."""
+    """Draw black and white cells; left, top: their corner, mm."""
+    area = (left, left + wide, top - high, top)
     axes.imshow(
-        cells, cmap="gray", vmin=0, vmax=255, interpolation="nearest", aspect="auto",
-        extent=(left, left + wide, top - high, top),
-    )  # fmt: skip
-
-
-def _draw_ruler(axes: Axes, middle: float, y: float) -> None:
-    for k in range(101):
-        length = 5.0 if k % 10 == 0 else 3.5 if k % 5 == 0 else 2.0
-        x = middle - 50.0 + k
-        axes.plot([x, x], [y, y - length], color="black", lw=0.3)
-        if k % 50 == 0:
-            axes.text(x, y - 9.0, f"{k} mm", ha="center", fontsize=7)
+        cells, "gray", aspect="auto", interpolation="nearest", vmin=0, vmax=255, extent=area
+    )

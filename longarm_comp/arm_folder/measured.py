@@ -1,4 +1,4 @@
-"""What commands measured of an arm's folder: the record of it, and the cameras' files.
+"""The record of what commands measured of an arm's folder, and the cameras' files.
 
 `measured.yaml` says what was measured, when, by which command.
 """
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from longarm_comp.arm_folder.parameter_file import edited, parameters_of
+from longarm_comp.arm_folder.parameter_file import edit_text, parameters_of
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text, write_texts
@@ -33,7 +33,7 @@ _HEAD = "# What was measured, when, by which command, and how well. `longarm che
 
 @dataclass(frozen=True)
 class Measured:
-    """One measurement: when, by which command, and what was found of it."""
+    """A measurement: when, by which command, and what was found of it."""
 
     at: str
     by: str
@@ -57,11 +57,11 @@ def read_measured(folder: Path) -> dict[str, Measured]:
 
 def note_measured(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> None:
     """Add a measurement to the record, in place of an earlier one of the same file."""
-    write_text(folder / FILE, _noted(folder, file, by, facts))
+    write_text(folder / FILE, _with_entry(folder, file, by, facts))
 
 
-def _noted(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> str:
-    """Text of the record with a measurement."""
+def _with_entry(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> str:
+    """Return the text of the record with a measurement."""
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
     known = {**read_measured(folder), file: Measured(now, by, dict(facts))}
     entries = {name: vars(entry) for name, entry in known.items()}
@@ -95,7 +95,7 @@ def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
 
 
 def head_at(folder: Path, session: str) -> np.ndarray:
-    """Left optical frame in the base frame (4, 4), as it was taken when a session was measured.
+    """Return the left optical frame in the base (4, 4), as taken when a session was measured.
 
     That is what stereo_bridge.yaml has now, unless it was written from this very session.
     """
@@ -124,18 +124,15 @@ def write_head(
     """
     xyz, turn = _numbers(pose)
     values = dict(zip(_NAMES, (xyz, turn), strict=True))
-    told = {
-        **facts,
-        "session": session,
-        "before": dict(zip(("xyz", "quaternion"), _numbers(before), strict=True)),
-    }
+    old = dict(zip(("xyz", "quaternion"), _numbers(before), strict=True))
+    entry = {**facts, "session": session, "before": old}
     # The last in place is the record: until then the same session may be given again
-    made = {FILE: _noted(folder, BRIDGE, "stereo hand-eye", told)}
-    made[BRIDGE] = _edited(folder / BRIDGE, values)
+    made = {FILE: _with_entry(folder, BRIDGE, "stereo hand-eye", entry)}
+    made[BRIDGE] = _edit(folder / BRIDGE, values)
     if (folder / SIMULATED).is_file():
         axis = [round(float(v), 9) for v in pose[:3, 2]]
         camera = {"camera.position": xyz, "camera.axis": axis}
-        made[SIMULATED] = _edited(folder / SIMULATED, camera)
+        made[SIMULATED] = _edit(folder / SIMULATED, camera)
     write_texts({folder / name: text for name, text in made.items()})
     return [name for name in made if name != FILE]
 
@@ -156,7 +153,7 @@ def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:
     return [round(float(v), 7) for v in pose[:3, 3]], [round(float(v), 12) for v in turn]
 
 
-def _edited(file: Path, values: Mapping[str, Sequence[float]]) -> str:
-    """Text of a parameter file with other values."""
+def _edit(file: Path, values: Mapping[str, Sequence[float]]) -> str:
+    """Return the text of a parameter file with other values."""
     parameters = {tuple(k.split(".")): v for k, v in values.items()}
-    return edited(read_text(file), parameters, file)
+    return edit_text(read_text(file), parameters, file)

@@ -29,20 +29,20 @@ def own_text(node: str) -> str:
 
 
 def read_parameters(path: Path) -> dict[str, Any]:
-    """Values by dotted name of a ROS parameter file."""
+    """Read the values of a ROS parameter file, by dotted name."""
     return _flat(ros_parameters(read_yaml(path), path))
 
 
 def parameters_of(node: str, file: Path) -> dict[str, Any]:
-    """Values of a node that runs with a file: the package's own where the file has none."""
+    """Read the values of a node that runs with a file: the package's own where it has none."""
     given = read_parameters(file)
-    for name, value, allowed in strangers(node, given):
+    for name, value, allowed in find_strangers(node, given):
         raise InputError(file, name, value, allowed)
     return own_parameters(node) | given
 
 
-def strangers(node: str, given: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-    """(name, value, what is allowed) of what the node does not have, or of another kind."""
+def find_strangers(node: str, given: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+    """Yield name, value and what is allowed of what the node does not have, or of another kind."""
     known = own_parameters(node)
     for name, value in given.items():
         if name not in known:
@@ -63,12 +63,12 @@ def _kind(value: Any) -> str:
 
 
 def own_parameters(node: str) -> dict[str, Any]:
-    """Values by dotted name of the package's own file of a node."""
+    """Read the values of the package's own file of a node, by dotted name."""
     return _flat(ros_parameters(parse_yaml(own_text(node), node), node))
 
 
 def ros_parameters(data: Any, where: object) -> dict[str, Any]:
-    """The section ``ros__parameters`` of a parsed parameter file."""
+    """Return the section ``ros__parameters`` of a parsed parameter file."""
     for node in data.values() if isinstance(data, dict) else ():
         if isinstance(node, dict) and isinstance(node.get("ros__parameters"), dict):
             return dict(node["ros__parameters"])
@@ -76,14 +76,14 @@ def ros_parameters(data: Any, where: object) -> dict[str, Any]:
 
 
 def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
-    """The package's own file of a node with other values; comments of parameters are kept.
+    """Return the package's own file of a node with other values; comments of parameters are kept.
 
     Values are by dotted name; a mapping replaces a whole section. `head`: the comment on top.
     """
     text = own_text(node)
     first = next(line for line in text.splitlines() if not line.startswith("#"))
     own = text[text.index(first) :]
-    made = edited(own, {tuple(name.split(".")): v for name, v in values.items()}, node)
+    made = edit_text(own, {tuple(name.split(".")): v for name, v in values.items()}, node)
     return "".join(f"# {line}".rstrip() + "\n" for line in head.splitlines()) + made
 
 
@@ -100,14 +100,17 @@ def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def edited(text: str, values: Mapping[Keys, Any], where: object) -> str:
-    """The text with other values, by the keys that lead to them, from ``ros__parameters`` on.
+def edit_text(text: str, values: Mapping[Keys, Any], where: object) -> str:
+    """Set other values in a text, by the keys that lead to them, from ``ros__parameters`` on.
 
     A key that is not there is added behind its neighbours. A mapping becomes a block of lines, a
     list stands on one line.
     """
-    root_keys = _ros_path(parse_yaml(text, str(where)))
-    values = {(*root_keys, *path): value for path, value in values.items()}
+    data = parse_yaml(text, str(where))
+    for key, node in data.items() if isinstance(data, dict) else ():
+        if isinstance(node, dict) and "ros__parameters" in node:
+            values = {(str(key), "ros__parameters", *path): v for path, v in values.items()}
+            break
     writer = YAML()
     writer.preserve_quotes, writer.width = True, 10**6
     root = writer.load(text)
@@ -134,14 +137,6 @@ def edited(text: str, values: Mapping[Keys, Any], where: object) -> str:
         if reduce(operator.getitem, path, made) != value:
             raise InputError(where, ".".join(path), "cannot be edited", "a plain value")
     return out.getvalue()
-
-
-def _ros_path(root: Any) -> Keys:
-    """Keys that lead to ``ros__parameters``; none for a plain file."""
-    for key, node in root.items() if isinstance(root, dict) else ():
-        if isinstance(node, dict) and "ros__parameters" in node:
-            return (str(key), "ros__parameters")
-    return ()
 
 
 def _laid_out(writer: YAML, value: Any, *, inner: bool = False) -> Any:

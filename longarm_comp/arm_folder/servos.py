@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from longarm_comp.arm_folder.parameter_file import edited, own_parameters
+from longarm_comp.arm_folder.parameter_file import edit_text, own_parameters
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.errors import InputError
@@ -24,7 +24,7 @@ KEYS = ("servo_id", "model", "direction", "zero_ticks", "stored")
 def with_joints(
     text: str, bus: Mapping[str, Any], joints: Mapping[str, JointConfig], where: object
 ) -> str:
-    """Text of a servo file with other values of the bus and of each joint's `KEYS`."""
+    """Return the text of a servo file with other values of the bus and of each joint's `KEYS`."""
     old = ServoConfig.parse(parse_yaml(text, str(where)), str(where))
     values: dict[tuple[str, ...], Any] = {
         ("bus", key): v for key, v in bus.items() if v != getattr(old.bus, key)
@@ -33,7 +33,7 @@ def with_joints(
         for key in KEYS:
             if getattr(joint, key) != getattr(old.joints[name], key):
                 values["joints", name, key] = getattr(joint, key)
-    made = edited(text, values, where)
+    made = edit_text(text, values, where)
     ServoConfig.parse(parse_yaml(made, str(where)), str(where))  # refuses what does not fit a turn
     return made
 
@@ -44,7 +44,7 @@ _SPEED = 0.85 * 3000.0
 
 
 def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, Any]:
-    """Key ``joints`` of a servo driver's file, in the order of the arm.
+    """Return key ``joints`` of a servo driver's file, in the order of the arm.
 
     The gearing is an assumption. It is the demonstration's (10:1, a pinion of 8 mm) where the
     joint's range fits into the turns of the servo, else as much less as needed; where arm.yaml
@@ -56,8 +56,9 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) ->
     """
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))
+    horn_m = reach(arm) if direct else 0.0
     made = {
-        name: _servo(number, arm.joints[row - 1], models()[model], reach(arm) if direct else 0.0)
+        name: _fit_servo(number, arm.joints[row - 1], models()[model], horn_m)
         for number, (name, row) in enumerate(zip(arm.joint_names, arm.commanded, strict=True), 1)
     }
     protocol = models()[model].protocol
@@ -65,7 +66,7 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) ->
     return made
 
 
-def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict[str, Any]:
+def _fit_servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict[str, Any]:
     """``reach_m``: of an arm whose joints sit on the servos' horns; 0: geared."""
     horn = reach_m > 0.0 and joint.type == "revolute"
     low, high = model.multi_turn
@@ -76,7 +77,7 @@ def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict
     if joint.step and farthest / joint.step > room:
         allowed = f"at least {farthest / room:.3g} with {model.name}, or a servo with more turns"
         raise InputError("servos", f"step of {joint.name or joint.id}", joint.step, allowed)
-    transmission, tick = _transmission(joint, farthest / room, model.ticks_per_turn)
+    transmission, tick = _fit_gearing(joint, farthest / room, model.ticks_per_turn)
     if horn:
         transmission, tick = {"gear_ratio": 1.0}, 2 * math.pi / model.ticks_per_turn
     # Speed of the tip at which people may stand beside an arm (ISO 10218-1, reduced speed)
@@ -94,8 +95,8 @@ def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict
     }
 
 
-def _transmission(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
-    """Keys of the gearing, and rad or m a tick; ``least``: the smallest tick that fits."""
+def _fit_gearing(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
+    """Return keys of the gearing, and rad or m a tick; ``least``: the smallest tick that fits."""
     own = own_parameters("servo_driver")  # the demonstration's gearing, assumed until it is told
     if joint.type == "prismatic":
         if joint.step:

@@ -74,7 +74,7 @@ def collect(
     """
     from longarm_comp.arm_folder.head import view_beside
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.data.plan import above, from_both_sides, with_random_sides
+    from longarm_comp.core.data.plan import from_both_sides, with_floor, with_random_sides
     from longarm_comp.core.model.declared_model import declared_model
     from longarm_comp.jobs.collect.visits import plan_checks, refuse_blocked, servos_beside, visits
     from longarm_comp.sessions.poses import read_poses
@@ -87,7 +87,7 @@ def collect(
     if other is not None:
         plan = other(declared, plan, seed)
     todo = visits(plan, declared, repeats=repeats, shuffle=not in_order, seed=seed)
-    bounded = declared if floor is None else above(declared, floor)
+    bounded = declared if floor is None else with_floor(declared, floor)
     view = view_beside(arm)
     checks = plan_checks(bounded, todo, view=view, servos=servos_beside(arm, declared.joint_names))
     if dry_run:

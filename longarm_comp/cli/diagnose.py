@@ -62,7 +62,7 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
             size = "; ".join(filter(None, (card.tip, card.sure, f"{card.figure} {card.improves}")))
             say(f"{duty.lower()}: {card.title} ({size}): {said(card)} {card.software}")
     say(f"{report['verdict']}: {report['summary']}")
-    note(found.diagnosis.set_aside.told(found.diagnosis.fit.session))
+    note(found.diagnosis.set_aside.describe(found.diagnosis.fit.session))
     note(f"report in {output / 'report.html'}, model in {output / 'model.yaml'}")
 
 

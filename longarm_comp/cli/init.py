@@ -104,11 +104,11 @@ def command(
                 data, where = arm_of(name or out.name, rows, tip_at, payload), "a DH table"
             homes = numbers_by_name("init", "--home", home, "JOINT=DEG, for instance joint2=30")
             if range_deg is None and hobby:
-                range_deg = make.in_sight(data, homes)
+                range_deg = make.find_range_in_sight(data, homes)
             elif range_deg is None:
                 # Range of a turning joint that is driven through all of it in a first session
                 range_deg = 45.0 if urdf is not None and not only_arm else 0.0
-            data, notes = make.narrowed(data, range_deg, homes)
+            data, notes = make.narrow_limits(data, range_deg, homes)
             head = f"The declared arm, from {where}. `longarm check` lists what is still assumed."
             head += _RANGES.format(range_deg) if notes else ""
             text, made = make.arm_file(data, head, notes, seen=not only_arm)

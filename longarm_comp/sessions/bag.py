@@ -20,15 +20,16 @@ from rosbags.rosbag2 import Reader
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.rest import (
     NO_REST,
     REST_S,
     Sighting,
-    in_turn,
-    nowhere,
-    settled,
-    stood,
+    blank_sighting,
+    is_of_two_arms,
+    joints_at_rest,
+    mean_at_rest,
 )
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -42,15 +43,18 @@ class _Row(NamedTuple):
     q: np.ndarray
     history: History
     sides: np.ndarray
-    seen: Sighting
+    """(n,) sides of arrival that were recorded without the length of the run-up, else 0."""
+    sighting: Sighting
     read: np.ndarray
-    told: SessionRow
-    held: dict[str, float]
+    given: SessionRow
+    columns: dict[str, float]
 
 
 class Rows:
-    """What the arm did, command by command, taken off a buffer: each row is made as soon as nothing
-    that is read later can change it."""
+    """The rows of a recording, command by command, taken off a buffer.
+
+    Each row is made as soon as nothing that is read later can change it.
+    """
 
     def __init__(self, buffer: MessageBuffer) -> None:
         self._buffer = buffer
@@ -59,7 +63,7 @@ class Rows:
         self._rows: list[_Row] = []
         self._lost: dict[int, str] = {}
         self._passed = False
-        self._told = self._rivals = 0  # commands with readings of joints; with those of two arms
+        self._with_joints = self._rivals = 0  # commands with readings of joints; of two arms
         self._restless: Counter[int] = Counter()  # by joint, commands at whose end it still moved
 
     def close(self, *, everything: bool = False) -> None:
@@ -73,61 +77,80 @@ class Rows:
             self._finish(math.inf)
 
     def _finish(self, end: float) -> None:
-        """The oldest command, which the next one followed at `end` (s)."""
-        buffer = self._buffer
+        """Make the row of the oldest command, which the next one followed at `end` (s)."""
+        buffer, n = self._buffer, self._buffer.arm.n
         begin, points = buffer.commands.popleft()
-        sightings, rows = (between(held, begin, end) for held in (buffer.sightings, buffer.rows))
-        states = buffer.states_between(begin, end)
-        seen, why = settled(sightings, *states, begin)
-        self._told += bool(len(states[0]))
-        self._rivals += in_turn(states[1])
+        sightings, rows = (between(each, begin, end) for each in (buffer.sightings, buffer.rows))
+        times, joints = buffer.states_between(begin, end)
+        sighting, why = mean_at_rest(sightings, times, joints, begin)
+        self._with_joints += bool(len(times))
+        self._rivals += is_of_two_arms(joints)
         if why == NO_REST:
-            late = states[1][states[0] >= states[0][-1] - REST_S]
+            late = joints[times >= times[-1] - REST_S]
             self._restless[int(np.argmax(np.ptp(late, axis=0)))] += 1
-        row = rows[0][1] if rows else SessionRow()
-        passed = seen is None
-        if seen is None and rows:  # a measurement was meant: it is a row, and says why it is blank
-            seen = nowhere(rows[0][0])
+        given = rows[0][1] if rows else SessionRow()
+        passed = sighting is None
+        if sighting is None and rows:  # it was to be measured: a row says why it is blank
+            sighting = blank_sighting(rows[0][0])
         last = self._rows[-1].number if self._rows else -1
-        number = row.index if row.index is not None else last + 1
-        gap = not passed and self._rows and not self._passed and not 0 <= number - last <= 1
-        if gap:
-            self._at, self._history = None, History.unknown(buffer.arm.n)
-        told = _sides(row, buffer)
-        self._history = self._history.after(points, self._at).told(told)
+        number = given.index if given.index is not None else last + 1
+        if not passed and self._rows and not self._passed and not 0 <= number - last <= 1:
+            self._at, self._history = None, History.unknown(n)
+        if len(given.approach) not in (0, n):
+            raise InputError(buffer.where, "session_row approach", given.approach, f"{n} sides")
+        sides = np.array(given.approach or [0] * n, float)
+        self._history = self._history.after(points, self._at).told(sides)
         self._at = points[-1]
         self._passed = passed
-        if seen is not None:
-            held = {name: held.at(seen.t) for name, held in buffer.columns.items()}
-            read = stood(*states, begin)
-            self._rows.append(_Row(number, self._at, self._history, told, seen, read, row, held))
+        if sighting is not None:
+            columns = {name: values.at(sighting.t) for name, values in buffer.columns.items()}
+            read = joints_at_rest(times, joints, begin)
+            self._rows.append(
+                _Row(number, self._at, self._history, sides, sighting, read, given, columns)
+            )
             if why:
                 self._lost[number] = why
         buffer.forget(end)
 
-    def session(self) -> Session:
-        buffer = self._buffer
-        if 2 * self._rivals > self._told:
-            value = f"two publishers in turn, after {self._rivals} of {self._told} commands"
+    def session(self, touch_distances: tuple[KnownDistance, ...] = ()) -> Session:
+        """Return the rows as a session. Raises InputError where there are none or of two arms."""
+        buffer, rows = self._buffer, self._rows
+        if 2 * self._rivals > self._with_joints:
+            value = f"two publishers in turn, after {self._rivals} of {self._with_joints} commands"
             allowed = "one, whose joints do not leap to and fro: end the other and record again"
             raise InputError(buffer.where, "joint_states", value, allowed)
-        if not self._rows and self._restless:
+        if not rows and self._restless:
             joint, count = self._restless.most_common(1)[0]
-            name = buffer.arm.joint_names[joint]
-            value = f"{NO_REST}: {name} still moved at the end of {count} of {self._told} commands"
+            moved = f"{buffer.arm.joint_names[joint]} still moved at the end of {count} of"
+            value = f"{NO_REST}: {moved} {self._with_joints} commands"
             allowed = "an arm that stands after each command, or longer waits"
             raise InputError(buffer.where, "joint_states", value, allowed)
-        if not self._rows:
+        if not rows:
             allowed = "a sighting per command"
             raise InputError(buffer.where, "tip_measured", "none after a command", allowed)
-        rows = self._rows
-        variance = np.array([row.seen.variance for row in rows])
-        blank = np.array([np.isnan(row.seen.xyz).any() for row in rows])
-        columns = {"t_s": np.array([row.seen.t for row in rows])}
-        for name, held in buffer.columns.items():
-            columns[name] = np.array([row.held.get(name, held.first) for row in rows])
-        columns |= _told([row.told.columns for row in rows])
-        readings = self._readings()
+        variance = np.array([row.sighting.variance for row in rows])
+        blank = np.array([np.isnan(row.sighting.xyz).any() for row in rows])
+        sigma = None
+        if (variance[~blank] > 0).all() and not blank.all():
+            sigma = np.sqrt(np.where(blank[:, None] & (variance <= 0), np.nan, variance))
+        columns = {"t_s": np.array([row.sighting.t for row in rows])}
+        for name, values in buffer.columns.items():
+            columns[name] = np.array([row.columns.get(name, values.first) for row in rows])
+        readings = {"orientation": np.array([row.sighting.quaternion for row in rows])}
+        joints = np.array([row.read for row in rows]).T[..., None]
+        readings |= {f"read_q{k}": values for k, values in enumerate(joints, 1)}
+        readings["position"] = np.array([row.sighting.xyz for row in rows])
+        for name in sorted({name for row in rows for name in row.given.readings}):
+            if name not in KINDS:
+                raise InputError(buffer.where, "session_row readings", name, ", ".join(KINDS))
+            none = [math.nan] * len(KINDS[name].cells)
+            given = np.array([row.given.readings.get(name, none) for row in rows], dtype=float)
+            readings[name] = np.where(np.isnan(given), readings.get(name, given), given)
+        spread = np.array([row.sighting.turn_variance for row in rows])
+        sigmas = {"orientation": np.where(spread > 0, np.sqrt(spread), np.nan)}
+        for name in sorted({name for row in rows for name in row.given.sigmas}):
+            given = np.array([row.given.sigmas.get(name, math.nan) for row in rows])
+            sigmas[name] = np.where(np.isnan(given), sigmas.get(name, given), given)
         return Session(
             index=np.array([row.number for row in rows]),
             q=np.array([row.q for row in rows]),
@@ -135,67 +158,37 @@ class Rows:
             approach=np.array([row.history.approach for row in rows]),
             legs=np.array([row.history.legs for row in rows]),
             told=np.array([row.sides for row in rows]),
-            repeat_id=np.array([row.told.repeat_id for row in rows]),
-            sigma=np.sqrt(np.where(blank[:, None] & (variance <= 0), np.nan, variance))
-            if (variance[~blank] > 0).all() and not blank.all()
-            else None,
-            columns=columns,
-            labels=_told([row.told.labels for row in rows]),
+            repeat_id=np.array([row.given.repeat_id for row in rows]),
+            sigma=sigma,
+            columns=columns | _in_every_row([row.given.columns for row in rows]),
+            labels=_in_every_row([row.given.labels for row in rows]),
             source=buffer.where,
             readings=readings,
-            sigmas=self._sigmas(),
+            sigmas={name: values for name, values in sigmas.items() if np.isfinite(values).any()},
+            touch_distances=touch_distances,
             lost=self._lost,
         )
 
-    def _readings(self) -> dict[str, np.ndarray]:
-        """What was measured, by kind: what was sighted, and what the rows tell."""
-        made = {
-            "position": np.array([row.seen.xyz for row in self._rows]),
-            "orientation": np.array([row.seen.quaternion for row in self._rows]),
-        }
-        joints = np.array([row.read for row in self._rows]).T[..., None]
-        made |= {f"read_q{k}": values for k, values in enumerate(joints, 1)}
-        for name in sorted({name for row in self._rows for name in row.told.readings}):
-            if name not in KINDS:
-                where = "session_row readings"
-                raise InputError(self._buffer.where, where, name, ", ".join(KINDS))
-            blank = [math.nan] * len(KINDS[name].cells)
-            told = np.array([row.told.readings.get(name, blank) for row in self._rows], dtype=float)
-            made[name] = np.where(np.isnan(told), made.get(name, told), told)
-        return made
 
-    def _sigmas(self) -> dict[str, np.ndarray]:
-        spread = np.array([row.seen.turn_variance for row in self._rows])
-        made = {"orientation": np.where(spread > 0, np.sqrt(spread), np.nan)}
-        for name in sorted({name for row in self._rows for name in row.told.sigmas}):
-            told = np.array([row.told.sigmas.get(name, math.nan) for row in self._rows])
-            made[name] = np.where(np.isnan(told), made.get(name, told), told)
-        return {name: values for name, values in made.items() if np.isfinite(values).any()}
-
-
-def _sides(row: SessionRow, buffer: MessageBuffer) -> np.ndarray:
-    """(n,) sides of arrival that were recorded without the length of the run-up, else 0."""
-    n = buffer.arm.n
-    if len(row.approach) not in (0, n):
-        raise InputError(buffer.where, "session_row approach", row.approach, f"{n} sides")
-    return np.array(row.approach or [0] * n, float)
-
-
-def _told(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Columns of what every row's `session_row` tells."""
+def _in_every_row(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """The columns that every row has; an inclination may lack."""
     every = dict.fromkeys(name for row in rows for name in row)
     names = [n for n in every if INCLINATION.match(n) or all(n in row for row in rows)]
     return {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}
 
 
 def bag_info(path: str | Path) -> dict[str, Any]:
-    """Summary of a bag; times in s. A topic's `read`: whether it is used for a session."""
+    """Summarise a bag; times in s. A topic's `read`: it is used for a session."""
     with open_bag(path) as reader:
         topics = [
-            {"topic": c.topic, "type": c.msgtype, "count": c.msgcount,
-             "read": TYPES.get(_last(c.topic)) == c.msgtype}
+            {
+                "topic": c.topic,
+                "type": c.msgtype,
+                "count": c.msgcount,
+                "read": TYPES.get(_last(c.topic)) == c.msgtype,
+            }
             for c in sorted(reader.connections, key=lambda c: c.topic)
-        ]  # fmt: skip
+        ]
         folder = Path(path)
         files = folder.iterdir() if folder.is_dir() else [folder]
         empty = reader.message_count == 0
@@ -217,30 +210,41 @@ Message = tuple[str, str, int, bytes]
 """Topic, type, time of recording (ns), serialised."""
 
 
-def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Session:
-    """Read a session from a bag: its folder or a file; ``namespace``: of one arm of several."""
+def read_bag(
+    path: str | Path,
+    arm: Arm,
+    namespace: str | None = None,
+    touch_distances: tuple[KnownDistance, ...] = (),
+) -> Session:
+    """Read a session from a bag: its folder or a file.
+
+    Args:
+        namespace: of one arm of several.
+        touch_distances: known distances between the points that it touched.
+    """
     where = str(path)
     with open_bag(path) as reader:
-        chosen = _of_one_arm(reader, namespace, where)
+        chosen = _topics_of_one_arm(reader, namespace, where)
         has_rows = any(_last(c.topic) == "session_row" and c.msgcount for c in chosen)
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
-        rows = _rows(recorded(reader, chosen), buffer)
+        rows = _rows(raw_messages(reader, chosen), buffer)
     if buffer.sent is None or not buffer.frames:
         topic = "joint_trajectory" if buffer.sent is None else "tip_measured"
         raise InputError(where, topic, "no message", "commands and the sightings they led to")
     if len(buffer.frames) > 1:
         raise InputError(where, "tip_measured frame_id", sorted(buffer.frames), "one frame")
-    return rows.session()
+    return rows.session(touch_distances)
 
 
 @contextmanager
 def open_bag(path: str | Path) -> Iterator[Reader]:
-    where = str(path)
-    if Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
-        allowed = "a bag folder with metadata.yaml (a recording that was killed has none)"
-        raise InputError(where, "metadata.yaml", "missing", allowed)
+    """Open a bag; a damaged one is an `InputError`."""
+    where, metadata = str(path), Path(path) / "metadata.yaml"
     if Path(path).is_dir():
-        read_yaml(Path(path) / "metadata.yaml")  # the decoder itself has no bounds
+        if not metadata.is_file():
+            allowed = "a bag folder with metadata.yaml (a recording that was killed has none)"
+            raise InputError(where, "metadata.yaml", "missing", allowed)
+        read_yaml(metadata)  # the decoder itself has no bounds
     try:
         reader = Reader(Path(path))
         reader.open()
@@ -262,8 +266,8 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
     where = str(path)
     with open_bag(path) as reader:
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=True)
-        messages = recorded(reader, _of_one_arm(reader, None, where))
-        for name, stamp, message in decoded(messages, arm, where):
+        messages = raw_messages(reader, _topics_of_one_arm(reader, None, where))
+        for name, stamp, message in decode(messages, arm, where):
             buffer.take(name, stamp, message)
             while len(buffer.commands) > 1:
                 buffer.commands.popleft()
@@ -273,8 +277,8 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
     return buffer
 
 
-def _of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Connection]:
-    """The topics of one arm that are read."""
+def _topics_of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Connection]:
+    """Return the topics of one arm that are read."""
     known = (c for c in reader.connections if TYPES.get(_last(c.topic)) == c.msgtype)
     chosen = [c for c in known if in_namespace(c.topic, namespace)]
     spaces = sorted({c.topic.rpartition("/")[0] or "/" for c in chosen})
@@ -287,11 +291,11 @@ def _of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Conne
 
 
 def in_namespace(topic: str, namespace: str | None) -> bool:
-    """Whether a topic is of this namespace; None: of any."""
+    """Tell whether a topic is of this namespace; None: of any."""
     return namespace is None or topic.rpartition("/")[0].strip("/") == namespace.strip("/")
 
 
-def recorded(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
+def raw_messages(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
     """The messages of these topics; none of an empty list."""
     raw = reader.messages(connections=chosen) if chosen else ()
     return ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
@@ -306,7 +310,7 @@ def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
 
 def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     rows = Rows(buffer)
-    for name, stamp, message in decoded(messages, buffer.arm, buffer.where):
+    for name, stamp, message in decode(messages, buffer.arm, buffer.where):
         buffer.take(name, stamp, message)
         if name == "joint_trajectory":
             rows.close()
@@ -314,7 +318,7 @@ def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     return rows
 
 
-def decoded(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
+def decode(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
     """Last part of the topic's name, time of recording (ns), message; in the order of time."""
     types = message_types()
     joint_states = JointStates(arm.joint_names, types)

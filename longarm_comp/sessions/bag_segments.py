@@ -34,7 +34,12 @@ class SegmentedBag:
     def __init__(self, path: str | Path, *, resume: bool = False) -> None:
         self._path = Path(path)
         self._partial = self._path / _PARTIAL
-        self._new = not self._path.exists() or self._empty()
+        self._metadata = self._path / "metadata.yaml"
+        try:  # a killed recorder may have left a bag without a message
+            empty = read_yaml(self._metadata)[_KEY]["message_count"] == 0
+        except (LongarmError, KeyError, TypeError):
+            empty = False
+        self._new = empty or not self._path.exists()
         self._discarded = False
         self._information = self._begin(resume)
         self._writer: Writer | None = None
@@ -45,13 +50,12 @@ class SegmentedBag:
         """Quality of service of topics by name, where it is not the usual one."""
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
-        metadata = self._path / "metadata.yaml"
         if not resume and not self._new:
             allowed = "a folder that does not exist yet, or --resume"
             raise InputError(self._path, "bag", "exists", allowed)
         if resume and self._path.exists():
             strangers = [p.name for p in self._path.iterdir() if p.name != _PARTIAL]
-            if not metadata.is_file() and strangers:
+            if not self._metadata.is_file() and strangers:
                 raise InputError(self._path, "bag", strangers[0], "a bag, to resume it")
         try:
             self._path.mkdir(parents=True, exist_ok=True)
@@ -59,22 +63,15 @@ class SegmentedBag:
         except OSError as error:
             said = error.strerror or str(error)
             raise InputError(self._path, "output folder", said, "a folder to write in") from error
-        if not metadata.is_file():
+        if not self._metadata.is_file():
             return None
         try:
-            found = read_yaml(metadata)[_KEY]
+            known = read_yaml(self._metadata)[_KEY]
         except (KeyError, TypeError) as error:
-            raise InputError(metadata, _KEY, str(error), "metadata of a rosbag2") from error
-        if found.get("storage_identifier") != "mcap":
-            raise InputError(metadata, "storage", found.get("storage_identifier"), "mcap")
-        return dict(found)
-
-    def _empty(self) -> bool:
-        """Whether there is a bag that a killed recorder left without a message."""
-        try:
-            return read_yaml(self._path / "metadata.yaml")[_KEY]["message_count"] == 0
-        except (LongarmError, KeyError, TypeError):
-            return False
+            raise InputError(self._metadata, _KEY, str(error), "metadata of a rosbag2") from error
+        if known.get("storage_identifier") != "mcap":
+            raise InputError(self._metadata, "storage", known.get("storage_identifier"), "mcap")
+        return dict(known)
 
     def __enter__(self) -> SegmentedBag:
         if self._information is None:
@@ -90,7 +87,7 @@ class SegmentedBag:
             shutil.rmtree(self._path, ignore_errors=True)
 
     def discard(self) -> None:
-        """Where an error ends the recording, leave no folder, unless it was there before."""
+        """Leave no folder where an error ends the recording, unless it was there before."""
         self._discarded = True
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
@@ -98,10 +95,10 @@ class SegmentedBag:
         writer = self._open()
         connection = self._connections.get((topic, kind))
         if connection is None:
+            offers = [self.offers.get(topic, offered())]
             connection = writer.add_connection(
-                topic, kind, typestore=message_types(),
-                offered_qos_profiles=[self.offers.get(topic, offered())],
-            )  # fmt: skip
+                topic, kind, typestore=message_types(), offered_qos_profiles=offers
+            )
             self._connections[topic, kind] = connection
         writer.write(connection, stamp_ns, data)
         self.messages += 1
@@ -128,22 +125,23 @@ class SegmentedBag:
         metadata = read_yaml(segment / "metadata.yaml")[_KEY]
         for name in metadata["relative_file_paths"]:
             (segment / name).replace(self._path / name)
-        self._information = _joined(self._information, metadata)
+        self._information = _merge(self._information, metadata)
         text = yaml.safe_dump({_KEY: self._information}, sort_keys=False)
-        write_text(self._path / "metadata.yaml", text)
+        write_text(self._metadata, text)
         shutil.rmtree(self._partial, ignore_errors=True)
 
 
-def _joined(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
-    """Merged metadata: files in order, counts added, total time span."""
+def _merge(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
+    """Merge metadata: files in order, counts added, total time span."""
     if one is None or not one["message_count"]:
         return two
     first, second = (part["starting_time"]["nanoseconds_since_epoch"] for part in (one, two))
     end = max(first + one["duration"]["nanoseconds"], second + two["duration"]["nanoseconds"])
     start = min(first, second)
-    topics = {_name(entry): dict(entry) for entry in one["topics_with_message_count"]}
-    for entry in two["topics_with_message_count"]:
-        known = topics.setdefault(_name(entry), {**entry, "message_count": 0})
+    topics: dict[str, dict[str, Any]] = {}
+    for entry in (*one["topics_with_message_count"], *two["topics_with_message_count"]):
+        name = str(entry["topic_metadata"]["name"])
+        known = topics.setdefault(name, {**entry, "message_count": 0})
         known["message_count"] += entry["message_count"]
     return {
         **two,
@@ -154,7 +152,3 @@ def _joined(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
         "relative_file_paths": [*one["relative_file_paths"], *two["relative_file_paths"]],
         "files": [*one.get("files", []), *two.get("files", [])],
     }
-
-
-def _name(entry: dict[str, Any]) -> str:
-    return str(entry["topic_metadata"]["name"])

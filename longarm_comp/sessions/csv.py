@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.arm.measuring import KnownDistance, Touches, known_distances
-from longarm_comp.core.data.kinds import KINDS, Kind
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
@@ -62,43 +61,31 @@ def _check_measured(table: Table, known: Collection[str]) -> None:
 
 
 def _read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Readings of the other kinds, and their standard deviations, by kind."""
+    """Read the other kinds and their standard deviations, by kind.
+
+    What the session refuses of a row is refused here by its line.
+    """
     readings, sigmas = {}, {}
     joints = (KINDS[name] for name in table.header if re.fullmatch(r"read_q[1-9]\d*", name))
     for kind in (*_FURTHER, *joints):
-        if table.has(kind.cells):  # none of a kind that a text measures
-            readings[kind.name] = _read(table, kind)
-            if kind.sigma in table.cells:
-                unit = f"{kind.unit}, above 0"
-                sigmas[kind.name] = table.numbers(kind.sigma, unit, True, lambda v: v > 0)
-        elif kind.sigma and kind.sigma in table.cells:
-            check_header(table.where, table.header, kind.cells)
+        if not table.has(kind.cells):  # as of every kind that a text measures
+            if kind.sigma and kind.sigma in table.cells:
+                check_header(table.where, table.header, kind.cells)
+            continue
+        values = readings[kind.name] = table.block(kind.cells, kind.unit, True)
+        blank = np.isnan(values)
+        for row in np.flatnonzero(blank.any(axis=1) & ~blank.all(axis=1)):
+            column = kind.cells[int(np.argmax(blank[row]))]
+            allowed = f"a number; {', '.join(kind.cells)} all blank where none"
+            raise table.error(row, column, allowed)
+        if kind.label:
+            for row in np.flatnonzero(table.blank(kind.label) & ~blank.any(axis=1)):
+                field = f"line {table.lines[row]}, {kind.label}"
+                raise InputError(table.where, field, "blank", f"a name beside {kind.cells[0]}")
+        if kind.sigma in table.cells:
+            unit = f"{kind.unit}, above 0"
+            sigmas[kind.name] = table.numbers(kind.sigma, unit, True, lambda v: v > 0)
     return readings, sigmas
-
-
-def _read(table: Table, kind: Kind) -> np.ndarray:
-    """Readings of one kind; what the session refuses of a row is refused here by its line."""
-    values = table.block(kind.cells, kind.unit, True)
-    blank = np.isnan(values)
-    for row in np.flatnonzero(blank.any(axis=1) & ~blank.all(axis=1)):
-        column = kind.cells[int(np.argmax(blank[row]))]
-        raise table.error(row, column, f"a number; {', '.join(kind.cells)} all blank where none")
-    nameless = table.blank(kind.label) if kind.label else np.zeros(len(table), dtype=bool)
-    for row in np.flatnonzero(nameless & ~blank.any(axis=1)):
-        field = f"line {table.lines[row]}, {kind.label}"
-        raise InputError(table.where, field, "blank", f"a name beside {kind.cells[0]}")
-    return values
-
-
-def _written_readings(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
-    """The columns that `_read_readings` reads."""
-    made: dict[str, Sequence[object] | np.ndarray] = {}
-    for kind in (*_FURTHER, *(KINDS[f"read_q{k + 1}"] for k in session.read_joints)):
-        if kind.name in session.readings:
-            made.update(zip(kind.cells, session.readings[kind.name].T, strict=True))
-        if kind.name in session.sigmas:
-            made[kind.sigma] = session.sigmas[kind.name]
-    return made
 
 
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
@@ -109,10 +96,17 @@ _INDEX = ("index", "approach", "repeat_id")
 _COVARIANCE = (*_VARIANCE, "cov_xy", "cov_xz", "cov_yz")
 
 
-def read_csv(path: str | Path, arm: Arm) -> Session:
+def read_csv(
+    path: str | Path, arm: Arm, touch_distances: tuple[KnownDistance, ...] = ()
+) -> Session:
+    """Read a session from a CSV file; effects count the time from its first row.
+
+    Args:
+        touch_distances: known distances between the points that it touched.
+    """
     table = read_table(path)
     joints = joint_names(arm.n)
-    per_joint = (f"{w}_{q}" for w in ("approach", "run_up", "read") for q in joint_names(arm.n))
+    per_joint = (f"{word}_{q}" for word in ("approach", "run_up", "read") for q in joints)
     other = (*READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS)
     known = (*joints, *XYZ, *other, *per_joint)
     check_header(table.where, table.header, joints)
@@ -125,24 +119,31 @@ def read_csv(path: str | Path, arm: Arm) -> Session:
     check_unknown(table.where, names, known)
     columns, labels = recorded_besides(table, set(known))
     readings, sigmas = _read_readings(table)
-    blank = np.full(len(table), np.nan)
-    xyz = [table.lengths(k, blanks=True) if k in table.cells else blank for k in XYZ]
-    q = table.block(joints, "rad or m")
-    session = Session.record(
-        q=np.stack([table.lengths(name, "rad or m") for name in joints], axis=-1),
-        xyz=np.stack(xyz, axis=-1),
+    blank = np.full((len(table), 1), np.nan)
+    xyz = [table.lengths([k], blanks=True) if k in table.cells else blank for k in XYZ]
+    q = table.lengths(joints, "rad or m")
+    sides = read_approach(table, arm.n)
+    sigma = None
+    if table.has(SIGMA):
+        sigma = table.block(SIGMA, "m, above 0", True, lambda v: v > 0)
+    elif table.has(_VARIANCE):
+        sigma = np.sqrt(table.block(_VARIANCE, "m^2, above 0", True, lambda v: v > 0))
+    return Session.record(
+        q=q,
+        xyz=np.hstack(xyz),
         index=table.integers("index") if "index" in table.cells else None,
-        approach=read_approach(table, arm.n),
-        run_up=_run_up(table, q),
+        approach=sides,
+        run_up=_read_run_up(table, q, sides),
         repeat_id=table.integers("repeat_id", -1) if "repeat_id" in table.cells else None,
-        sigma=_sigma(table),
+        sigma=sigma,
         columns=columns,
         labels=labels,
         source=table.where,
         readings=readings,
         sigmas=sigmas,
+        touch_distances=touch_distances,
+        begun_s=float(columns["t_s"][0]) if "t_s" in columns else 0.0,
     )
-    return session if session.t_s is None else replace(session, begun_s=float(session.t_s[0]))
 
 
 def write_csv(session: Session, path: str | Path) -> None:
@@ -155,7 +156,11 @@ def write_csv(session: Session, path: str | Path) -> None:
         columns.update({f"run_up_{name}": session.run_up[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.q[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.xyz[:, j] for j, name in enumerate(XYZ)})
-    columns.update(_written_readings(session))
+    for kind in (*_FURTHER, *(KINDS[f"read_q{k + 1}"] for k in session.read_joints)):
+        if kind.name in session.readings:
+            columns.update(zip(kind.cells, session.readings[kind.name].T, strict=True))
+        if kind.name in session.sigmas:
+            columns[kind.sigma] = session.sigmas[kind.name]
     columns["repeat_id"] = [None if r < 0 else r for r in session.repeat_id]
     if session.sigma is not None:
         columns.update({name: session.sigma[:, j] for j, name in enumerate(SIGMA)})
@@ -173,14 +178,14 @@ def joint_names(n: int) -> tuple[str, ...]:
 def recorded_besides(
     table: Table, known: set[str]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Numbers and texts that were recorded besides; a column that is blank throughout is absent."""
+    """Read further numbers and texts; a column that is blank throughout is absent."""
     columns: dict[str, np.ndarray] = {}
     labels: dict[str, np.ndarray] = {}
     for name in table.header:
         if table.blank(name).all():
             continue
         if name in UNITS:
-            columns[name] = _circumstance(table, name)
+            columns[name] = _read_circumstance(table, name)
         elif name in LABELS or (name not in known and not table.is_numeric(name)):
             labels[name] = np.array(table.cells[name])
         elif name not in known or name in ("cov_xy", "cov_xz", "cov_yz"):
@@ -189,12 +194,11 @@ def recorded_besides(
     return columns, labels
 
 
-def _circumstance(table: Table, name: str) -> np.ndarray:
+def _read_circumstance(table: Table, name: str) -> np.ndarray:
     lower, upper = range_of(name)
     unit = UNITS[name] + (f" of {lower:g} to {upper:g}" if math.isfinite(upper) else "")
-    return table.numbers(
-        name, f"{unit}, in every row or in none", False, lambda v: lower <= v <= upper
-    )
+    unit += ", in every row or in none"
+    return table.numbers(name, unit, False, lambda v: lower <= v <= upper)
 
 
 def approach_names(n: int) -> tuple[str, ...]:
@@ -202,51 +206,39 @@ def approach_names(n: int) -> tuple[str, ...]:
     return tuple(f"approach_{name}" for name in joint_names(n))
 
 
-def read_approach(table: Table, n: int) -> np.ndarray | None:
-    """Sides as a table has them: (N,) for all joints, (N, n) per joint, or None."""
+def read_approach(table: Table, n: int) -> np.ndarray:
+    """Read sides of arrival: (N,) for all joints or (N, n), as a table has them; 0 where none."""
 
-    def side(value: float) -> bool:
+    def is_side(value: float) -> bool:
         return value in (-1.0, 0.0, 1.0)
 
     per_joint = approach_names(n)
     if "approach" in table.cells:
-        common = table.numbers("approach", "+1 from below, -1 from above", True, side)
+        common = table.numbers("approach", "+1 from below, -1 from above", True, is_side)
         if not table.has(per_joint):
-            return common
+            return np.nan_to_num(common)
         raise InputError(table.where, "column approach", "beside approach_q1", "one of the two")
     if not table.has(per_joint):
-        return None
-    return table.block(per_joint, "+1 from below, -1 from above, 0 unknown", False, side)
+        return np.zeros(len(table))
+    return table.block(per_joint, "+1 from below, -1 from above, 0 unknown", False, is_side)
 
 
-def _sigma(table: Table) -> np.ndarray | None:
-    for names, power in ((SIGMA, 1.0), (_VARIANCE, 0.5)):
-        if table.has(names):
-            unit = "m, above 0" if power == 1.0 else "m^2, above 0"
-            return table.block(names, unit, True, lambda v: v > 0) ** power
-    return None
-
-
-def _run_up(table: Table, q: np.ndarray) -> np.ndarray | None:
-    """Where the last approaches began; a side of arrival that contradicts one is refused."""
-    n = q.shape[1]
-    names = [f"run_up_{name}" for name in joint_names(n)]
+def _read_run_up(table: Table, q: np.ndarray, sides: np.ndarray) -> np.ndarray | None:
+    """Read where the last approaches began; a side of arrival that contradicts one is refused."""
+    names = [f"run_up_{name}" for name in joint_names(q.shape[1])]
     if not table.has(names):
         return None
-    made = table.block(names, "rad or m", True)
-    sides = read_approach(table, n)
-    if sides is None:
-        return made
-    told = np.nan_to_num(sides if sides.ndim == 2 else np.repeat(sides[:, None], n, axis=1))
-    wrong = ((q - made) * told < SAME_POSE) & (told != 0) & ~np.isnan(made)
+    begun = table.block(names, "rad or m", True)
+    each = np.broadcast_to(sides if sides.ndim == 2 else sides[:, None], q.shape)
+    wrong = ((q - begun) * each < SAME_POSE) & (each != 0) & ~np.isnan(begun)
     for row, joint in np.argwhere(wrong):
-        side = "below" if told[row, joint] > 0 else "above"
+        side = "below" if each[row, joint] > 0 else "above"
         raise table.error(row, names[joint], f"a place {side} q{joint + 1}, as approach says")
-    return made
+    return begun
 
 
 def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarray]:
-    """Sides (N, n) of arrival as `read_approach` reads them: one column where the joints' agree."""
+    """Return sides (N, n) as `read_approach` reads them: one column where the joints' agree."""
     if (sides == sides[:, :1]).all():
         return {"approach": [None if side == 0 else int(side) for side in sides[:, 0]]}
     return dict(zip(approach_names(sides.shape[1]), sides.T, strict=True))
@@ -259,7 +251,7 @@ _TOUCHES = "touches.yaml"
 
 
 def read_touches(session: Path) -> tuple[KnownDistance, ...]:
-    """What the file in a bag's folder, or beside a session, says; nothing where there is none."""
+    """Read the file in a bag's folder, or beside a session; nothing where there is none."""
     for folder in (session, session.parent):
         path = folder / _TOUCHES
         if path.is_file():

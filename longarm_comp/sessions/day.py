@@ -14,14 +14,14 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.bag import decoded, in_namespace, open_bag, read_bag, recorded
+from longarm_comp.sessions.bag import decode, in_namespace, open_bag, raw_messages, read_bag
 
 _ASKED, _SAID = "compensation", "diagnostics"
 
 
 @dataclass(frozen=True)
 class Notice:
-    """What a part of a node said, from its first time to its last; numbers as they were at last."""
+    """A text of a part of a node, from its first time to its last; numbers as they were at last."""
 
     first_s: float
     last_s: float
@@ -48,19 +48,23 @@ class Day:
     said: tuple[Notice, ...] = ()
 
     def by_hour(self) -> list[dict[str, Any]]:
-        """A row an hour and one of the whole: targets, those seen, errors in mm."""
+        """Return a row an hour and one of the whole: targets, those seen, errors in mm."""
         hour = (self.t_s // 3600).astype(int)
-        rows = [_row(f"{h}-{h + 1} h", self.error_mm[hour == h]) for h in np.unique(hour)]
-        return [*rows, _row("all", self.error_mm)]
-
-
-def _row(name: str, error: np.ndarray) -> dict[str, Any]:
-    seen = error[np.isfinite(error)]
-    figures: list[Any] = [None, None, None]
-    if len(seen):
-        figures = [float(seen.mean()), float(np.percentile(seen, 95)), float(seen.max())]
-    made = {"hours": name, "targets": len(error), "seen": len(seen)}
-    return made | dict(zip(("mean_mm", "p95_mm", "max_mm"), figures, strict=True))
+        parts = [(f"{h}-{h + 1} h", self.error_mm[hour == h]) for h in np.unique(hour)]
+        rows = []
+        for name, error in (*parts, ("all", self.error_mm)):
+            seen = error[np.isfinite(error)]
+            rows.append(
+                {
+                    "hours": name,
+                    "targets": len(error),
+                    "seen": len(seen),
+                    "mean_mm": float(seen.mean()) if len(seen) else None,
+                    "p95_mm": float(np.percentile(seen, 95)) if len(seen) else None,
+                    "max_mm": float(seen.max()) if len(seen) else None,
+                }
+            )
+        return rows
 
 
 def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str, ...]) -> Day:
@@ -78,12 +82,10 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
     asked: list[tuple[float, Any]] = []
     with open_bag(path) as reader:
         start = reader.start_time
-        wanted = [
-            c for c in reader.connections
-            if c.topic.endswith(f"/{_SAID}")
-            or (c.topic.endswith(f"/{_ASKED}") and in_namespace(c.topic, namespace))
-        ]  # fmt: skip
-        for name, stamp, message in decoded(recorded(reader, wanted), arm, str(path)):
+        own = [c for c in reader.connections if in_namespace(c.topic, namespace)]
+        wanted = [c for c in own if c.topic.endswith(f"/{_ASKED}")]
+        wanted += [c for c in reader.connections if c.topic.endswith(f"/{_SAID}")]
+        for name, stamp, message in decode(raw_messages(reader, wanted), arm, str(path)):
             t = (stamp - start) * 1e-9
             if name == _ASKED:
                 asked.append((t, message))

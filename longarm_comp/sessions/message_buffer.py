@@ -12,6 +12,7 @@ from array import array
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -25,6 +26,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import moment
 
 T = TypeVar("T", bound=tuple[Any, ...])
+_time = itemgetter(0)
+"""The time (s) of a sighting or row."""
 
 TYPES = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
@@ -52,14 +55,14 @@ class SessionRow(BaseModel):
     sigmas: dict[str, float] = {}
 
 
-class _Held:
+class _Steps:
     """A quantity that keeps its value until the next message."""
 
     def __init__(self, first: float) -> None:
         self.first = first
         self._times, self._values = array("d"), array("d")
 
-    def tell(self, t: float, value: float) -> None:
+    def set(self, t: float, value: float) -> None:
         """Set the value from time `t` (s) on."""
         self._times.append(t)
         self._values.append(value)
@@ -94,27 +97,28 @@ class MessageBuffer:
     sightings: list[Sighting] = field(default_factory=list)  # by the time they were taken
     rows: list[tuple[float, SessionRow]] = field(default_factory=list)
     """Contents of `session_row` messages, by time."""
-    columns: dict[str, _Held] = field(default_factory=dict)  # temperature, payload, inclinations
+    columns: dict[str, _Steps] = field(default_factory=dict)  # temperature, payload, inclinations
     frames: set[str] = field(default_factory=set)  # of the sightings
     sent: np.ndarray | None = None  # (n,) end of the last command that counted
 
     def __post_init__(self) -> None:
-        """One reader per topic of `TYPES`."""
-        self._readers = {name: getattr(self, f"_{name}") for name in TYPES}
         self._times, self._joints = array("d"), array("d")
         self._received_ns = self.start_ns
 
     def take(self, topic: str, stamp_ns: int, message: Any) -> None:
         """Read one message of the topic whose name ends in this."""
         self._received_ns = stamp_ns
-        self._readers[topic](self._since_start(stamp_ns), message)
-
-    def _since_start(self, ns: int) -> float:
-        return (ns - self.start_ns) * 1e-9
+        t = (stamp_ns - self.start_ns) * 1e-9
+        if topic == "temperature":
+            self._set_column("temperature_c", t, message.temperature)
+        elif topic == "payload":
+            self._set_column("payload_kg", t, message.data)
+        else:
+            getattr(self, f"_take_{topic}")(t, message)
 
     def _moment(self, stamp_ns: int) -> float:
         """Time (s) of the message at hand."""
-        return self._since_start(moment(stamp_ns, self._received_ns))
+        return (moment(stamp_ns, self._received_ns) - self.start_ns) * 1e-9
 
     def states_between(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
         """Times (m,) and measured joints (m, n) after `begin` and before `end`."""
@@ -129,10 +133,10 @@ class MessageBuffer:
             del records[: bisect_right(records, until, key=_time)]  # type: ignore[call-overload]
         past = bisect_right(self._times, until)
         del self._times[:past], self._joints[: past * self.arm.n]
-        for held in self.columns.values():
-            held.forget(until)
+        for steps in self.columns.values():
+            steps.forget(until)
 
-    def _joint_trajectory(self, t: float, message: Any) -> None:
+    def _take_joint_trajectory(self, t: float, message: Any) -> None:
         names, known = list(message.joint_names), self.arm.joint_names
         if sorted(names) != sorted(known):
             allowed = f"{', '.join(known)} of arm {self.arm.name}"
@@ -153,9 +157,9 @@ class MessageBuffer:
             self.commands.append((min(t, self._moment(_stamp_ns(message))), q))  # not one to come
             self.sent = q[-1]
 
-    def _joint_states(self, t: float, told: tuple[int, tuple[float, ...] | None]) -> None:
-        """Stamp and positions in the arm's order, from `JointStates`; None: not of this arm."""
-        stamp_ns, positions = told
+    def _take_joint_states(self, t: float, message: tuple[int, tuple[float, ...] | None]) -> None:
+        """Take stamp and positions in the arm's order, from `JointStates`; None: of another arm."""
+        stamp_ns, positions = message
         if positions is not None and self.commands:
             at = self._moment(stamp_ns)
             place = bisect_right(self._times, at)  # nearly always the end
@@ -163,46 +167,34 @@ class MessageBuffer:
             n = self.arm.n
             self._joints[place * n : place * n] = array("d", positions)
 
-    def _tip_measured(self, t: float, message: Any) -> None:
+    def _take_tip_measured(self, t: float, message: Any) -> None:
         p = message.pose.pose.position
         xyz = np.array([p.x, p.y, p.z])
         if np.isinf(xyz).any() or np.isnan(xyz).any() != np.isnan(xyz).all():
             raise self._error("tip_measured", t, xyz, "finite, or NaN in x, y and z")
         covariance = np.asarray(message.pose.covariance, dtype=float)
-        variance = covariance[[0, 7, 14]]
-        turned, turn_variance = self._orientation(t, message.pose.pose.orientation, covariance)
-        taken = self._moment(_stamp_ns(message))
-        insort(self.sightings, Sighting(taken, xyz, variance, turned, turn_variance), key=_time)
+        turn, turn_variance = np.full(4, np.nan), 0.0
+        spread = covariance[[21, 28, 35]]
+        if np.isfinite(spread).all() and (spread > 0).all():  # it says how well it is known
+            o = message.pose.pose.orientation
+            turn, turn_variance = np.array([o.x, o.y, o.z, o.w]), float(spread.mean())
+            if not quaternion.is_unit(turn):
+                raise self._error("tip_measured orientation", t, turn, "a quaternion of length 1")
+        at = self._moment(_stamp_ns(message))
+        sighting = Sighting(at, xyz, covariance[[0, 7, 14]], turn, turn_variance)
+        insort(self.sightings, sighting, key=_time)
         self.frames.add(message.header.frame_id)
 
-    def _orientation(
-        self, t: float, orientation: Any, covariance: np.ndarray
-    ) -> tuple[np.ndarray, float]:
-        """The orientation where the message states how well it is known, and its variance."""
-        spread = covariance[[21, 28, 35]]
-        if not (np.isfinite(spread).all() and (spread > 0).all()):
-            return np.full(4, np.nan), 0.0
-        turn = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
-        if not quaternion.is_unit(turn):
-            raise self._error("tip_measured orientation", t, turn, "a quaternion of length 1")
-        return turn, float(spread.mean())
-
-    def _temperature(self, t: float, message: Any) -> None:
-        self._hold("temperature_c", t, message.temperature)
-
-    def _payload(self, t: float, message: Any) -> None:
-        self._hold("payload_kg", t, message.data)
-
-    def _inclination(self, t: float, message: Any) -> None:
-        """Tilt about x and y of the frame that the message names, from its orientation."""
+    def _take_inclination(self, t: float, message: Any) -> None:
+        """Take the tilt about x and y of the named frame, from its orientation."""
         o = message.orientation
         frame = re.sub(r"\W+", "_", message.header.frame_id)
         frame = "0" if frame in ("", "base") else frame
         roll, pitch = quaternion.tilt(np.array([o.x, o.y, o.z, o.w]))
-        self._hold(f"incl_{frame}_x", t, roll)
-        self._hold(f"incl_{frame}_y", t, pitch)
+        self._set_column(f"incl_{frame}_x", t, roll)
+        self._set_column(f"incl_{frame}_y", t, pitch)
 
-    def _session_row(self, t: float, message: Any) -> None:
+    def _take_session_row(self, t: float, message: Any) -> None:
         try:
             insort(self.rows, (t, SessionRow.model_validate_json(message.data)), key=_time)
         except ValidationError as error:
@@ -210,10 +202,10 @@ class MessageBuffer:
             allowed = f"{' '.join(map(str, fault['loc']))}: {fault['msg']}"
             raise self._error("session_row", t, message.data, allowed) from error
 
-    def _hold(self, name: str, t: float, value: float) -> None:
+    def _set_column(self, name: str, t: float, value: float) -> None:
         if not math.isfinite(value):
             raise self._error(name, t, value, "a finite number")
-        self.columns.setdefault(name, _Held(value)).tell(t, value)
+        self.columns.setdefault(name, _Steps(value)).set(t, value)
 
     def _error(self, what: str, t: float, value: object, allowed: str) -> InputError:
         return InputError(self.where, f"{what} at {t:.3f} s", value, allowed)
@@ -222,10 +214,6 @@ class MessageBuffer:
 def _stamp_ns(message: Any) -> int:
     stamp = message.header.stamp
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
-
-
-def _time(record: tuple[Any, ...]) -> float:
-    return float(record[0])
 
 
 def between(records: list[T], begin: float, end: float) -> list[T]:

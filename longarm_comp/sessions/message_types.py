@@ -33,7 +33,8 @@ _NEVER = QosTime(9223372036, 854775807)
 
 
 def offered(depth: int = 10, *, latched: bool = False) -> Qos:
-    """As the graph's publishers offer it: reliable; the last messages for late ones if latched."""
+    """Return the quality of service of the graph's publishers: reliable; if latched, late ones get
+    the last messages."""
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=depth,
@@ -52,7 +53,7 @@ INTERFACES = "longarm_interfaces"
 
 @cache
 def message_types() -> Typestore:
-    """Jazzy's types and, where its message text is found, those of `longarm_interfaces`."""
+    """Return Jazzy's types and, where its message text is found, those of `longarm_interfaces`."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in interface_files():
         name = f"{INTERFACES}/msg/{path.stem}"
@@ -61,7 +62,7 @@ def message_types() -> Typestore:
 
 
 def interface_files() -> list[Path]:
-    """The .msg files of `longarm_interfaces`: installed, in an overlay, or in the source tree."""
+    """Find the .msg files of `longarm_interfaces`: installed, in an overlay or the source tree."""
     for place in interface_folders(INTERFACES, "msg"):
         found = sorted(place.glob("*.msg"))
         if found:
@@ -74,12 +75,12 @@ CLOCKS_APART = 60.0
 
 
 def moment(stamp_ns: int, received_ns: int) -> int:
-    """Time (ns) of a message that was stamped and received then; a stamp of 0 is none."""
+    """Return the time (ns) of a message, stamped and received then; a stamp of 0 is none."""
     return stamp_ns if abs(stamp_ns - received_ns) < CLOCKS_APART * 1e9 else received_ns
 
 
 def stamp_of_raw(raw: bytes) -> int:
-    """Stamp (ns) of a serialised message that begins with a header."""
+    """Return the stamp (ns) of a serialised message that begins with a header."""
     seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
     return int(seconds) * 10**9 + int(rest)
 
@@ -112,33 +113,26 @@ class JointStates:
         self._layouts: deque[_Layout] = deque(maxlen=8)  # the latest first
 
     def __call__(self, raw: bytes) -> tuple[int, Numbers | None]:
-        """Stamp (ns) and positions (n,) in the arm's order; None where one of its joints lacks."""
+        """Read stamp (ns) and positions (n,) in the arm's order; None where a joint lacks."""
         stamp_ns = stamp_of_raw(raw)
         for known in self._layouts:
             if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:
-                return stamp_ns, _picked(known.numbers.unpack_from(raw, known.begin), known.order)
+                return stamp_ns, _pick(known.numbers.unpack_from(raw, known.begin), known.order)
         message: Any = self._types.deserialize_cdr(raw, KIND)
         place = {name: k for k, name in enumerate(message.name[: len(message.position)])}
         order = [place[name] for name in self._names if name in place]
         order = order if len(order) == len(self._names) else []
-        layout = self._layout(raw, message, order)
-        if layout is not None:
-            self._layouts.appendleft(layout)
-        return stamp_ns, _picked(tuple(map(float, message.position)), order)
-
-    def _layout(self, raw: bytes, message: Any, order: list[int]) -> _Layout | None:
-        """Find the offset of the positions: serialise marks in their place and search them."""
-        count = len(message.position)
-        marks = 1.5 + np.arange(count)
+        # The offset of the positions: marks are serialised in their place and searched
+        marks = 1.5 + np.arange(len(message.position))
         probe = dataclasses.replace(message, position=marks)
         written = bytes(self._types.serialize_cdr(probe, KIND))
-        begin = written.find(marks.tobytes()) if count else -1
+        begin = written.find(marks.tobytes()) if len(marks) else -1
         alike = all(written[part] == raw[part] for part in (_ENCODING, slice(_STAMP, begin)))
-        if begin < 0 or not alike:
-            return None
-        numbers = struct.Struct(f"<{count}d")
-        return _Layout(bytes(raw[_ENCODING]), bytes(raw[_STAMP:begin]), begin, numbers, order)
+        if begin >= 0 and alike:
+            numbers, head = struct.Struct(f"<{len(marks)}d"), bytes(raw[_STAMP:begin])
+            self._layouts.appendleft(_Layout(bytes(raw[_ENCODING]), head, begin, numbers, order))
+        return stamp_ns, _pick(tuple(map(float, message.position)), order)
 
 
-def _picked(values: Numbers, order: list[int]) -> Numbers | None:
+def _pick(values: Numbers, order: list[int]) -> Numbers | None:
     return tuple([values[k] for k in order]) if order else None

@@ -22,7 +22,7 @@ FILE = "next_poses.csv"
 
 
 def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
-    """The first n poses of a diagnosis' ``next_poses.csv``, most informative first."""
+    """Read the first n poses of a diagnosis' ``next_poses.csv``, most informative first."""
     path = Path(folder) / FILE
     if not path.is_file():
         raise InputError(path, "file", "missing", "a diagnosis that asks for poses writes it")
@@ -60,8 +60,7 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     for row, j in zip(*np.nonzero(outside & inside), strict=True):
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} (limits of {arm.joint_names[j]})"
         raise table.error(row, joints[j], limits)
-    sides = read_approach(table, arm.n)
-    approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
+    approach = read_approach(table, arm.n)
     payload = table.numbers("payload_kg", "kg") if "payload_kg" in table.cells else None
     if payload is not None:
         check_circumstance(arm, "payload_kg", payload, table.where)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from longarm_comp.sessions.table import read_table
 
 
 def read_session(path: str | Path, arm: Arm) -> Session:
-    """A CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
+    """Read a CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
 
     ``touches.yaml`` beside it holds known distances of the points that it touched.
 
@@ -23,13 +23,12 @@ def read_session(path: str | Path, arm: Arm) -> Session:
         InputError: it cannot be read in the format of its name.
     """
     path = Path(path)
-    if _is_bag(path):
-        from longarm_comp.sessions.bag import read_bag  # a CSV needs none of its libraries
+    touch_distances = read_touches(path)
+    if not _is_bag(path):
+        return read_csv(path, arm, touch_distances)
+    from longarm_comp.sessions.bag import read_bag  # a CSV needs none of its libraries
 
-        session = read_bag(path, arm)
-    else:
-        session = read_csv(path, arm)
-    return replace(session, touch_distances=read_touches(path))
+    return read_bag(path, arm, touch_distances=touch_distances)
 
 
 def _is_bag(path: Path) -> bool:
@@ -38,7 +37,7 @@ def _is_bag(path: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _RecordedRing:
-    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
+    """A ring, seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
 
     times: np.ndarray
     seen: np.ndarray
@@ -47,25 +46,21 @@ class _RecordedRing:
 
 
 def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
-    """A ring after a move: a CSV with t_s and x, y, z of the tip, or read_q1..qn; or a bag.
+    """Read a ring after a move: a CSV with t_s and x, y, z of the tip, or read_q1..qn; or a bag.
 
     Rows with a blank are left out. Of a bag it is the ring after the last command, from where the
     joints stand: of the tip, or of the joints where it was not seen often enough.
     """
     path = Path(path)
-    if _is_bag(path):
-        return _ring_of_bag(path, arm)
-    table = read_table(path)
-    readings = [f"read_q{joint}" for joint in range(1, arm.n + 1)]
-    of_joints = table.has(readings)
-    names = readings if of_joints else list("xyz")
-    (times,) = table.block(("t_s",), "s").T
-    seen = table.block(names, "rad or m" if of_joints else "m", True)
-    kept = np.isfinite(seen).all(axis=1)
-    return _RecordedRing(times[kept], seen[kept], of_joints)
-
-
-def _ring_of_bag(path: Path, arm: Arm) -> _RecordedRing:
+    if not _is_bag(path):
+        table = read_table(path)
+        readings = [f"read_q{joint}" for joint in range(1, arm.n + 1)]
+        of_joints = table.has(readings)
+        names = readings if of_joints else list("xyz")
+        (times,) = table.block(("t_s",), "s").T
+        seen = table.block(names, "rad or m" if of_joints else "m", True)
+        kept = np.isfinite(seen).all(axis=1)
+        return _RecordedRing(times[kept], seen[kept], of_joints)
     from longarm_comp.core.data.rest import still_since
     from longarm_comp.core.vibration.seen import LEAST
     from longarm_comp.sessions.bag import read_last
@@ -78,9 +73,9 @@ def _ring_of_bag(path: Path, arm: Arm) -> _RecordedRing:
         allowed = "what tells when the joints stand after the last command"
         raise InputError(str(path), "joint_states", "no message", allowed)
     since = still_since(times, joints, begin)
-    seen = [s for s in between(buffer.sightings, since, np.inf) if np.isfinite(s.xyz).all()]
-    if len(seen) >= LEAST:
-        at, xyz = np.array([s.t for s in seen]), np.array([s.xyz for s in seen])
+    tips = [s for s in between(buffer.sightings, since, np.inf) if np.isfinite(s.xyz).all()]
+    if len(tips) >= LEAST:
+        at, xyz = np.array([s.t for s in tips]), np.array([s.xyz for s in tips])
         return _RecordedRing(at, xyz, False, points[-1])
     stands = times > since
     return _RecordedRing(times[stands], joints[stands], True, points[-1])

@@ -49,7 +49,7 @@ class Table:
         return InputError(self.where, f"line {self.lines[row]}, {column}", value, allowed)
 
     def blank(self, column: str) -> np.ndarray:
-        """(N,) whether a cell is empty; all True if there is no such column."""
+        """Tell (N,) whether a cell is empty; all True if there is no such column."""
         if column not in self.cells:
             return np.ones(len(self), dtype=bool)
         return np.array([not cell for cell in self.cells[column]])
@@ -61,7 +61,7 @@ class Table:
         blanks: bool = False,
         test: Callable[[float], bool] | None = None,
     ) -> np.ndarray:
-        """(N,) numbers; an empty cell is NaN where `blanks` are allowed."""
+        """Return (N,) numbers; an empty cell is NaN where `blanks` are allowed."""
         allowed = f"a finite number ({unit})" + (", or blank" if blanks else "")
         values = np.empty(len(self))
         for row, cell in enumerate(self.cells[column]):
@@ -84,31 +84,30 @@ class Table:
         blanks: bool = False,
         test: Callable[[float], bool] | None = None,
     ) -> np.ndarray:
-        """(N, k) numbers of columns that all must be there."""
+        """Return (N, k) numbers of columns that all must be there."""
         check_header(self.where, self.header, columns)
         return np.stack([self.numbers(name, unit, blanks, test) for name in columns], axis=-1)
 
     def has(self, columns: Collection[str]) -> bool:
-        """Whether any of these columns is there."""
+        """Tell whether any of these columns is there."""
         return not set(columns).isdisjoint(self.cells)
 
-    def lengths(self, column: str, unit: str = "m", blanks: bool = False) -> np.ndarray:
-        """(N,) coordinates or joints, as `numbers`, up to `FARTHEST`."""
-        return self.numbers(
-            column, f"{unit}, up to {FARTHEST:g}", blanks, lambda v: abs(v) <= FARTHEST
-        )
+    def lengths(self, columns: Sequence[str], unit: str = "m", blanks: bool = False) -> np.ndarray:
+        """Return (N, k) coordinates or joints, as `block` does, up to `FARTHEST`."""
+        unit = f"{unit}, up to {FARTHEST:g}"
+        return self.block(columns, unit, blanks, lambda v: abs(v) <= FARTHEST)
 
     def integers(self, column: str, blank: int | None = None) -> np.ndarray:
-        """(N,) whole numbers; an empty cell becomes `blank` where that is given."""
+        """Return (N,) whole numbers; an empty cell becomes `blank` where that is given."""
 
-        def whole(value: float) -> bool:
+        def is_whole(value: float) -> bool:
             return value.is_integer() and abs(value) < 2**53
 
-        values = self.numbers(column, "whole", blank is not None, whole)
+        values = self.numbers(column, "whole", blank is not None, is_whole)
         return np.where(np.isnan(values), -1 if blank is None else blank, values).astype(np.int64)
 
     def is_numeric(self, column: str) -> bool:
-        """Whether every filled cell of a column reads as a number."""
+        """Tell whether every filled cell of a column reads as a number."""
         try:
             for cell in filter(None, self.cells[column]):
                 float(cell)
@@ -168,17 +167,9 @@ def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence
 def fill_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write what `write_table` writes, into a file that is made whole by others."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
+        writer = csv.writer(file, lineterminator="\n")  # None is blank; NaN, unequal to itself, too
         writer.writerow(header)
-        writer.writerows([_text(value) for value in row] for row in rows)
-
-
-def _text(value: object) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, (float, np.floating)):
-        return "" if math.isnan(value) else repr(float(value))
-    return str(value)
+        writer.writerows([None if value != value else value for value in row] for row in rows)
 
 
 # ------------------------------------------------------------------ names of columns
@@ -200,12 +191,12 @@ def check_header(where: str, header: Sequence[str], required: Collection[str]) -
             hint = f" (is it {near}?)" if near else ""
             allowed = " ".join(required)
             if "q1" in (*required, *header):  # a session, which it converts
-                allowed += _conversion(where, header)
+                allowed += _suggest_conversion(where, header)
             raise InputError(where, f"column {name}", f"missing{hint}", allowed)
 
 
-def _conversion(where: str, header: Sequence[str]) -> str:
-    """The call that converts a table of another program, where its names look like one's."""
+def _suggest_conversion(where: str, header: Sequence[str]) -> str:
+    """Return the call that converts a table of another program, where its names look like one's."""
     split = [split_name(name) for name in header]
     suffixed = [unit for name, unit in split if unit is not None and _FOREIGN.fullmatch(name)]
     bare = [name for name, unit in split if unit is None and _FOREIGN.fullmatch(name)]
@@ -233,19 +224,20 @@ def check_unknown(where: str, names: Collection[str], known: Collection[str]) ->
 
 
 def nearest(name: str, known: Collection[str]) -> str | None:
-    """The known name that `name` most likely means, or None."""
-    plain = _plain(name)
-    stems = {plain, _plain(split_name(name)[0])}
+    """Return the known name that `name` most likely means, or None."""
+    plain = plain_name(name)
+    stems = {plain, plain_name(split_name(name)[0])}
     for candidate in known:
         without = re.sub(r"_id$", "", split_name(candidate)[0])
-        if stems & {_plain(candidate), _plain(without)}:
+        if stems & {plain_name(candidate), plain_name(without)}:
             return candidate
     wrong = 2 if len(plain) >= 8 else 1
-    spelt = {_plain(candidate): candidate for candidate in known}
+    spelt = {plain_name(candidate): candidate for candidate in known}
     alike = [text for text in spelt if abs(len(text) - len(plain)) <= wrong and len(plain) >= 4]
     close = get_close_matches(plain, alike, 1, 1 - (wrong + 1e-9) / max(len(plain), 4))
     return spelt[close[0]] if close else None
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
+    """Return the letters and digits of a name, in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())

@@ -37,7 +37,7 @@ class Targets:
         return len(self.xyz)
 
     def context(self, n: int) -> Context:
-        """Circumstances of the targets for an arm of n joints: scalars are (N,) arrays."""
+        """Return circumstances of the targets for an arm of n joints: scalars are (N,) arrays."""
         return Context(
             approach=(self.approach,) * n if self.approach.any() else (),
             columns=self.columns,
@@ -46,7 +46,7 @@ class Targets:
 
     @classmethod
     def one(cls, numbers: Sequence[float]) -> Targets:
-        """One target from the command line: x y z, or x y z qx qy qz qw."""
+        """Read one target from the command line: x y z, or x y z qx qy qz qw."""
         values = np.asarray(numbers, dtype=float)
         if values.shape not in ((3,), (7,)) or not (np.abs(values) <= FARTHEST).all():
             allowed = f"x y z or x y z qx qy qz qw, up to {FARTHEST:g}"
@@ -75,18 +75,16 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
     known = (*XYZ, *QUATERNION, *UNITS, "approach", "index", "frame")
     check_header(table.where, table.header, required)
     check_unknown(table.where, table.header, known)
-    xyz = np.stack([table.lengths(name) for name in XYZ], axis=-1)
+    xyz = table.lengths(XYZ)
     quaternion = np.full((len(table), 4), np.nan)
     if len(required) > len(XYZ):
-        turns = [table.lengths(name, "unit quaternion", blanks=True) for name in QUATERNION]
-        quaternion = np.stack(turns, axis=-1)
+        quaternion = table.lengths(QUATERNION, "unit quaternion", blanks=True)
         length = np.linalg.norm(quaternion, axis=1)
         good = np.isnan(quaternion).all(axis=1) | (np.abs(length - 1) <= LENGTH_TOLERANCE)
         for row in np.flatnonzero(~good).tolist():
             raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
         quaternion = quaternion / length[:, None]
-    sides = read_approach(table, 0)
-    approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
+    approach = read_approach(table, 0)
     columns, labels = recorded_besides(table, set(known))
     index = table.integers("index") if "index" in table.cells else np.arange(len(table))
     frame = tuple(table.cells.get("frame", ()))

@@ -11,7 +11,15 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Vec3
-from longarm_comp.core.data.plan import Plan, above, filled, grid, outside_boxes, paper_grid, sobol
+from longarm_comp.core.data.plan import (
+    Plan,
+    fill_plan,
+    grid,
+    outside_boxes,
+    paper_grid,
+    sobol,
+    with_floor,
+)
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -73,7 +81,7 @@ def plan(
         InputError: n is out of range, no such kind, or the diagnosis asks for no poses.
         JobError: the rows measured so far could not be fitted; too few poses are allowed.
     """
-    within = arm if floor is None else above(arm, floor)
+    within = arm if floor is None else with_floor(arm, floor)
     kind = kind or ("sobol" if report is None else "next")
 
     def allowed(poses: Plan, where: Model) -> np.ndarray:
@@ -113,7 +121,7 @@ def plan(
     if kind not in _FILLING:
         raise InputError("plan", "kind", kind, ", ".join((*_FILLING, *_OPTIMAL)))
     make, most = _FILLING[kind]
-    return filled(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
+    return fill_plan(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
 
 
 def _of_diagnosis(report: inputs.FilePath) -> tuple[Path, Path | None]:

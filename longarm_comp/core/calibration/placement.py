@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data import touched
 from longarm_comp.core.data.kinds import KINDS, matrices
-from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
+from longarm_comp.core.data.lifted_base import lifted_base, multilaterate
 from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.registration import Sightings, median_distance, register
 from longarm_comp.core.data.session import Session
@@ -155,7 +155,7 @@ def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
             made.append(AnchorPlace(anchor=name))
     made += [SensorPlace(sensor=name) for name in _sensors(session)[1:]]
     made += [Encoder(joint=arm.commanded[k]) for k in session.read_joints]
-    return (*made, *touched.unknowns(arm, session))
+    return (*made, *touched.touched_terms(arm, session))
 
 
 def _bodies(arm: Arm, session: Session) -> list[tuple[str, str]]:
@@ -195,7 +195,7 @@ def started(model: Model, session: Session) -> Model:
     if not any(term.passing for term in model.biases):
         return model
     tips = model.tip(session.q, session.context())
-    return dataclasses.replace(model, biases=touched.started(model.biases, tips, session))
+    return dataclasses.replace(model, biases=touched.place_touched(model.biases, tips, session))
 
 
 def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
@@ -233,5 +233,5 @@ def _placed(term: AnchorPlace, model: Model, session: Session) -> AnchorPlace:
         allowed = "at least 4 where the anchor's place is to be solved"
         raise InputError(session.source, f"anchor {term.anchor}", f"{len(rows)} distances", allowed)
     tips = model.tip(rows.q, rows.context())
-    place = multilaterated(tips, rows.readings["distance"][:, 0])
+    place = multilaterate(tips, rows.readings["distance"][:, 0])
     return term.with_values(dict(zip("xyz", place, strict=True)))

@@ -95,8 +95,8 @@ def check_set_aside(final: ModelFit) -> SetAside:
     most = MOST_SHARING if found.shared_by else MOST_ASIDE
     if found.share > most:
         raise JobError(
-            f"{found.said}: a cause that this model lacks, not noise; correct arm.yaml or the rows "
-            "there, or let longarm diagnose look for it",
+            f"{found.summary}: a cause that this model lacks, not noise; correct arm.yaml or the "
+            "rows there, or let longarm diagnose look for it",
             session=final.session.source,
         )
     return found

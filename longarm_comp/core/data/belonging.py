@@ -45,7 +45,7 @@ _TRIED_ROWS = 100
 
 @dataclass(frozen=True)
 class _Belief:
-    """Whether rows fit the arm, its placement apart."""
+    """The fit of rows to the arm, its placement apart."""
 
     misfit: float
     """misfit, spread: median distance (m) of the rows as they are; of the sightings from their
@@ -60,7 +60,7 @@ class _Belief:
 
     @property
     def belong(self) -> bool:
-        """Whether the rows may be this arm's."""
+        """True if the rows may be this arm's."""
         near = self.misfit < _STRANGE_SHARE * self.spread
         return not self.mistake and near and self.stray < MOST_STRAYS
 
@@ -74,58 +74,57 @@ def believe(model: Model, session: Session) -> _Belief | None:
     if len(np.unique(seen.pose_id)) < MIN_POSES:
         return None
     found = register(Sightings.of(model, session))
-    distance = np.linalg.norm(found.residual, axis=1)
     spread = median_spread(seen.xyz)
-    least = max(_STRAY_RATIO * float(np.quantile(distance, 0.25)), _SUSPECT_SHARE * spread)
-    belief = _Belief(found.misfit, spread, float((distance > least).mean()))
-    if _off(found, spread) < _SUSPECT_SHARE * spread:
-        turned = _turned(model, session)
-        if turned is not None:
-            return dataclasses.replace(belief, mistake=turned[0], fall=turned[1])
+    least = max(_STRAY_RATIO * float(np.quantile(found.distance, 0.25)), _SUSPECT_SHARE * spread)
+    belief = _Belief(found.misfit, spread, float((found.distance > least).mean()))
+    if _mean_distance(found, spread) < _SUSPECT_SHARE * spread:
+        axes = _find_mistake_of_axes(model, session)
+        if axes is not None:
+            return dataclasses.replace(belief, mistake=axes[0], fall=axes[1])
         some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
-        return dataclasses.replace(belief, signs=_signs(model, seen.take(some), found.misfit))
-    parts = _parts(model, session, found)
-    told, undone = _mistakes_of(model, session, parts, spread)
-    if not told:
+        signs = _find_unknown_signs(model, seen.take(some), found.misfit)
+        return dataclasses.replace(belief, signs=signs)
+    parts = _split_at_shift(session, found)
+    names, undone = _find_mistakes(model, session, parts, spread)
+    if not names:
         return belief
-    left = np.linalg.norm(register(Sightings.of(model, undone)).residual, axis=1)
-    fall = f"{1e3 * distance.mean():.3g} -> {1e3 * left.mean():.3g} mm"
-    return dataclasses.replace(belief, mistake=" and ".join(told), fall=fall)
+    left = register(Sightings.of(model, undone)).distance.mean()
+    fall = f"{1e3 * found.distance.mean():.3g} -> {1e3 * left:.3g} mm"
+    return dataclasses.replace(belief, mistake=" and ".join(names), fall=fall)
 
 
-def _off(found: Registration, spread: float) -> float:
-    """Mean distance (m) of all rows, none farther off than a stranger's."""
-    distance = np.linalg.norm(found.residual, axis=1)
-    return float(np.minimum(distance, _STRANGE_SHARE * spread).mean())
+def _mean_distance(found: Registration, spread: float) -> float:
+    """Return the mean distance (m) of all rows, none farther off than a stranger's."""
+    return float(np.minimum(found.distance, _STRANGE_SHARE * spread).mean())
 
 
-def _mistakes_of(
+def _find_mistakes(
     model: Model, session: Session, parts: tuple[str, Session], spread: float
 ) -> tuple[list[str], Session]:
-    """The mistakes that explain much of the misfit, the most telling first, and rows without them.
+    """Find the mistakes that explain much of the misfit, the most telling first.
 
-    Another is looked for while what is left is suspect.
+    The rows are returned without them. Another is looked for while what is left is suspect.
     """
     rows = np.unique(np.linspace(0, len(session) - 1, _TRIED_ROWS).astype(int))
 
     def misfit(tried: Session) -> float:
-        return _off(register(Sightings.of(model, tried.take(rows))), spread)
+        return _mean_distance(register(Sightings.of(model, tried.take(rows))), spread)
 
-    told: list[str] = []
+    names: list[str] = []
     own = misfit(session)
-    while own > _SUSPECT_SHARE * spread and len(told) < session.n:
-        every = (*mistakes(model.arm, session), *(() if told else (parts,)))
+    while own > _SUSPECT_SHARE * spread and len(names) < session.n:
+        every = (*mistakes(model.arm, session), *(() if names else (parts,)))
         tried = [(misfit(undone), what, undone) for what, undone in every]
         best = min(left for left, *_ in tried)
         if best > _TELLING_SHARE * own:
             break
         own, what, session = next(t for t in tried if t[0] <= _ALIKE_RATIO * best)
-        told.append(what)
-    return told, session
+        names.append(what)
+    return names, session
 
 
-def _parts(model: Model, session: Session, found: Registration) -> tuple[str, Session]:
-    """The two parts, in order, whose rows are farthest apart, as measured from two bases.
+def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session]:
+    """Split the rows in the two parts, in order, that are farthest apart, as from two bases.
 
     The place is where the sums of the distances (bounded, as those of strangers are) from their
     median are largest (Page 1954, Biometrika 41).
@@ -161,9 +160,9 @@ def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
     return error
 
 
-def _turned(model: Model, session: Session) -> tuple[str, str] | None:
-    """How measured axes look written, with the fall of the error: None where they fit, or no row
-    has them beside a position."""
+def _find_mistake_of_axes(model: Model, session: Session) -> tuple[str, str] | None:
+    """Find how measured axes look written, with the fall of the error: None where they fit, or no
+    row has them beside a position."""
     rows = session.take(session.located & session.turned)
     if len(np.unique(rows.pose_id)) < MIN_POSES:
         return None
@@ -172,8 +171,8 @@ def _turned(model: Model, session: Session) -> tuple[str, str] | None:
     if own < SUSPECT_TURN:
         return None
     tried = []
-    for back, order in ((0, ""), (-1, "w, x, y, z read as x, y, z, w"),
-                        (1, "x, y, z, w read as w, x, y, z")):  # fmt: skip
+    swapped = (-1, "w, x, y, z read as x, y, z, w"), (1, "x, y, z, w read as w, x, y, z")
+    for back, order in ((0, ""), *swapped):
         for sign, way in ((1.0, ""), (-1.0, "inverted: the base in the tool")):
             values = np.roll(read * (sign, sign, sign, 1.0), back, axis=1)
             what = "qx, qy, qz, qw look " + " and ".join(filter(None, (order, way)))
@@ -186,22 +185,24 @@ def _turned(model: Model, session: Session) -> tuple[str, str] | None:
     return what, f"{1e3 * own:.4g} -> {1e3 * left:.3g} mrad"
 
 
-def _signs(model: Model, rows: Session, misfit: float) -> tuple[tuple[int, float], ...]:
-    """Moving joints that the rows would fit as well negated: their turn hardly moves the tip."""
+def _find_unknown_signs(
+    model: Model, rows: Session, misfit: float
+) -> tuple[tuple[int, float], ...]:
+    """Find moving joints that the rows would fit as well negated: they hardly move the tip."""
     made = dataclasses.replace(rows, xyz=model.tip(rows.q, rows.context()))
-    untold = []
+    unknown = []
     for j in np.flatnonzero(np.ptp(rows.q, axis=0) > 0):
         q = rows.q.copy()
         q[:, j] *= -1
         moved = register(Sightings.of(model, dataclasses.replace(made, q=q))).residual
         size = float(np.sqrt((moved**2).sum(axis=1).mean()))
         if size < misfit:
-            untold.append((int(j), size))
-    return tuple(untold)
+            unknown.append((int(j), size))
+    return tuple(unknown)
 
 
 def mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
-    """Each common mistake, and the session with it undone."""
+    """Yield each common mistake, and the session with it undone."""
     q, xyz = session.q, session.xyz
 
     def joint(j: int, values: np.ndarray) -> Session:

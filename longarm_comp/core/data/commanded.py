@@ -34,14 +34,14 @@ def commanded_errors(model: Model, session: Session, near: Posture | None = None
 
 
 def with_frame_shift(model: Model, session: Session) -> Model:
-    """The model with the mean of what its measuring side moves the rows of a session by."""
+    """Return the model with the mean of what its measuring side moves the rows of a session by."""
     moved = moved_by_measuring(model, session)
     x, y, z = moved.mean(axis=0).tolist() if len(moved) else (0.0, 0.0, 0.0)
     return dataclasses.replace(model, frame_shift=(x, y, z))
 
 
 def in_frame_of_start(model: Model, session: Session) -> Model:
-    """The model with targets in the frame of the session's first row, where it drifts for sure.
+    """Return the model with targets in the frame of the session's first row, if it drifts.
 
     The tip does not move with what measures it, and points are marked before a session.
     """
@@ -56,7 +56,7 @@ def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
     """(M, 3) m, what the measuring side moves the rows by that say where the tip is; none where
     the model has nothing there."""
     told = as_commanded(model)
-    return _moved(told, dataclasses.replace(told, biases=model.biases), session)
+    return _difference(told, dataclasses.replace(told, biases=model.biases), session)
 
 
 def moved_with_time(model: Model, session: Session) -> np.ndarray:
@@ -67,12 +67,12 @@ def moved_with_time(model: Model, session: Session) -> np.ndarray:
     """
     told = as_commanded(model)
     still = tuple(e for e in told.effects if e.joints or not {CLOCK, ORDER} & set(e.inputs))
-    moved = _moved(dataclasses.replace(told, effects=still), told, session)
+    moved = _difference(dataclasses.replace(told, effects=still), told, session)
     return moved - moved[-1:]
 
 
-def _moved(less: Model, more: Model, session: Session) -> np.ndarray:
-    """(M, 3) m, by how much a model moves more rows than one that lacks some of its terms."""
+def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
+    """Return (M, 3) m that a model moves rows by beyond one that lacks some of its terms."""
     if less.terms == more.terms:
         return np.zeros((0, 3))
     rows = own_way(session)
@@ -81,7 +81,7 @@ def _moved(less: Model, more: Model, session: Session) -> np.ndarray:
 
 
 def as_commanded(model: Model) -> Model:
-    """The model without what no command compensates: measuring side, circumstances never told.
+    """Return the model without what no command compensates: measuring side, what is never told.
 
     Frames of sensors and anchors stay: they say in which frame a row was measured.
     """
@@ -93,14 +93,14 @@ def as_commanded(model: Model) -> Model:
 
 
 def own_way(session: Session) -> Session:
-    """The rows without moves before the last that nobody recorded: only a side was told."""
+    """Return the rows without moves before the last that nobody recorded: only a side was told."""
     legs = session.legs.copy()
     legs[session.told != 0, 1:] = 0.0
     return dataclasses.replace(session, legs=legs)
 
 
 def not_commanded(model: Model, session: Session) -> list[str]:
-    """What `commanded_errors` leaves out of a model at these rows, in words."""
+    """Name what `commanded_errors` leaves out of a model at these rows."""
     said = [
         f"{term.name} {MEASURING_SIDE if isinstance(term, Bias) else NEVER_TOLD}"
         for term in model.terms

@@ -11,7 +11,7 @@ from longarm_comp.core.errors import InputError
 def blocked_split(
     session: Session, fraction: float = 0.2, rng: np.random.Generator | int = 0
 ) -> tuple[Session, Session]:
-    """Training set and hold-out in whole blocks of time.
+    """Split a session into training set and hold-out in whole blocks of time.
 
     The poses are divided into about 25 blocks, each pose with all of its visits. Blocks are drawn
     until the hold-out has `fraction` of the rows and 30 poses with a marker, but never more than a
@@ -21,7 +21,7 @@ def blocked_split(
         raise InputError("split", "fraction", fraction, "between 0 and 1")
     poses = len(np.unique(session.pose_id))
     if poses < 2:
-        raise InputError(session.source, "poses", poses, "at least 2 distinct poses to split")
+        raise session.error("poses", poses, "at least 2 distinct poses to split")
     block = blocks_of(session)
     held = np.zeros(len(session), dtype=bool)
     for drawn in np.random.default_rng(rng).permutation(np.unique(block)):
@@ -40,7 +40,7 @@ _RUN = 50
 
 
 def spread(session: Session, most: int) -> Session:
-    """At most so many rows: runs of neighbours, evenly over the session; all where they are few."""
+    """Take at most so many rows: runs of neighbours, evenly over the session."""
     runs = most // _RUN
     if len(session) <= most:
         return session
@@ -59,7 +59,7 @@ PLACED_APART = ("group", "marker", "sensor", "anchor")
 
 
 def blocks_of(session: Session) -> np.ndarray:
-    """(N,) number of the block of successive poses of each row, each pose with all its visits."""
+    """Number (N,) the rows by block of successive poses, each pose with all its visits."""
     _, first, inverse = np.unique(session.pose_id, return_index=True, return_inverse=True)
     poses = len(first)
     place = np.empty(poses, dtype=np.int64)
@@ -68,7 +68,7 @@ def blocks_of(session: Session) -> np.ndarray:
 
 
 def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """(N,) number of the fold in which each row is held out, by whole blocks.
+    """Return (N,) number of the fold in which each row is held out, by whole blocks.
 
     -1 of a row that is in every fit: the other folds do not tell where its marker, sensor or base
     is.
@@ -86,8 +86,8 @@ def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray
     return np.asarray(fold)
 
 
-def resampled(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """(count, N) how often each row counts where whole blocks are drawn with replacement."""
+def resample(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
+    """Draw (count, N) how often each row counts where whole blocks are drawn with replacement."""
     block = blocks_of(session)
     names, inverse = np.unique(block, return_inverse=True)
     share = np.full(len(names), 1.0 / len(names))

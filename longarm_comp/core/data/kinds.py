@@ -32,7 +32,7 @@ class Equations:
 
 
 class Kind(ABC):
-    """One kind of measurement."""
+    """A kind of measurement."""
 
     name: ClassVar[str]  # in messages, and in `Bias.sees`
     cells: ClassVar[tuple[str, ...]]  # the numbers of a reading, as columns of a file
@@ -50,25 +50,25 @@ class Kind(ABC):
     number: int = 0  # of that joint, from 1
 
     def measured(self, values: np.ndarray) -> np.ndarray:
-        """(N, k) which equations readings (N, c) hold; NaN is not measured."""
+        """Tell (N, k) which equations readings (N, c) hold; NaN is not measured."""
         whole = np.isfinite(values).all(axis=1, keepdims=True)
         return np.repeat(whole, len(self.scalars), axis=1)
 
     def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
-        """(N,) which readings cannot be, and what is allowed instead."""
+        """Tell (N,) which readings cannot be, and what is allowed instead."""
         return np.zeros(len(values), dtype=bool), ""
 
     def framed(self, arm: Arm) -> bool:
-        """Whether it measures in a frame of its own, in which the base is to be placed."""
+        """Tell whether it measures in a frame of its own, in which the base is to be placed."""
         return self.outside
 
     @abstractmethod
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
-        """Equations of readings (N, c); rows that are not measured may hold anything."""
+        """Return equations of readings (N, c); rows that are not measured may hold anything."""
 
 
 class _Position(Kind):
-    """One, two or three coordinates of the tip in the frame of the measurements."""
+    """The position: one, two or three coordinates of the tip in the frame of the measurements."""
 
     name = "position"
     cells = ("x", "y", "z")
@@ -189,7 +189,7 @@ class _Plane(Kind):
 
 
 class EncoderReading(Kind):
-    """Where the encoder of a joint says that it stands, rad (m of a slide), at rest."""
+    """The joint value that its encoder reads at rest, rad (m of a slide)."""
 
     unit = "rad"
     of_joint = True
@@ -222,7 +222,7 @@ KINDS: Mapping[str, Kind] = _Kinds(
 
 
 def across(directions: np.ndarray) -> np.ndarray:
-    """Two unit axes (N, 2, 3) across directions (N, 3), which NaN may stand for."""
+    """Return two unit axes (N, 2, 3) across directions (N, 3), which NaN may stand for."""
     known = np.where(np.isfinite(directions), directions, 1.0)
     along = known / np.linalg.norm(known, axis=1, keepdims=True)
     least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
@@ -232,7 +232,7 @@ def across(directions: np.ndarray) -> np.ndarray:
 
 
 def matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Rotation matrices (N, 3, 3) of x, y, z, w (N, 4); the identity where one is NaN."""
+    """Return rotation matrices (N, 3, 3) of x, y, z, w (N, 4); the identity where one is NaN."""
     from scipy.spatial.transform import Rotation  # not for a control program
 
     known = np.isfinite(quaternions).all(axis=1, keepdims=True)
@@ -241,13 +241,13 @@ def matrices(quaternions: np.ndarray) -> np.ndarray:
 
 
 def by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:
-    """What is declared under each of (N,) names, (N, ...)."""
+    """Return what is declared under each of (N,) names, (N, ...)."""
     known, which = np.unique(names, return_inverse=True)
     return np.array([declared(str(name)) for name in known])[which]
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
-    """Rotation vectors (N, 3) in rad of matrices (N, 3, 3); a common scale of one is left out.
+    """Return rotation vectors (N, 3) in rad of matrices (N, 3, 3), whatever the scale of each.
 
     NaN where a matrix is none of a rotation: not finite, or mirrored.
     """

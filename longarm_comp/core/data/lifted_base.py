@@ -1,4 +1,4 @@
-"""Where a base stands, from coordinates, distances, rays and axes, none of them a whole position.
+"""Places a base by coordinates, distances, rays and axes, none of them a whole position.
 
 With the base's rotation R and place p as twelve free numbers ("lifting"), most readings of a tip
 whose place o in the base is predicted are linear: ``c . (R o + p) = v``.  A coordinate has c along
@@ -45,14 +45,14 @@ class _LinearEquations(NamedTuple):
 def lifted_base(
     arm: Arm, points: np.ndarray, axes: np.ndarray, rows: Session
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and place (3,) m of the base that agree with what N rows of it measured.
+    """Return rotation (3, 3) and place (3,) m of the base that agree with N rows measured from it.
 
     What they do not determine is left as declared: the base unturned and at the origin.
 
     Args:
         points, axes: of N predicted tips in the base: (N, 3) m; (N, 3, 3) in columns.
     """
-    parts = (*_coordinates(points, rows), *_rays(arm, points, rows), *_anchors(arm, points, rows))
+    parts = _linear_equations(arm, points, rows)
     found = _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
     turn = _by_axes(axes, rows)
     if turn is None:
@@ -61,11 +61,11 @@ def lifted_base(
     return turn, _robust(found.direction, right) if len(right) else np.zeros(3)
 
 
-def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Place (3,) of the anchor at N >= 4 distances (N,) from points (N, 3), m, outliers apart."""
+def multilaterate(points: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Return the place (3,) of an anchor by N >= 4 distances (N,) from points (N, 3), m."""
     kept = np.ones(len(length), dtype=bool)
     for _ in range(ROUNDS):
-        place = _anchor(points[kept], length[kept])
+        place = _fit_anchor(points[kept], length[kept])
         miss = np.abs(np.linalg.norm(points - place, axis=1) - length)
         closer = miss <= max(_FAR_MEDIANS * float(np.median(miss)), EXACT)
         if closer.sum() < _MIN_EQUATIONS or (closer == kept).all():
@@ -74,8 +74,8 @@ def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     return place
 
 
-def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Least squares of the distances.
+def _fit_anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Fit the place (3,) of an anchor to its distances, by least squares.
 
     ``|p|^2 - d^2 = 2 p.a - |a|^2`` is linear in a, but weighs far points more than they deserve, so
     the distances themselves are fitted after it.  Points in a plane leave its side open.
@@ -91,38 +91,32 @@ def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     return np.asarray(place + middle)
 
 
-def _coordinates(points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
+def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
+    """Yield the equations of coordinates, of rays, and of declared anchors.
+
+    Each anchor is placed in the base by its distances, as a point that was seen.
+    """
     for k, axis in enumerate(np.eye(3)):
-        held = np.isfinite(rows.xyz[:, k])
-        directions = np.broadcast_to(axis, (int(held.sum()), 3))
-        yield _LinearEquations(directions, points[held], rows.xyz[held, k])
-
-
-def _rays(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
-    if "ray" not in rows.readings:
-        return
-    held = np.isfinite(rows.readings["ray"]).all(axis=1)
-    frames = by_name(arm.camera_frame, rows.labels["sensor"][held])
-    for k in range(2):
-        local = across(rows.readings["ray"][held])[:, k]
-        directions = np.einsum("nij,nj->ni", frames[:, :, :3], local)
-        value = (directions * frames[:, :, 3]).sum(axis=1)
-        yield _LinearEquations(directions, points[held], value)
-
-
-def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
-    """Declared anchors, each placed in the base by its distances, as points that were seen."""
-    if "distance" not in rows.readings:
-        return
-    length = rows.readings["distance"][:, 0]
-    for name, anchor in arm.anchors.items():
-        held = np.isfinite(length) & (rows.labels["anchor"] == name)
-        if anchor.xyz_m is None or held.sum() < _MIN_EQUATIONS:
-            continue
-        place = multilaterated(points[held], length[held])
-        count = int(held.sum())  # as many equations as distances
-        directions, value = np.tile(np.eye(3), (count, 1)), np.tile(anchor.xyz_m, count)
-        yield _LinearEquations(directions, np.tile(place, (3 * count, 1)), value)
+        some = np.isfinite(rows.xyz[:, k])
+        directions = np.broadcast_to(axis, (int(some.sum()), 3))
+        yield _LinearEquations(directions, points[some], rows.xyz[some, k])
+    if "ray" in rows.readings:
+        some = np.isfinite(rows.readings["ray"]).all(axis=1)
+        frames = by_name(arm.camera_frame, rows.labels["sensor"][some])
+        for k in range(2):
+            local = across(rows.readings["ray"][some])[:, k]
+            directions = np.einsum("nij,nj->ni", frames[:, :, :3], local)
+            value = (directions * frames[:, :, 3]).sum(axis=1)
+            yield _LinearEquations(directions, points[some], value)
+    if "distance" in rows.readings:
+        length = rows.readings["distance"][:, 0]
+        for name, anchor in arm.anchors.items():
+            some = np.isfinite(length) & (rows.labels["anchor"] == name)
+            count = int(some.sum())  # as many equations as distances
+            if anchor.xyz_m is not None and count >= _MIN_EQUATIONS:
+                place = np.tile(multilaterate(points[some], length[some]), (3 * count, 1))
+                directions = np.tile(np.eye(3), (count, 1))
+                yield _LinearEquations(directions, place, np.tile(anchor.xyz_m, count))
 
 
 def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
@@ -136,10 +130,10 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     pairs = (np.roll(a, 1, axis=0) @ np.swapaxes(a, 1, 2) for a in (seen, mine))
     to, of = (Rotation.from_matrix(pair).as_rotvec() for pair in pairs)
     angle = np.linalg.norm(of, axis=1)
-    told = (angle > _LEAST_TURN_RAD) & (angle < _MOST_TURN_RAD) & (np.roll(body, 1) == body)
-    if told.sum() < 2:
+    kept = (angle > _LEAST_TURN_RAD) & (angle < _MOST_TURN_RAD) & (np.roll(body, 1) == body)
+    if kept.sum() < 2:
         return None
-    of, to = np.concatenate([of[told], -of[told]]), np.concatenate([to[told], -to[told]])
+    of, to = np.concatenate([of[kept], -of[kept]]), np.concatenate([to[kept], -to[kept]])
     return robust_kabsch(of, to)[0]  # each turn is there both ways, so the offset is 0
 
 
@@ -161,11 +155,9 @@ def _rotation(found: _LinearEquations) -> np.ndarray:
     if s[0] < EXACT:
         return np.eye(3)
     turn = nearest_rotation(free)
-    return turn if s[1] > _SEEN_SHARE * s[0] else _least_turned(turn, u[:, 0])
-
-
-def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """The rotation closest to none among those that differ about an axis that was not measured."""
+    if s[1] > _SEEN_SHARE * s[0]:
+        return turn
+    axis = u[:, 0]  # the turn about it was not measured: the smallest rotation of those left
     cross = np.cross(np.eye(3), axis)  # the matrix of v -> axis x v
     flat = np.eye(3) - np.outer(axis, axis)
     angle = np.arctan2(np.trace(cross @ turn), np.trace(flat @ turn))

@@ -1,4 +1,4 @@
-"""What the rows of a session hold: readings of any kind, and the channels of their equations."""
+"""The rows of a session: readings of any kind, and the channels of their equations."""
 
 from __future__ import annotations
 
@@ -40,6 +40,10 @@ class MeasuredRows:
     touch_distances: tuple[KnownDistance, ...]
     blocks: tuple[ChannelBlock, ...]
 
+    def error(self, field: str, value: object, allowed: str) -> InputError:
+        """Return the error that the rows say something wrong."""
+        return InputError(self.source, field, value, allowed)
+
     @cached_property
     def seen(self) -> np.ndarray:
         """(N,) whether anything was measured of the tip."""
@@ -65,7 +69,7 @@ class MeasuredRows:
 
     @cached_property
     def plain(self) -> bool:
-        """Whether whole positions by one sensor are all that was measured."""
+        """True if whole positions by one sensor are all that was measured."""
         half = np.isfinite(self.xyz).any(axis=1) & ~self.located
         return self.blocks == (ChannelBlock("position"),) and not half.any()
 
@@ -74,12 +78,12 @@ class MeasuredRows:
         return tuple(KINDS[name] for name in dict.fromkeys(b.kind for b in self.blocks))
 
     def framed(self, arm: Arm) -> bool:
-        """Whether the rows measure in a frame of their own, in which the base is to be placed."""
+        """Tell whether the rows measure in a frame of their own, so that the base is placed."""
         return any(kind.framed(arm) for kind in self.kinds)
 
     @property
     def turns(self) -> bool:
-        """Whether a kind of measurement depends on the tip's axes."""
+        """True if a kind of measurement depends on the tip's axes."""
         return any(kind.turns for kind in self.kinds)
 
     @cached_property
@@ -103,10 +107,10 @@ class MeasuredRows:
         """(N, d) which channels each row measured."""
         made = []
         for block in self.blocks:
-            held = KINDS[block.kind].measured(self.reading(KINDS[block.kind]))
+            rows = KINDS[block.kind].measured(self.reading(KINDS[block.kind]))
             if block.sensor is not None:
-                held = held & (self.labels["sensor"] == block.sensor)[:, None]
-            made.append(held)
+                rows = rows & (self.labels["sensor"] == block.sensor)[:, None]
+            made.append(rows)
         return np.concatenate(made, axis=1)
 
     @cached_property
@@ -132,28 +136,30 @@ class MeasuredRows:
         return np.where(told, whole, np.nan)
 
     def named(self, kind: Kind) -> tuple[str, ...]:
-        """The texts beside its readings of one kind, each once: anchors, touched points."""
+        """Return the texts beside its readings of one kind, each once: anchors, touched points."""
         if kind.label not in self.labels:
             return ()
-        held = kind.measured(self.reading(kind)).any(axis=1)
-        return tuple(str(name) for name in np.unique(self.labels[kind.label][held]))
+        rows = kind.measured(self.reading(kind)).any(axis=1)
+        return tuple(str(name) for name in np.unique(self.labels[kind.label][rows]))
 
     @cached_property
     def claimed(self) -> dict[str, float]:
         """Median of `stated` by channel, of those in which a row states any."""
-        held = ((k, v[np.isfinite(v)]) for k, v in zip(self.channels, self.stated.T, strict=True))
-        return {name: float(np.median(values)) for name, values in held if len(values)}
+        stated = ((k, v[np.isfinite(v)]) for k, v in zip(self.channels, self.stated.T, strict=True))
+        return {name: float(np.median(values)) for name, values in stated if len(values)}
 
     def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
-        """(N,) noise that each row states over the usual one by channel, the geometric mean over
-        its channels; 1 where it states none."""
+        """Return (N,) noise that each row states over the usual one by channel.
+
+        It is the geometric mean over its channels; 1 where it states none.
+        """
         share = self.stated / np.array([usual.get(name, np.nan) for name in self.channels])
         known = np.isfinite(share)
         logs = np.log(share, where=known, out=np.zeros(share.shape))
         return np.asarray(np.exp(logs.sum(axis=1) / np.maximum(known.sum(axis=1), 1)))
 
     def reading(self, kind: Kind) -> np.ndarray:
-        """(N, c) readings of one kind, NaN where not measured; 0 where a text measures."""
+        """Return (N, c) readings of one kind, NaN where not measured; 0 where a text measures."""
         if kind.name == "position":
             return self.xyz
         if not kind.cells:
@@ -186,25 +192,25 @@ class MeasuredRows:
             if name == "position" or name not in KINDS or not KINDS[name].cells:
                 known = [k for k, v in KINDS.items() if k != "position" and v.cells]
                 allowed = ", ".join([*known, "read_q1", "..."])
-                raise InputError(self.source, f"readings {name}", "unknown kind", allowed)
+                raise self.error(f"readings {name}", "unknown kind", allowed)
             kind = KINDS[name]
             values = np.asarray(given, dtype=float)
             check_shape(self.source, name, values, (n_rows, len(kind.cells)))
             if isinstance(kind, EncoderReading) and kind.number > self.q.shape[1]:
-                raise InputError(self.source, name, "unknown", f"read_q1..q{self.q.shape[1]}")
+                raise self.error(name, "unknown", f"read_q1..q{self.q.shape[1]}")
             wrong, allowed = kind.wrong(values)
             partly = np.isnan(values).any(axis=1) & ~np.isnan(values).all(axis=1)
             for row in np.flatnonzero(wrong | partly | np.isinf(values).any(axis=1)):
                 field = f"row {row + 1}, {', '.join(kind.cells)}"
                 said = ", ".join(f"{v:g}" for v in values[row])
-                raise InputError(self.source, field, said, allowed or "numbers, or all blank")
-            held = kind.measured(values).any(axis=1)
-            if kind.label and held.any():
+                raise self.error(field, said, allowed or "numbers, or all blank")
+            rows = kind.measured(values).any(axis=1)
+            if kind.label and rows.any():
                 texts = self.labels.get(kind.label, np.full(n_rows, ""))
-                for row in np.flatnonzero(held & (texts == "")):
+                for row in np.flatnonzero(rows & (texts == "")):
                     field = f"row {row + 1}, {kind.label}"
-                    raise InputError(self.source, field, "blank", f"a name beside {kind.name}")
-            if held.any():
+                    raise self.error(field, "blank", f"a name beside {kind.name}")
+            if rows.any():
                 readings[name] = values
                 values.flags.writeable = False
         object.__setattr__(self, "readings", readings)
@@ -214,16 +220,16 @@ class MeasuredRows:
         object.__setattr__(self, "sigmas", sigmas)
 
     def _blocks(self) -> tuple[ChannelBlock, ...]:
-        """One block a kind, or a kind and sensor where several sensors measured."""
+        """Return a block a kind, or a kind and sensor where several sensors measured."""
         names = np.unique(self.labels.get("sensor", np.array([""])))
-        held = {k: v.measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
-        kinds = [k for k in KINDS if held[k].any()] or ["position"]
+        rows = {k: v.measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
+        kinds = [k for k in KINDS if rows[k].any()] or ["position"]
         joints = (KINDS[name] for name in self.readings if KINDS[name].of_joint)
         read = tuple(ChannelBlock(k.name) for k in sorted(joints, key=lambda k: k.number))
         if len(names) < 2:
             return tuple(ChannelBlock(kind) for kind in kinds) + read
         mine = {str(name): self.labels["sensor"] == name for name in names}
-        sensed = ((k, s) for k in kinds for s in mine if (held[k] & mine[s]).any())
+        sensed = ((k, s) for k in kinds for s in mine if (rows[k] & mine[s]).any())
         return (*(ChannelBlock(k, s) for k, s in sensed), *read)
 
 

@@ -1,4 +1,4 @@
-"""What a session measured against what a model predicts: stacked scalar equations.
+"""Stacked scalar equations: what a session measured against what a model predicts.
 
 Every row has the session's d channels, and what it did not measure is 0 in residual and columns:
 such an equation says nothing in a least-squares problem.
@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.kinds import KINDS, Equations
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.data.touched import completed
+from longarm_comp.core.data.touched import with_touched
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.model import Model, Slot
@@ -22,29 +23,29 @@ from longarm_comp.core.model.tip_motion import TipMotion
 
 
 def posture(model: Model, session: Session) -> Posture:
-    """The arm at the rows of a session."""
+    """Return the arm's posture at the rows of a session."""
     return model.posture([session.q[:, j] for j in range(session.n)], session.context())
 
 
 def equations(
     model: Model, session: Session, at: Posture, slots: Sequence[Slot] | None = None
 ) -> Equations:
-    """Equations of all channels of a session by some parameters, all of a model's by default."""
+    """Return a session's equations, all channels, by some parameters; by default the model's."""
     slots = model.slots if slots is None else slots
-    model = completed(model, session, at)
-    return _stacked(model.motion(at, slots, session.turns), session)
+    model = with_touched(model, session, at)
+    return _stack(model.motion(at, slots, session.turns), session)
 
 
 def shifts(
     model: Model, session: Session, at: Posture, terms: Sequence[Effect | Bias]
 ) -> np.ndarray:
-    """(N, d, k) change of the prediction by each of k terms outside the model."""
-    model = completed(model, session, at)
-    return _stacked(model.added(at, terms, session.turns), session).columns
+    """Return the (N, d, k) change of the prediction by each of k terms outside the model."""
+    model = with_touched(model, session, at)
+    return _stack(model.added(at, terms, session.turns), session).columns
 
 
 def metres(model: Model, session: Session) -> np.ndarray:
-    """(d,) length at the tip (m) that a unit of each channel stands for: 0 of an orientation.
+    """Return (d,) length at the tip (m) that a unit of each channel means: 0 of an orientation.
 
     A ray's is the median distance of the tip from its camera, an encoder's the median lever of the
     tip about its joint.
@@ -61,13 +62,13 @@ def metres(model: Model, session: Session) -> np.ndarray:
         return made
     pull = np.linalg.norm(equations(model, session, posture(model, session), ()).pull, axis=2)
     for k in np.flatnonzero((units == "rad") & (made == 0.0)):
-        held = pull[:, k][pull[:, k] > 0]
-        made[k] = 1.0 / float(np.median(held)) if len(held) else 0.0
+        some = pull[:, k][pull[:, k] > 0]
+        made[k] = 1.0 / float(np.median(some)) if len(some) else 0.0
     return made
 
 
 def errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
-    """(M, 3) measured - predicted of the M rows that say where the tip is, m.
+    """Return (M, 3) measured - predicted of the M rows that say where the tip is, m.
 
     Where fewer than three coordinates were measured it is the smallest displacement of the tip
     that explains the row.  A similar model's posture at the M rows (`near`) saves time.
@@ -85,24 +86,22 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
 
 
 def spreads(model: Model, session: Session) -> np.ndarray:
-    """(M,) distance of the predicted tip from the touched point, m, of the M rows of a touch.
+    """Return (M,) distances of predicted tip and touched point, m, of the M rows of a touch.
 
     The points are solved from these rows alone.
     """
     rows = session.take(session.reading(KINDS["touch"])[:, 0] == 0.0)
     if not len(rows):
         return np.zeros(0)
+    nothing: dict[str, Any] = {"sigma": None, "readings": {}, "sigmas": {}, "blocks": ()}
     labels = {k: v for k, v in rows.labels.items() if k not in ("plane", "sensor")}
     blank = np.full(rows.xyz.shape, np.nan)
-    alone = dataclasses.replace(
-        rows, xyz=blank, sigma=None, readings={}, sigmas={}, labels=labels, touch_distances=(),
-        blocks=(),
-    )  # fmt: skip
+    alone = dataclasses.replace(rows, xyz=blank, labels=labels, touch_distances=(), **nothing)
     return np.asarray(np.linalg.norm(errors(model.lasting(), alone), axis=1))
 
 
 def turns(model: Model, session: Session) -> np.ndarray:
-    """(M, 3) rotation from the predicted to the measured tip, rad, of the M rows that tell it."""
+    """Return (M, 3) rotations from predicted to measured tip, rad, of the M rows that tell it."""
     turned = session.take(session.turned)
     if not len(turned):
         return np.zeros((0, 3))
@@ -111,7 +110,7 @@ def turns(model: Model, session: Session) -> np.ndarray:
     return kind.equations(motion, turned.readings[kind.name], turned.labels).residual
 
 
-def _stacked(motion: TipMotion, session: Session) -> Equations:
+def _stack(motion: TipMotion, session: Session) -> Equations:
     if session.plain:
         point, columns = motion.point()
         return Equations(session.xyz - point, columns, np.zeros((0, 3, 3)))

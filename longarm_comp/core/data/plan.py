@@ -1,4 +1,4 @@
-"""Which poses to measure: the paper's grid, space-filling points, random targets; which may be.
+"""Poses to measure: the paper's grid, space-filling points, random targets; which may be.
 
 A plan is an array of commanded joints (N, n) inside the joint box, and the side from which each
 joint shall arrive.  Poses that separate two effects are planned by the diagnosis.
@@ -47,14 +47,14 @@ class Plan:
         return len(self.q)
 
     def take(self, rows: np.ndarray) -> Plan:
-        """Some of the poses, by number."""
+        """Return some of the poses, by number."""
         payload = None if self.payload_kg is None else self.payload_kg[rows]
         touch = None if self.touch is None else self.touch[rows]
         return Plan(self.q[rows], self.approach[rows], payload, touch)
 
 
 def paper_grid(arm: Arm) -> np.ndarray:
-    """The paper's training grid (Section III.B) for any arm, (N, n).
+    """Return the paper's training grid (Section III.B) for any arm, (N, n).
 
     Each revolute joint takes its lower limit, its middle and its upper limit.  Two prismatic
     joints take the paper's six pairs of strokes scaled to their limits; any other number of
@@ -80,7 +80,7 @@ def _levels(joints: int) -> np.ndarray:
 
 
 def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n poses of the paper's grid in random order, none twice."""
+    """Draw n poses of the paper's grid in random order, none twice."""
     rng = np.random.default_rng(rng)
     poses = paper_grid(arm)
     if not 1 <= n <= len(poses):
@@ -89,7 +89,7 @@ def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
 
 
 def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n scrambled Sobol points in the joint box, which fill it evenly."""
+    """Draw n scrambled Sobol points in the joint box, which fill it evenly."""
     if not 1 <= n <= 2**20:
         raise InputError("plan", "n", n, f"1 to {2**20}")
     rng = np.random.default_rng(rng)
@@ -101,24 +101,24 @@ def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
 
 
 def uniform(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n uniformly random poses in the joint box."""
+    """Draw n uniformly random poses in the joint box."""
     rng = np.random.default_rng(rng)
     return _with_sides(arm, random_joints(arm, n, rng), rng)
 
 
 def at_levels(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n random poses with every joint at its lower limit, its middle or its upper limit."""
+    """Draw n random poses with every joint at its lower limit, its middle or its upper limit."""
     rng = np.random.default_rng(rng)
     return _with_sides(arm, _in_box(arm, rng.integers(0, 3, (n, arm.n)) / 2.0), rng)
 
 
 def random_joints(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """n uniformly random joint vectors in the box, (n, arm.n)."""
+    """Draw n uniformly random joint vectors in the box, (n, arm.n)."""
     return _in_box(arm, np.random.default_rng(rng).random((n, arm.n)))
 
 
 def random_targets(model: Model, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """n random reachable points (n, 3), m: the tip of a model at random joints."""
+    """Draw n random reachable points (n, 3), m: the tip of a model at random joints."""
     return model.tip(random_joints(model.arm, n, rng))
 
 
@@ -128,19 +128,19 @@ def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
 
 
 def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Sides (N, n) as wished, but from the other side where a limit leaves no room to run up."""
+    """Return sides (N, n) as wished, but the other where a limit leaves no room to run up."""
     start = q - sides * run_up_lengths(arm)
     return np.where((start < arm.lower) | (start > arm.upper), -sides, sides)
 
 
 def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
-    """The same poses, each joint from a side drawn for it alone where both have room."""
+    """Return the same poses, each joint from a side drawn for it alone where both have room."""
     drawn = np.random.default_rng(rng).choice(np.array([-1, 1]), size=plan.q.shape)
     return dataclasses.replace(plan, approach=with_room(arm, plan.q, drawn))
 
 
 def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
-    """Every pose twice, the second time with all joints from the opposite sides.
+    """Return every pose twice, the second time with all joints from the opposite sides.
 
     Sides that the plan leaves open are drawn. A joint at a limit arrives from the side that has
     room both times.
@@ -168,8 +168,8 @@ Allowed = Callable[[Plan], np.ndarray]
 """(M,) bool: which of M poses may be taken."""
 
 
-def above(arm: Arm, height_m: float) -> Arm:
-    """The arm with a floor at a height (m, base frame) among its keep-out boxes.
+def with_floor(arm: Arm, height_m: float) -> Arm:
+    """Return the arm with a floor at a height (m, base frame) among its keep-out boxes.
 
     A floor above the arm's foot is a safety height: the arm rises above it once and stays there.
     """
@@ -180,7 +180,7 @@ def above(arm: Arm, height_m: float) -> Arm:
 
 
 def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
-    """(M,) whether the arm stays out of its keep-out boxes, at each pose and where it runs up."""
+    """Tell (M,) whether the arm stays out of keep-out boxes, at each pose and where it runs up."""
     if not model.arm.keep_out:
         return np.ones(len(plan), dtype=bool)
     start = plan.q - plan.approach * run_up_lengths(model.arm)
@@ -189,10 +189,10 @@ def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
     return np.array([not any(pair) for pair in pairs])
 
 
-def filled(
+def fill_plan(
     make: Callable[[Arm, int, int], Plan], arm: Arm, n: int, seed: int, allowed: Allowed, most: int
 ) -> Plan:
-    """The first n poses that are allowed, of a kind of plan that fills the joint box."""
+    """Return the first n poses that are allowed, of a kind of plan that fills the joint box."""
     free, tried = np.zeros(0, dtype=int), 0
     for count in sorted({n, *(min(times * n, most) for times in _TIMES)}):
         plan = make(arm, count, seed)

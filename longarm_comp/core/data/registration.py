@@ -18,12 +18,12 @@ from longarm_comp.math.points import nearest_rotation, robust_kabsch, robust_wei
 
 
 def median_distance(residual: np.ndarray) -> float:
-    """Of (N, 3) residuals, m."""
+    """Return the median length of (N, 3) residuals, m."""
     return float(np.median(np.linalg.norm(residual, axis=1)))
 
 
 def median_spread(points: np.ndarray) -> float:
-    """Of (N, 3) points about their median, m."""
+    """Return the median distance of (N, 3) points from their median, m."""
     return median_distance(points - np.median(points, axis=0))
 
 
@@ -87,9 +87,14 @@ class Registration:
     residual: np.ndarray  # (N, 3) seen - registered, m
 
     @property
+    def distance(self) -> np.ndarray:
+        """(N,) distance of each row from its sighting, m."""
+        return np.linalg.norm(self.residual, axis=1)
+
+    @property
     def misfit(self) -> float:
         """Median distance of a row, m."""
-        return median_distance(self.residual)
+        return float(np.median(self.distance))
 
 
 def register(rows: Sightings, tips: bool = True) -> Registration:
@@ -100,19 +105,15 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
     that the rows do not determine are left as declared.
     """
     still = np.zeros((int(rows.marker.max()) + 1, 3))
-    best = _refined(rows, still, tips)
+    best = _refine(rows, still, tips)
     if tips:
-        linear = _linear_tips(rows, _weights(best.residual))
-        other = best if linear is None else _refined(rows, linear, tips)
+        linear = _linear_tips(rows, robust_weights(best.distance))
+        other = best if linear is None else _refine(rows, linear, tips)
         best = min(best, other, key=lambda r: r.misfit)
     return best
 
 
-def _weights(residual: np.ndarray) -> np.ndarray:
-    return robust_weights(np.linalg.norm(residual, axis=1))
-
-
-def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
+def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     """Alternate bases and weights at a given marker, then Gauss-Newton on everything."""
     groups = int(rows.group.max()) + 1
     point = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
@@ -125,7 +126,7 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
             offset[g] = np.median(seen - at @ rotation[g].T, axis=0)
         else:
             rotation[g], offset[g] = robust_kabsch(at, seen)
-    made = _look(rows, rotation, offset, tip)
+    made = _registration_at(rows, rotation, offset, tip)
     for _ in range(_STEPS if tips else 0):
         following = _step(rows, made)
         if following.misfit > made.misfit:
@@ -136,7 +137,7 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     return made
 
 
-def _look(
+def _registration_at(
     rows: Sightings, rotation: np.ndarray, offset: np.ndarray, tip: np.ndarray
 ) -> Registration:
     local = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
@@ -145,7 +146,7 @@ def _look(
 
 
 def _step(rows: Sightings, now: Registration) -> Registration:
-    """One weighted Gauss-Newton step in turn and shift of every base and place of every marker."""
+    """Take one weighted Gauss-Newton step in the pose of every base and place of every marker."""
     n, groups, kinds = len(rows.seen), len(now.offset), len(now.tip)
     turned = rows.seen - now.residual
     centre = np.stack([turned[rows.group == g].mean(0) for g in range(groups)])
@@ -159,14 +160,14 @@ def _step(rows: Sightings, now: Registration) -> Registration:
     moved = np.einsum("nij,njk->nik", now.rotation[rows.group], rows.axes)
     for k in range(3):
         design[every, :, 6 * groups + 3 * rows.marker + k] = moved[:, :, k]
-    root = np.sqrt(_weights(now.residual))[:, None]
+    root = np.sqrt(robust_weights(now.distance))[:, None]
     a = (design * root[..., None]).reshape(3 * n, -1)
     x = np.linalg.lstsq(a, (now.residual * root).reshape(-1), rcond=1e-7)[0]
     change = x[: 6 * groups].reshape(groups, 6)
     turn = Rotation.from_rotvec(change[:, :3]).as_matrix()
     rotation = turn @ now.rotation
     offset = np.einsum("gij,gj->gi", turn, now.offset - centre) + centre + change[:, 3:]
-    return _look(rows, rotation, offset, now.tip + x[6 * groups :].reshape(kinds, 3))
+    return _registration_at(rows, rotation, offset, now.tip + x[6 * groups :].reshape(kinds, 3))
 
 
 def _linear_tips(rows: Sightings, weights: np.ndarray) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""When the arm is at rest: in a stream (`RestWatch`), and in what was recorded (`settled`).
+"""Rest of the arm: in a stream (`RestWatch`), and in what was recorded (`mean_at_rest`).
 
 Sightings of one pose share the pose's model error, so only their mean is an independent sample.
 """
@@ -99,8 +99,8 @@ as none of encoders' noise is, and more than this share of them is taken back by
 that swings, read four times a period, half are."""
 
 
-def in_turn(joints: np.ndarray) -> bool:
-    """Whether (m, n) readings of joints, rad and m, leap to and fro between two arms.
+def is_of_two_arms(joints: np.ndarray) -> bool:
+    """Tell whether (m, n) readings of joints, rad and m, leap to and fro between two arms.
 
     A turn that is left out or added by an endless joint is no leap.
     """
@@ -113,7 +113,7 @@ def in_turn(joints: np.ndarray) -> bool:
 
 
 class Sighting(NamedTuple):
-    """One measured tip at t (s): (3,) m and m^2, (4,) x, y, z, w and rad^2; NaN: not measured."""
+    """A measured tip at t (s): (3,) m and m^2, (4,) x, y, z, w and rad^2; NaN: not measured."""
 
     t: float
     xyz: np.ndarray
@@ -122,20 +122,20 @@ class Sighting(NamedTuple):
     turn_variance: float
 
 
-def nowhere(t: float) -> Sighting:
-    """A sighting at `t` (s) that measured nothing."""
+def blank_sighting(t: float) -> Sighting:
+    """Return a sighting at `t` (s) that measured nothing."""
     return Sighting(t, np.full(3, np.nan), np.zeros(3), np.full(4, np.nan), 0.0)
 
 
-def settled(
+def mean_at_rest(
     sightings: Sequence[Sighting], times: np.ndarray, joints: np.ndarray, begin: float
 ) -> tuple[Sighting | None, str]:
-    """The mean of the settled sightings between a command at `begin` (s) and the next one.
+    """Return the mean of the settled sightings between a command at `begin` (s) and the next one.
 
     The arm is at rest once the measured joints stay at their final values (`JOINT_REST`) and the
     sightings at their final position (`TIP_REST_M` about the median of the last five).  Sightings
-    after the joints stood still (`_still`) come first: a joint that still moves within `JOINT_REST`
-    of its end is millimetres off at the tip.
+    after the joints stood still (`_still_from`) come first: a joint that still moves within
+    `JOINT_REST` of its end is millimetres off at the tip.
 
     Args:
         sightings: in the order of time.
@@ -152,14 +152,14 @@ def settled(
     if not seen:
         return sightings[-1], "marker lost"
     if len(times):
-        rest, arrived = _rest(times, joints, begin)
+        rest, arrived = _end_of_motion(times, joints, begin)
         if max(times[-1], sightings[-1].t) - rest < REST_S:
             return None, NO_REST
-        still = _still(times, joints, rest)
+        still = _still_from(times, joints, rest)
         since = ([s for s in seen if s.t >= t] for t in (still + AFTER_S, still, arrived))
         seen = next(filter(None, since), [])
         if not seen:  # it was seen on the way only
-            return nowhere(sightings[-1].t), "marker seen on the way only"
+            return blank_sighting(sightings[-1].t), "marker seen on the way only"
     last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)
     kept: list[Sighting] = []
     for s in reversed(seen):
@@ -169,31 +169,35 @@ def settled(
             break
     kept = kept or seen[-1:]
     n = len(kept)
+    turn = kept[0].quaternion  # the others are close to it; NaN where one is unknown
+    if n > 1:
+        turns = [s.quaternion for s in kept]
+        total = np.sum([q if q @ turn >= 0 else -q for q in turns], axis=0)
+        turn = total / np.linalg.norm(total)
     mean = Sighting(
         sum(s.t for s in kept) / n,
         np.mean([s.xyz for s in kept], axis=0),
         np.sum([s.variance for s in kept], axis=0) / n**2,
-        _mean_turn([s.quaternion for s in kept]),
+        turn,
         sum(s.turn_variance for s in kept) / n**2,
     )
     return mean, ""
 
 
 def still_since(times: np.ndarray, joints: np.ndarray, begin: float) -> float:
-    """Time (s) from which on the joints stand after a command at `begin` (s), as in `settled`."""
-    return _still(times, joints, _rest(times, joints, begin)[0])
+    """Return the time (s) from which on the joints stand after a command at `begin` (s)."""
+    return _still_from(times, joints, _end_of_motion(times, joints, begin)[0])
 
 
-def stood(times: np.ndarray, joints: np.ndarray, begin: float) -> np.ndarray:
-    """(n,) mean of the measured joints at rest, as in `settled`; NaN: no rest."""
-    rest = _rest(times, joints, begin)[0] if len(times) else begin
+def joints_at_rest(times: np.ndarray, joints: np.ndarray, begin: float) -> np.ndarray:
+    """Return the (n,) mean of the measured joints at rest, as in `mean_at_rest`; NaN: no rest."""
+    rest = _end_of_motion(times, joints, begin)[0] if len(times) else begin
     if not len(times) or times[-1] - rest < REST_S:
         return np.full(joints.shape[1], np.nan)
-    since = _still(times, joints, rest)
-    return np.asarray(joints[times >= since].mean(axis=0))
+    return np.asarray(joints[times >= _still_from(times, joints, rest)].mean(axis=0))
 
 
-def _rest(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple[float, float]:
+def _end_of_motion(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple[float, float]:
     """Times (s) of the last reading off the final joints, and of the first one at them."""
     moving = np.flatnonzero((np.abs(joints - joints[-1]) > JOINT_REST).any(axis=1))
     if not len(moving):
@@ -201,7 +205,7 @@ def _rest(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple[float, f
     return float(times[moving[-1]]), float(times[moving[-1] + 1])
 
 
-def _still(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
+def _still_from(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
     """Time (s) from which on the measured joints change no more than in the last half of the rest.
 
     Encoders that flicker by a tick do so to the end.
@@ -211,12 +215,3 @@ def _still(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
     flicker = high - low
     moving = ((joints < low - flicker) | (joints > high + flicker)).any(axis=1)
     return float(times[np.flatnonzero(moving)[-1] + 1] if moving.any() else times[0])
-
-
-def _mean_turn(quaternions: Sequence[np.ndarray]) -> np.ndarray:
-    """Mean of orientations that are close to each other; NaN where one is unknown."""
-    if len(quaternions) == 1:
-        return quaternions[0]
-    alike = [q if q @ quaternions[0] >= 0 else -q for q in quaternions]
-    total = np.sum(alike, axis=0)
-    return np.asarray(total / np.linalg.norm(total))

@@ -79,7 +79,7 @@ class Session(MeasuredRows):
         n_rows, n = q.shape
         xyz = np.asarray(self.xyz, dtype=float)
         if xyz.shape == (n_rows, 3) and np.isinf(xyz).any():
-            raise InputError(self.source, "xyz", "not finite", "numbers in m, or NaN")
+            raise self.error("xyz", "not finite", "numbers in m, or NaN")
         legs = self.legs if len(self.legs) == n_rows else np.zeros((n_rows, n, LEGS))
         told = self.told if len(self.told) == n_rows else np.zeros((n_rows, n))
         self._set("index", self.index, np.int64, (n_rows,))
@@ -93,14 +93,14 @@ class Session(MeasuredRows):
             self._set("sigma", self.sigma, float, (n_rows, 3))
         columns = {k: np.asarray(v, dtype=float) for k, v in self.columns.items()}
         labels = {k: np.asarray(v, dtype=str) for k, v in self.labels.items()}
-        for kind, held in (("columns", columns), ("labels", labels)):
-            for name, values in held.items():
+        for kind, by_name in (("columns", columns), ("labels", labels)):
+            for name, values in by_name.items():
                 check_shape(self.source, name, values, (n_rows,))
                 values.flags.writeable = False
-            object.__setattr__(self, kind, held)
+            object.__setattr__(self, kind, by_name)
         for name, values in columns.items():
             if np.isinf(values).any() or (np.isnan(values).any() and not INCLINATION.match(name)):
-                raise InputError(self.source, name, "not finite", "a finite number in every row")
+                raise self.error(name, "not finite", "a finite number in every row")
         self._check_readings(n_rows)
         if not self.blocks:
             object.__setattr__(self, "blocks", self._blocks())
@@ -121,15 +121,11 @@ class Session(MeasuredRows):
         approach: np.ndarray | None = None,
         run_up: np.ndarray | None = None,
         repeat_id: np.ndarray | None = None,
-        sigma: np.ndarray | None = None,
-        columns: Mapping[str, np.ndarray] | None = None,
-        labels: Mapping[str, np.ndarray] | None = None,
         source: str = "session",
-        readings: Mapping[str, np.ndarray] | None = None,
-        sigmas: Mapping[str, np.ndarray] | None = None,
         touch_distances: Sequence[KnownDistance] = (),
+        **further: Any,
     ) -> Session:
-        """From rows in the order of recording; how each joint arrived is derived.
+        """Make a session of rows in the order of recording; how each joint arrived is derived.
 
         Args:
             index: (N,); counted from 0 when not given.
@@ -137,6 +133,7 @@ class Session(MeasuredRows):
                 "from the row before". Not given: every row is.
             run_up: (N, n) where each joint's last approach began, rad and m; NaN where it had
                 none or nobody knows.
+            further: other attributes of a session.
         """
         q = _joints(source, q)
         n_rows = len(q)
@@ -147,13 +144,20 @@ class Session(MeasuredRows):
         check_shape(source, "run_up", begun, q.shape)
         history = recorded(q, index, approach, begun)
         return cls(
-            index, q, xyz, history.approach, repeat_id, sigma, columns or {}, labels or {}, source,
-            history.legs, sides_told(q, approach, begun), readings or {}, sigmas or {},
-            tuple(touch_distances),
-        )  # fmt: skip
+            index,
+            q,
+            xyz,
+            history.approach,
+            repeat_id,
+            source=source,
+            legs=history.legs,
+            told=sides_told(q, approach, begun),
+            touch_distances=tuple(touch_distances),
+            **further,
+        )
 
-    def taken(self, lengths: np.ndarray) -> Session:
-        """The whole session, with this length for run-ups of unknown length."""
+    def with_run_ups(self, lengths: np.ndarray) -> Session:
+        """Return the session with these lengths (n,), rad and m, of its unknown run-ups."""
         if not self.told.any():
             return self
         history = recorded(self.q, self.index, self.told, self.run_up, lengths)
@@ -242,7 +246,7 @@ class Session(MeasuredRows):
         return digest.hexdigest()
 
     def context(self, rows: _Rows | None = None) -> Context:
-        """Circumstances of some rows, or all, for the effects. Scalars are (N,) arrays.
+        """Return circumstances of some rows, or all, for the effects. Scalars are (N,) arrays.
 
         The history of the joints is absent when no side of arrival is known in the whole session.
         """
@@ -258,23 +262,23 @@ class Session(MeasuredRows):
         )
 
     def take(self, rows: _Rows) -> Session:
-        """Some of the rows: a mask (N,), indices or a slice."""
+        """Return some of the rows: a mask (N,), indices or a slice."""
         arrays = ("index", "q", "xyz", "approach", "legs", "told", "repeat_id")
         taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}
         for kind in ("columns", "labels", "readings", "sigmas"):
-            taken[kind] = {name: held[rows] for name, held in getattr(self, kind).items()}
+            taken[kind] = {name: values[rows] for name, values in getattr(self, kind).items()}
         sigma = None if self.sigma is None else self.sigma[rows]
         return dataclasses.replace(self, sigma=sigma, **taken)
 
     def on_clock_of(self, other: Session) -> Session:
-        """The same, with a time that counts from where it does in another session."""
+        """Return the same, with a time that counts from where it does in another session."""
         return dataclasses.replace(self, begun_s=other.begun_s)
 
     def where(self, label: str, value: str) -> Session:
-        """The rows whose text column `label` holds `value`."""
+        """Return the rows whose text column `label` holds `value`."""
         if label not in self.labels:
             known = ", ".join(self.labels) or "none"
-            raise InputError(self.source, label, "missing", f"a text column (there are: {known})")
+            raise self.error(label, "missing", f"a text column (there are: {known})")
         return self.take(self.labels[label] == value)
 
 

@@ -28,7 +28,7 @@ FEW = 3
 
 @dataclass(frozen=True)
 class SharedBy:
-    """What rows set aside have in common.
+    """A common trait of rows set aside.
 
     Attributes:
         input: column of the session, or ``order`` (the row's place in the file).
@@ -62,8 +62,8 @@ class SetAside:
 
     @classmethod
     def of(cls, session: Session, aside: np.ndarray) -> SetAside:
-        """From the rows that were fitted and a mask (N,) of those set aside."""
-        tried = [(name, found) for name, found in _tried(session, aside) if found is not None]
+        """Make it from the rows that were fitted and a mask (N,) of those set aside."""
+        tried = [(name, each) for name, each in _try_inputs(session, aside) if each is not None]
         found = [
             SharedBy(name, value, rows, min(p * len(tried), 1.0))
             for name, (value, rows, p) in tried
@@ -75,55 +75,55 @@ class SetAside:
 
     @property
     def record(self) -> dict[str, object]:
-        """As report.json holds it: their number, share, and what they share."""
+        """The entry of report.json: their number, share, and what they share."""
         shared = [dataclasses.asdict(each) for each in self.shared_by]
         return {"rows": len(self.rows), "share": self.share, "shared_by": shared}
 
     @property
-    def said(self) -> str:
-        """How many they are, and what they share."""
+    def summary(self) -> str:
+        """The text of how many they are, and what they share."""
         shared = " and ".join(map(str, self.shared_by[:2]))
         text = f"{len(self.rows)} rows set aside ({self.share:.1%})"
         return f"{text}, which share {shared}" if shared else text
 
-    def told(self, session: Session) -> str:
-        """As `said`, and which: the user's own number of each row, else its index.
+    def describe(self, session: Session) -> str:
+        """Add to the summary the user's own number of each row, else its index.
 
         Args:
             session: the rows that were fitted.
         """
         numbers = session.labels.get("point", session.index)[list(self.rows)]
-        return f"{self.said}: {', '.join(map(str, numbers))}" if self.rows else self.said
+        return f"{self.summary}: {', '.join(map(str, numbers))}" if self.rows else self.summary
 
 
 _Found = tuple[str, int, float]
 
 
-def _tried(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Found | None]]:
-    """Every input with what the rows set aside share in it: value, rows, chance."""
+def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Found | None]]:
+    """Yield every input with what the rows set aside share in it: value, rows, chance."""
     visit = np.cumsum(np.r_[0, np.diff(session.pose_id) != 0])
     first = np.unique(visit, return_index=True)[1]
     spoilt = np.maximum.reduceat(aside.astype(int), first) > 0
     rows = np.add.reduceat(aside.astype(int), first)
     for j, values in enumerate(session.q[first].T, 1):
-        yield f"q{j}", _moved(values, spoilt, rows)
-        yield f"q{j}", _together(values, spoilt, rows)
+        yield f"q{j}", _by_motion(values, spoilt, rows)
+        yield f"q{j}", _densest_stretch(values, spoilt, rows)
     for j, sides in enumerate(session.approach[first].T, 1):
-        yield f"approach of q{j}", _alike(np.where(sides < 0, "-1", "+1"), spoilt, rows)
-    yield "order", _together(first + 1.0, spoilt, rows)
+        yield f"approach of q{j}", _commonest_text(np.where(sides < 0, "-1", "+1"), spoilt, rows)
+    yield "order", _densest_stretch(first + 1.0, spoilt, rows)
     for name, values in session.columns.items():
-        yield name, _together(values[first], spoilt, rows)
+        yield name, _densest_stretch(values[first], spoilt, rows)
     for name, texts in session.labels.items():
         constant = (texts == texts[first][visit]).all()
         once = (texts[first], spoilt, rows) if constant else (texts, aside, aside.astype(int))
-        yield name, _alike(*once)
+        yield name, _commonest_text(*once)
     where = np.isfinite(session.xyz).all(axis=1)
     for name, values in zip("xyz", session.xyz[where].T, strict=True):
-        yield name, _together(values, aside[where], aside[where].astype(int))
+        yield name, _densest_stretch(values, aside[where], aside[where].astype(int))
 
 
-def _alike(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
-    """The text that most visits set aside have in common; None where there is one text only."""
+def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
+    """Find the text that most visits set aside have in common; None where there is but one."""
     names = np.unique(texts)
     if len(names) < 2 or spoilt.sum() < FEW:
         return None
@@ -137,20 +137,18 @@ def _alike(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | 
     return value, count, p
 
 
-def _moved(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
-    """Whether the visits set aside are those in which a joint left the place where it stands."""
+def _by_motion(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
+    """Try whether the visits set aside are those in which a joint left where it stands."""
     levels, which, count = np.unique(values, return_inverse=True, return_counts=True)
     rest = int(np.argmax(count))
     if len(levels) < 2 or count[rest] < RESTING * len(values):
         return None
-    moved = np.where(which == rest, "rests", "moves")
-    found = _alike(moved, spoilt, rows)
-    return found and (f"other than {levels[rest]:.4g}" if found[0] == "moves" else
-                      f"at {levels[rest]:.4g}", *found[1:])  # fmt: skip
+    texts = np.where(which == rest, f"at {levels[rest]:.4g}", f"other than {levels[rest]:.4g}")
+    return _commonest_text(texts, spoilt, rows)
 
 
-def _together(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
-    """The stretch of a number in which the visits set aside lie closest together."""
+def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
+    """Find the stretch of a number in which the visits set aside lie closest together."""
     order = np.argsort(values, kind="stable")
     values, spoilt, rows = values[order], spoilt[order], rows[order]
     at = values[spoilt]
@@ -164,5 +162,5 @@ def _together(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Foun
     chance = hypergeom.sf(inside - 3, n - 2, k - 2, span - 2) * len(begin)
     best = int(np.argmin(chance))
     a, b = at[begin[best]], at[end[best]]
-    held = int(rows[(values >= a) & (values <= b)].sum())
-    return f"{a:.4g} to {b:.4g}", held, float(chance[best])
+    count = int(rows[(values >= a) & (values <= b)].sum())
+    return f"{a:.4g} to {b:.4g}", count, float(chance[best])

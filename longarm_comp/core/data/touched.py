@@ -20,57 +20,60 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
 from longarm_comp.core.effects.typical_loads import reach
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
 _Misfit = Callable[[np.ndarray], np.ndarray]
 """Distances of points (N, 3) from a solution, (N,)."""
+_OFF_SHARE = 0.1
+"""Share of its reach by which no arm as declared misses a distance that it touches the ends of."""
 
 
-def unknowns(arm: Arm, session: Session) -> tuple[Bias, ...]:
-    """The terms that hold the points and planes that a session touched."""
+def touched_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
+    """Return the terms that hold the points and planes that a session touched.
+
+    Raises:
+        InputError: two ways of known distances lead from a point to another.
+    """
+    names = session.named(KINDS["touch"])
     distances = (*known_distances(arm.touch_distances), *session.touch_distances)
-    points = _ordered(session.named(KINDS["touch"]), distances, session.source)
-    made: list[Bias] = [
+    edges = [d for d in distances if d[0] in names and d[1] in names]
+    unplaced = list(names)
+    points: list[tuple[str, KnownDistance | None, list[str]]] = []
+    """Every point, the distance that it is placed by, and the points that are placed by it."""
+
+    def place(name: str, by: KnownDistance | None) -> list[str]:
+        unplaced.remove(name)
+        after: list[str] = []
+        points.append((name, by, after))
+        for edge in edges:
+            if edge is by or name not in edge[:2]:
+                continue
+            further = edge[1] if edge[0] == name else edge[0]
+            if further not in unplaced:
+                allowed = "one way of known distances from a point to another"
+                raise session.error("touch_distances", f"a loop at {further}", allowed)
+            after += place(further, edge)
+        return [name, *after]
+
+    while unplaced:
+        place(unplaced[0], None)
+    terms: list[Bias] = [
         TouchPlace(name, "\n".join(after))
         if known is None
         else TouchBeside(name, known[2], known[3], "\n".join(after))
         for name, known, after in points
     ]
-    return (*made, *(PlanePlace(name) for name in session.named(KINDS["plane"])))
-
-
-def _ordered(
-    names: Sequence[str], distances: Sequence[KnownDistance], source: str
-) -> list[tuple[str, KnownDistance | None, list[str]]]:
-    """Every point, the distance that it is placed by, and the points that are placed by it."""
-    edges = [d for d in distances if d[0] in names and d[1] in names]
-    left, made = list(names), []
-
-    def grown(name: str, by: KnownDistance | None) -> list[str]:
-        left.remove(name)
-        after: list[str] = []
-        made.append((name, by, after))
-        for edge in edges:
-            if edge is by or name not in edge[:2]:
-                continue
-            further = edge[1] if edge[0] == name else edge[0]
-            if further not in left:
-                allowed = "one way of known distances from a point to another"
-                raise InputError(source, "touch_distances", f"a loop at {further}", allowed)
-            after += grown(further, edge)
-        return [name, *after]
-
-    while left:
-        grown(left[0], None)
-    return made
+    return (*terms, *(PlanePlace(name) for name in session.named(KINDS["plane"])))
 
 
 def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
-    """What the touches of a session cannot tell: field and message. Raises InputError."""
-    stood = [kind for kind in KINDS.values() if not kind.cells and kind.label in session.labels]
-    for kind in stood:
+    """Yield field and message of touches that tell nothing.
+
+    Raises:
+        InputError: no touch tells anything, or a known distance is far from what the arm touched.
+    """
+    for kind in (k for k in KINDS.values() if not k.cells and k.label in session.labels):
         texts = session.labels[kind.label]
         lost = (texts != "") & np.isnan(session.reading(kind)[:, 0])
         few = [str(name) for name in np.unique(texts[lost])]
@@ -78,31 +81,17 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
             rows = f"{kind.takes + 1} rows or more"
             if not session.seen.any():
                 allowed = f"{rows} of one name"
-                raise InputError(session.source, kind.label, "each in too few rows", allowed)
+                raise session.error(kind.label, "each in too few rows", allowed)
             yield kind.label, f"{', '.join(few)}: in fewer than {rows}, which is too few"
-    stood = [kind for kind in session.kinds if not kind.cells]
-    if not stood:
+    kinds = [kind for kind in session.kinds if not kind.cells]
+    if not kinds:
         return
-    unknowns(arm, session)
+    touched_terms(arm, session)
     groups = session.labels.get("group", np.array([""]))
     if len(np.unique(groups)) > 1 and not session.framed(arm):
-        allowed = (
-            "one base placement if all rows are touches: touches do not show where the bases stand"
-        )
-        raise InputError(session.source, "group", "several", allowed)
-    points = {name for kind in stood for name in session.named(kind)}
-    _check_distances(session, arm)
-    for one, other, *_ in session.touch_distances:
-        if (one in points) != (other in points):
-            yield "touch_distances", f"{other if one in points else one} was not touched"
-
-
-_OFF_SHARE = 0.1
-"""Share of its reach by which no arm as declared misses a distance that it touches the ends of."""
-
-
-def _check_distances(session: Session, arm: Arm) -> None:
-    """Refuse known distances that the arm as declared does not touch by far."""
+        allowed = "one base placement if all rows are touches: "
+        allowed += "touches do not show where the bases stand"
+        raise session.error("group", "several", allowed)
     tips = Model(arm).tip(session.q, session.context())
     touched = session.labels.get("touch", np.zeros(0, dtype=str))
     for one, other, length, _ in (*known_distances(arm.touch_distances), *session.touch_distances):
@@ -113,28 +102,33 @@ def _check_distances(session: Session, arm: Arm) -> None:
         if abs(length - apart) > _OFF_SHARE * reach(arm):
             hint = " (this looks like millimetres)" if 500 < length / (apart or 1) < 2000 else ""
             allowed = f"metres, about {apart:.3g}, as the arm touched them{hint}"
-            raise InputError(session.source, f"touch_distances: {one}, {other}", length, allowed)
+            raise session.error(f"touch_distances: {one}, {other}", length, allowed)
+
+    points = {name for kind in kinds for name in session.named(kind)}
+    for one, other, *_ in session.touch_distances:
+        if (one in points) != (other in points):
+            yield "touch_distances", f"{other if one in points else one} was not touched"
 
 
-def started(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
-    """Terms with touched points and planes where the tips were, in closed form."""
+def place_touched(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
+    """Return the terms with touched points and planes where the tips were, in closed form."""
     places: dict[str, np.ndarray] = {}
     made: list[Bias] = []
     for term in terms:
         if isinstance(term, TouchPlace | TouchBeside):
-            held = tips[session.labels["touch"] == term.touch]
-            if len(held):
-                term, place = _put(term, held, places.get(term.touch))
+            there = tips[session.labels["touch"] == term.touch]
+            if len(there):
+                term, place = _place_point(term, there, places.get(term.touch))
                 places.update(dict.fromkeys(term.carries.splitlines(), place))
         elif isinstance(term, PlanePlace):
-            held = tips[session.labels["plane"] == term.plane]
-            term = _laid(term, held) if len(held) else term
+            there = tips[session.labels["plane"] == term.plane]
+            term = _place_plane(term, there) if len(there) else term
         made.append(term)
     return tuple(made)
 
 
-def completed(model: Model, session: Session, at: Posture) -> Model:
-    """The model, perhaps of other rows, with the touched points that it lacks."""
+def with_touched(model: Model, session: Session, at: Posture) -> Model:
+    """Return the model, perhaps of other rows, with the touched points that it lacks."""
     if all(kind.cells for kind in session.kinds):
         return model
     points = {t.touch for t in model.biases if isinstance(t, TouchPlace | TouchBeside)}
@@ -146,19 +140,19 @@ def completed(model: Model, session: Session, at: Posture) -> Model:
     if not lacking:
         return model
     tips = np.broadcast_to(stack(model.tip_frame(at).p), (len(session), 3))
-    return model.plus(*started(lacking, tips, session))
+    return model.plus(*place_touched(lacking, tips, session))
 
 
-def _put(
+def _place_point(
     term: TouchPlace | TouchBeside, tips: np.ndarray, beside: np.ndarray | None
 ) -> tuple[TouchPlace | TouchBeside, np.ndarray]:
-    """The term at the middle of the tips, and where that is."""
+    """Put the term at the middle of the tips, and return where that is."""
 
-    def solved(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
+    def solve(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
         mean = kept.mean(axis=0)
         return mean, lambda points: np.linalg.norm(points - mean, axis=1)
 
-    middle = _robust(tips, solved)
+    middle = _solve_robustly(tips, solve)
     if isinstance(term, TouchPlace) or beside is None:
         return term.with_values(dict(zip("xyz", middle, strict=True))), middle
     way = middle - beside
@@ -169,26 +163,26 @@ def _put(
     return term.with_values({**values, "stretch": 0.0}), beside + term.distance * along
 
 
-def _laid(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
-    def solved(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
+def _place_plane(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
+    def solve(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
         middle = kept.mean(axis=0)
         normal = np.linalg.svd(kept - middle, full_matrices=True)[2][-1]
         normal = normal * (1.0 if normal[2] >= 0 else -1.0)
         return np.append(normal, normal @ middle), lambda points: np.abs((points - middle) @ normal)
 
-    *normal, height = _robust(tips, solved)
+    *normal, height = _solve_robustly(tips, solve)
     turn = np.cross(normal, [0.0, 0.0, 1.0])
     sine = float(np.linalg.norm(turn))
     angle = np.arctan2(sine, normal[2]) / sine if sine > EXACT else 1.0
     return term.with_values({"z": height, "rx": angle * turn[0], "ry": angle * turn[1]})
 
 
-def _robust(
-    tips: np.ndarray, solved: Callable[[np.ndarray], tuple[np.ndarray, _Misfit]]
+def _solve_robustly(
+    tips: np.ndarray, solve: Callable[[np.ndarray], tuple[np.ndarray, _Misfit]]
 ) -> np.ndarray:
-    """A closed-form solution without the tips that are far from it."""
-    answer, misfit = solved(tips)
+    """Return a closed-form solution without the tips that are far from it."""
+    answer, misfit = solve(tips)
     for _ in range(4):
         away = misfit(tips)  # four standard deviations are six medians
-        answer, misfit = solved(tips[away <= max(6.0 * float(np.median(away)), EXACT)])
+        answer, misfit = solve(tips[away <= max(6.0 * float(np.median(away)), EXACT)])
     return answer

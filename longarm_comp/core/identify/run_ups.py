@@ -43,7 +43,7 @@ def remembers(term: Effect | Bias) -> bool:
 def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
     """The session with unrecorded run-ups taken to be so long (rad; a tenth as many m)."""
     slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
-    return session.taken(run_up * np.where(slides, SLIDE, 1.0))
+    return session.with_run_ups(run_up * np.where(slides, SLIDE, 1.0))
 
 
 def as_fitted(session: Session, model: Model) -> Session:

@@ -59,7 +59,7 @@ class Cells:
         return [row[place] for _, row in self.rows]
 
     def place(self, key: str, field: str) -> int:
-        """Place of the column that the user calls so: whole, without its unit, or without a title.
+        """Find the place of a column by its name: whole, without its unit, or without a title.
 
         Raises:
             InputError: about the option ``field``; there is none, or more than one.
@@ -79,7 +79,7 @@ class Cells:
         return found[0]
 
     def number(self, text: str) -> float | None:
-        """The number in a cell; None where the cell holds no number. Raises nothing."""
+        """Return the number in a cell; None where the cell holds no number. Raises nothing."""
         plain = text.strip()
         if (_COMMA if self.decimal == "," else _POINT).fullmatch(plain) is None:
             return None
@@ -87,7 +87,7 @@ class Cells:
 
     @staticmethod
     def empty(text: str) -> bool:
-        """Whether a cell says that there is no value."""
+        """Tell whether a cell says that there is no value."""
         return text.strip().lower() in _NONE
 
 
@@ -99,17 +99,15 @@ def read_cells(
 ) -> Cells:
     """Read a table; by default of the only sheet, with the decimal sign that the cells show and the
     names of its header, in whose place `columns` may be told."""
-    where, separator = str(path), ""
+    where = str(path)
     if path.suffix.lower() in WORKBOOK:
-        lines, sign, decimal = _sheet(path, sheet), ".", None  # its numbers are no text
+        separator, lines, sign = "", _read_sheet(path, sheet), "."  # its numbers are no text
     else:
-        text = _text(path)
-        separator, lines = _separated(where, text)
-        sign = _decimal(where, separator, lines)
-    sign = decimal or sign
-    ids, first = _first_row(where, lines, sign)
+        separator, lines = _split_text(where, _read_text(path))
+        sign = decimal or _find_decimal_sign(where, separator, lines)
+    ids, first = _find_first_row(where, lines, sign)
     width = len(lines[first][1])
-    names, used = _names(lines[:first], width, ids)
+    names, used = _join_names(lines[:first], width, ids)
     if columns:
         if len(columns) != width:
             raise InputError(where, "--columns", f"{len(columns)} names", f"{width} names")
@@ -124,7 +122,7 @@ def read_cells(
     return Cells(where, names, rows, separator, sign, used)
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     check_size(path)
     try:
         raw = path.read_bytes()
@@ -139,37 +137,48 @@ def _text(path: Path) -> str:
             return raw.decode(coding)
         except UnicodeDecodeError:
             continue
-    raise InputError(
-        path, "file", "bytes that are no text", "CSV in UTF-8, UTF-16 or CP1252, or XLSX"
-    )
+    allowed = "CSV in UTF-8, UTF-16 or CP1252, or XLSX"
+    raise InputError(path, "file", "bytes that are no text", allowed)
 
 
-def _separated(where: str, text: str) -> tuple[str, Lines]:
-    """The separator that makes the most lines of the file's beginning rows of numbers."""
+def _split_text(where: str, text: str) -> tuple[str, Lines]:
+    """Split a text by the separator that makes the most lines of its beginning rows of numbers.
+
+    Those count that have one and the same number of cells above 1: first by how many of them are
+    mostly numbers, then by how many there are.
+    """
     sample = "\n".join(text.splitlines()[:200])
-    scores = {mark: _score(_grid(where, sample, mark)) for mark in _SEPARATORS}
-    best = max(scores, key=scores.__getitem__)  # the first of equal ones
-    if scores[best] == (0, 0):
+    best, most = "", (0, 0)
+    for mark in _SEPARATORS:
+        rows = [row for _, row in _split_lines(where, sample, mark) if len(row) > 1]
+        for width in {len(row) for row in rows}:
+            alike = [row for row in rows if len(row) == width]
+            numeric = sum(_is_numeric(row, _POINT) or _is_numeric(row, _COMMA) for row in alike)
+            if (numeric, len(alike)) > most:
+                best, most = mark, (numeric, len(alike))
+    if not best:
         allowed = "a table with columns separated by comma, semicolon, tab, | or blanks"
         raise InputError(where, "file", "no columns", allowed)
-    return best, _grid(where, text, best)
+    return best, _split_lines(where, text, best)
 
 
-def _score(lines: Lines) -> tuple[int, int]:
-    """How many lines have one and the same number of cells above 1, mostly numbers; and in all."""
-    widths = Counter(len(row) for _, row in lines if len(row) > 1)
-    alike = [[row for _, row in lines if len(row) == width] for width in widths]
-    numeric = [
-        sum(_numeric(row, _POINT) or _numeric(row, _COMMA) for row in rows) for rows in alike
-    ]
-    return max(zip(numeric, map(len, alike), strict=True), default=(0, 0))
+def _split_lines(where: str, text: str, mark: str) -> Lines:
+    """Return number and cells of each line that is not blank.
 
+    Lines above the numbers lose the sign of a remark.
 
-def _grid(where: str, text: str, mark: str) -> Lines:
-    """Number and cells of each line that is not blank."""
+    Raises:
+        InputError: a remark stands between numbers: a row that somebody took out, or not?
+    """
     import pandas as pd
 
-    lines = _without_remarks(where, text.splitlines())
+    lines, above = [], True
+    for number, line in enumerate(text.splitlines(), 1):
+        remark = _REMARK.match(line)
+        above = above and not (remark is None and _is_numeric(_CELLS.split(line.strip()), _POINT))
+        if not above and remark and remark[0][-1].isspace():
+            raise InputError(where, f"line {number}", line[:40], "a row, without # before it")
+        lines.append(_REMARK.sub("", line) if above else line)
     width = max((len(re.split(mark, line.strip())) for line in lines), default=0)
     check_cells(where, width * len(lines))
     if width < 2:
@@ -186,23 +195,7 @@ def _grid(where: str, text: str, mark: str) -> Lines:
     return [(line, row) for line, row in enumerate(rows, 1) if any(row)]
 
 
-def _without_remarks(where: str, lines: list[str]) -> list[str]:
-    """Lines without the sign of a remark, if they stand above the numbers.
-
-    Raises:
-        InputError: one stands between them: a row that somebody took out, or not?
-    """
-    made, above = [], True
-    for number, line in enumerate(lines, 1):
-        found = _REMARK.match(line)
-        above = above and (found is not None or not _numeric(_CELLS.split(line.strip()), _POINT))
-        if not above and found and found[0][-1].isspace():
-            raise InputError(where, f"line {number}", line[:40], "a row, without # before it")
-        made.append(_REMARK.sub("", line) if above else line)
-    return made
-
-
-def _decimal(where: str, separator: str, lines: Lines) -> str:
+def _find_decimal_sign(where: str, separator: str, lines: Lines) -> str:
     cells = [cell for _, row in lines for cell in row]
     commas = sum("," in c and _COMMA.fullmatch(c) is not None for c in cells)
     points = sum("." in c and _POINT.fullmatch(c) is not None for c in cells)
@@ -214,8 +207,8 @@ def _decimal(where: str, separator: str, lines: Lines) -> str:
     return "," if commas else "."
 
 
-def _sheet(path: Path, name: str | None) -> Lines:
-    """Lines of a sheet that have a filled cell, without what is empty beside and between them."""
+def _read_sheet(path: Path, name: str | None) -> Lines:
+    """Read the lines of a sheet that have a filled cell, without what is empty beside them."""
     import openpyxl
 
     rows, count = [], 0
@@ -229,12 +222,12 @@ def _sheet(path: Path, name: str | None) -> Lines:
             chosen = name or sheets[0]
             if chosen not in sheets:
                 raise InputError(path, "--sheet", chosen, f"one of {', '.join(sheets)}")
-            held = book[chosen]
-            held.reset_dimensions()  # or every line is filled up to the farthest cell
-            for line, row in enumerate(held.iter_rows(), 1):
+            rows_of = book[chosen]
+            rows_of.reset_dimensions()  # or every line is filled up to the farthest cell
+            for line, row in enumerate(rows_of.iter_rows(), 1):
                 count += len(row) + 1
                 check_cells(path, count)
-                texts = [_shown(cell) for cell in row]
+                texts = [_text_of(cell) for cell in row]
                 if any(texts):
                     rows.append((line, texts))
     except InputError:
@@ -247,8 +240,8 @@ def _sheet(path: Path, name: str | None) -> Lines:
     return [(line, (row + [""] * width)[:width]) for line, row in rows]
 
 
-def _shown(cell: Any) -> str:
-    """Text of a sheet's cell; whole numbers without a point, errors of the sheet as nothing."""
+def _text_of(cell: Any) -> str:
+    """Return the text of a sheet's cell: a whole number without a point, an error as nothing."""
     value = cell.value
     if value is None or cell.data_type == "e":
         return ""
@@ -257,16 +250,16 @@ def _shown(cell: Any) -> str:
     return str(value).strip()
 
 
-def _numeric(row: Sequence[str], number: re.Pattern[str]) -> bool:
-    """Whether most filled cells of a row, and more than one, are numbers or times."""
+def _is_numeric(row: Sequence[str], number: re.Pattern[str]) -> bool:
+    """Tell whether most filled cells of a row, and more than one, are numbers or times."""
     filled = [c for c in row if c.lower() not in _NONE]
     count = sum(bool(number.fullmatch(c) or _DATED.search(c)) for c in filled)
     return len(filled) > 1 and 2 * count > len(filled)
 
 
-def _first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
-    """Places of the first line of which most filled cells are numbers, and of the first below it
-    that no header line follows: the former may hold ids, which are whole numbers beside a word.
+def _find_first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
+    """Find the first line of which most filled cells are numbers, and the first below it that no
+    header line follows: the former may hold ids, which are whole numbers beside a word.
 
     Raises:
         InputError: there is no such line, or one of measured numbers stands above a header, or
@@ -275,13 +268,14 @@ def _first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
     number = _COMMA if decimal == "," else _POINT
     widths = Counter(len(row) for _, row in lines)
     usual = widths.most_common(1)[0][0] if widths else 0
-    numeric = [k for k, (_, row) in enumerate(lines) if len(row) == usual and _numeric(row, number)]
+    numeric = [
+        k for k, (_, row) in enumerate(lines) if len(row) == usual and _is_numeric(row, number)
+    ]
     if not numeric:
         raise InputError(where, "rows", "no row of numbers", "numbers below a header")
     ids = numeric[0]
-    heads = [
-        k for k in range(ids, min(ids + _HEADER_LINES, len(lines))) if _words(lines[k][1], usual)
-    ]
+    below = range(ids, min(ids + _HEADER_LINES, len(lines)))
+    heads = [k for k in below if _is_heading(lines[k][1], usual)]
     first = next((k for k in numeric if not heads or k > heads[-1]), None)
     for k in numeric if first is None else numeric[: numeric.index(first)]:
         line, row = lines[k]
@@ -294,43 +288,39 @@ def _first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
     return ids, first
 
 
-def _words(row: Sequence[str], width: int) -> bool:
-    """Whether a row of a table of this width reads as a line of names: words, and no number."""
+def _is_heading(row: Sequence[str], width: int) -> bool:
+    """Tell whether a row of a table of this width reads as names: words, and no number."""
     filled = [c for c in row if c.lower() not in _NONE]
-    said = any(_POINT.fullmatch(c) or _COMMA.fullmatch(c) or _DATED.search(c) for c in filled)
-    return len(row) == width and not said and len(filled) > max(1, width // 2)
+    numeric = any(_POINT.fullmatch(c) or _COMMA.fullmatch(c) or _DATED.search(c) for c in filled)
+    return len(row) == width and not numeric and len(filled) > max(1, width // 2)
 
 
-def _block(lines: Lines, ids: int) -> Lines:
-    """The lines of headings: those above a blank line, with a number or of one cell are a title,
-    but for numbers from the place `ids` on."""
-    made: Lines = []
+def _join_names(lines: Lines, width: int, ids: int) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Join the columns' names from the lines above the numbers; return these lines' numbers too.
+
+    A line above a blank one, with a number or of one cell is a title and ends them, but for numbers
+    from the place `ids` on.
+    """
+    headings: Lines = []
     for k in reversed(range(len(lines))):
         line, row = lines[k]
-        apart = made and made[-1][0] != line + 1
+        apart = headings and headings[-1][0] != line + 1
         titled = k < ids and any(_POINT.fullmatch(c) or _DATED.search(c) for c in row if c)
-        if made and (apart or titled or sum(map(bool, row)) < 2):
+        if headings and (apart or titled or sum(map(bool, row)) < 2):
             break
-        made.append((line, row))
-    return made[::-1]
-
-
-def _names(lines: Lines, width: int, ids: int) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Names of the columns from the lines above the numbers, and the numbers of these lines."""
+        headings.append((line, row))
     whole = [
-        (line, row)
-        for line, row in _block(lines, ids)
-        if len(row) == width and sum(map(bool, row)) > 1
+        (line, row) for line, row in headings[::-1] if len(row) == width and sum(map(bool, row)) > 1
     ]
     units = [all(unit_of(c) is not None for c in row if c) for _, row in whole]
     last = max((k for k, pure in enumerate(units) if not pure), default=-1)
     names = [""] * width
     for k, (_, row) in enumerate(whole):
-        held = ""
+        heading = ""
         for j, cell in enumerate(row):
             if units[k]:
                 names[j] += f" [{cell.strip('[](){}')}]" if cell else ""
                 continue
-            held = cell or (held if k < last else "")  # a heading over several columns
-            names[j] = f"{names[j]} {held}".strip()
+            heading = cell or (heading if k < last else "")  # may be over several columns
+            names[j] = f"{names[j]} {heading}".strip()
     return tuple(names), tuple(line for line, _ in whole)

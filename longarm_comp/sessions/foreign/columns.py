@@ -1,4 +1,4 @@
-"""Which column of a session a column of another program is."""
+"""Finds which column of a session a column of another program is."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from longarm_comp.sessions.foreign.units import (
     split_name,
 )
 from longarm_comp.sessions.foreign.units import UNITS as KNOWN
+from longarm_comp.sessions.table import plain_name
 from longarm_comp.sessions.targets import QUATERNION
 
 JOINT = "joint"
@@ -31,6 +32,14 @@ _EXACT = re.compile(
     r"index|repeat_id|approach(_q\d+)?|(run_up|read)_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor|touch|plane"
     r"|ray_[xyz]|sensor|incl_\w+_[xy]|t_s|temperature_c|payload_kg|role|group|marker"
 )
+_WORDS = {
+    **dict.fromkeys(("t", "time", "timestamp", "datetime", "clock"), "t_s"),
+    **dict.fromkeys(("pointid", "pointno", "pointnr", "pointnumber"), "point"),
+    **dict.fromkeys(("point", "pt", "no", "nr"), "point"),  # the user's own number or name of a row
+    **dict.fromkeys(("temp", "temperature"), "temperature_c"),
+    "payload": "payload_kg",
+    "row": "index",
+}
 _TURNED = re.compile(
     r"(?:q(?:uat(?:ernion)?)?_?[wxyz0]|quat.*|roll|pitch|yaw|r[xyz]|[abc]|o[xyz]|euler.*|rot.*)"
 )
@@ -38,7 +47,7 @@ _TURNED = re.compile(
 
 @dataclass(frozen=True)
 class Column:
-    """One column of the session: its name, which column of the file it is, and that one's unit."""
+    """A column of the session: its name, which column of the file it is, and that one's unit."""
 
     name: str
     source: str
@@ -47,7 +56,7 @@ class Column:
 
 
 def kind_of(name: str, arm: Arm | None = None) -> str:
-    """What the values of a session's column are: a kind of unit, `JOINT`, or nothing."""
+    """Return the kind of unit of a session's column, `JOINT`, or nothing."""
     joint = re.fullmatch(r"(?:run_up_|read_)?q(\d+)", name)
     if joint:
         number = int(joint.group(1))
@@ -64,7 +73,7 @@ def kind_of(name: str, arm: Arm | None = None) -> str:
 
 
 def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str | None:
-    """The session's column that a name without its unit means, or None.
+    """Return the session's column that a name without its unit means, or None.
 
     Args:
         headings: a heading over several columns may stand before it.
@@ -73,29 +82,23 @@ def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str 
         return name
     if arm is not None and name in arm.joint_names:
         return f"q{arm.joint_names.index(name) + 1}"
-    plain = re.sub(r"[^a-z0-9]", "", name.lower())
+    plain = plain_name(name)
     if joint := _JOINT.fullmatch(plain):
         return f"q{int(joint.group(1))}"
     if axis := axis_of(_TIP.sub("", plain, count=1)):
         return axis
-    spelt = [re.sub(r"[^a-z0-9]", "", own.lower()) for own in arm.joint_names] if arm else []
+    spelt = [plain_name(own) for own in arm.joint_names] if arm else []
     for given in (plain, f"{plain}joint"):
         if spelt.count(given) == 1:
             return f"q{spelt.index(given) + 1}"
-    if plain in ("t", "time", "timestamp", "datetime", "clock"):
-        return "t_s"
-    if plain in ("point", "pointid", "pointno", "pointnr", "pointnumber", "pt", "no", "nr"):
-        return "point"  # the user's own number or name of a row
-    if plain in ("temp", "temperature"):
-        return "temperature_c"
-    if plain in ("payload", "row"):
-        return {"payload": "payload_kg", "row": "index"}[plain]
+    if plain in _WORDS:
+        return _WORDS[plain]
     heading, _, last = name.rpartition(" ")  # a heading over several columns, and the name below
     return meaning(last, arm) if heading and headings else None
 
 
-def turned(name: str) -> bool:
-    """Whether a name looks like a part of an orientation."""
+def looks_like_orientation(name: str) -> bool:
+    """Tell whether a name looks like a part of an orientation."""
     return _TURNED.fullmatch(re.sub(r"\s", "_", split_name(name)[0].lower())) is not None
 
 
@@ -107,7 +110,7 @@ def understand(
     apart: Collection[str] = (),
     axes: Mapping[int, str] | None = None,
 ) -> list[Column]:
-    """The columns of the session that a file holds.
+    """Find the columns of the session that a file holds.
 
     Args:
         given: by name of a column, with or without its unit: a session's column, or one and its
@@ -118,12 +121,12 @@ def understand(
         axes: coordinate of columns, by place, where more than the name says it.
     """
     where = cells.where
-    told = {cells.place(key, "--map"): key for key in given}
+    mapped = {cells.place(key, "--map"): key for key in given}
     ranked: list[tuple[int, Column]] = []
     for place, source in enumerate(cells.names):
         stem, unit = split_name(source)
-        if place in told:
-            rank, key = 0, told[place]
+        if place in mapped:
+            rank, key = 0, mapped[place]
             name, _, own = given[key].partition(":")
             if own and own not in KNOWN:
                 raise InputError(where, f"--map {key}", own, f"a unit: {', '.join(KNOWN)}")
@@ -145,14 +148,14 @@ def understand(
         if column is not first and rank == best:
             both, one = f"{first.source} and {column.source}", f"--map NAME={column.name}"
             raise InputError(where, f"column {column.name}", both, f"one; choose it with {one}")
-    made = [replace(c, unit=_fitting(cells, c, defaults, arm)) for _, c in found.values()]
+    made = [replace(c, unit=_choose_unit(cells, c, defaults, arm)) for _, c in found.values()]
     return sorted(made, key=lambda c: _order(c.name))
 
 
-def _fitting(
+def _choose_unit(
     cells: Cells, column: Column, defaults: Mapping[str, Unit], arm: Arm | None
 ) -> Unit | None:
-    """The unit of a column; None where it has none, as times of the day."""
+    """Return the unit of a column; None where it has none, as times of the day."""
     name, source, unit = column.name, column.source, column.unit
     kind = kind_of(name, arm)
     if not kind or (name == "t_s" and seconds(cells.column(column.place)) is not None):

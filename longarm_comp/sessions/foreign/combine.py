@@ -20,9 +20,9 @@ from longarm_comp.sessions.foreign.units import TIME, seconds, split_name
 _COUNTED = re.compile(r"\d+|\b[A-Za-z]\b")
 
 
-def appended(tables: Sequence[Cells]) -> Cells:
-    """The rows of tables of the same columns one after the other."""
-    first, *others = map(_pointed, tables)
+def append(tables: Sequence[Cells]) -> Cells:
+    """Put the rows of tables of the same columns one after the other."""
+    first, *others = map(_with_points, tables)
     rows, index = list(first.rows), list(range(len(first.rows)))
     for table in others:
         if sorted(table.names) != sorted(first.names):
@@ -37,25 +37,30 @@ def appended(tables: Sequence[Cells]) -> Cells:
     return replace(first, where=where, rows=tuple(rows), index=tuple(index))
 
 
-def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
-    """Rows of several tables side by side where a column says the same number or text, or where its
+def join(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
+    """Put rows of tables side by side where a column says the same number or text, or where its
     times are nearest.
 
     Returns:
         The table, and in words how near, and which rows have no partner.
     """
-    made, *others = map(_pointed, tables)
-    said: list[str] = []
+    made, *others = map(_with_points, tables)
+    notes: list[str] = []
     for table in others:
         here, there = (t.place(column, "--join") for t in (made, table))
         one, two = ([row[k] for _, row in t.rows] for t, k in ((made, here), (table, there)))
-        partner = _partners(one, two, table, column)
+        places: dict[object, int] = {}
+        for (line, _), text in zip(table.rows, two, strict=True):
+            if _key(text) in places:
+                raise InputError(table.where, f"line {line}, {column}", text, "each of them once")
+            places[_key(text)] = len(places)
+        partner = [places.get(_key(text), -1) for text in one]
         clocks, allowed = _clocks((made, table), (here, there), column), f"{one[0]}, ..."
         if clocks:
             partner, limit = _nearest(*clocks)
             apart = [abs(clocks[0][k] - clocks[1][p]) for k, p in enumerate(partner) if p >= 0]
             farthest = f"; the farthest are {max(apart):.3g} apart" if apart else ""
-            said.append(f"{table.where}: nearest {column} within {limit:.3g}{farthest}")
+            notes.append(f"{table.where}: nearest {column} within {limit:.3g}{farthest}")
             allowed = f"times of one clock, within {limit:.3g}: {allowed}"
         left = sorted(set(range(len(two))) - set(partner))
         for where, keys in (
@@ -63,7 +68,7 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
             (table.where, [two[k] for k in left]),
         ):
             if keys:
-                said.append(f"{where}: no partner of {column} {', '.join(keys[:20])}")
+                notes.append(f"{where}: no partner of {column} {', '.join(keys[:20])}")
         kept = [k for k in range(len(table.names)) if k != there]
         names = [table.names[k] for k in kept]
         names = [f"{Path(table.where).stem} {n}" if n in made.names else n for n in names]
@@ -75,11 +80,11 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
         if not rows:
             raise InputError(table.where, f"--join {column}", "no row in common", allowed)
         made = replace(made, names=(*made.names, *names), rows=rows)
-    return replace(made, where=", ".join(t.where for t in tables)), tuple(said)
+    return replace(made, where=", ".join(t.where for t in tables)), tuple(notes)
 
 
-def ordered(cells: Cells, column: str) -> Cells:
-    """The rows in the order of a column: of numbers, of times, else of the texts."""
+def sort(cells: Cells, column: str) -> Cells:
+    """Sort the rows by a column: of numbers, of times, else of the texts."""
     place = cells.place(column, "--sort")
     texts = [row[place] for _, row in cells.rows]
     numbers = [cells.number(text) for text in texts]
@@ -91,7 +96,7 @@ def ordered(cells: Cells, column: str) -> Cells:
 
 
 def beside_each_other(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
-    """Headings of markers whose x, y and z stand side by side; empty where there are none.
+    """Find the headings of markers whose x, y and z stand side by side; empty where there are none.
 
     Their headings are alike but for a number or a letter: M1, M2; prism A, prism B.
     """
@@ -104,9 +109,9 @@ def beside_each_other(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
     return tuple(whole) if len(whole) > 1 and len(alike) == 1 else ()
 
 
-def melted(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
-    """A row for each marker, with its name in a column `marker`, and its orientation if it has one
-    and `turns` are wanted.
+def melt(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
+    """Make a row for each marker, with its name in a column `marker`, and its orientation if it has
+    one and `turns` are wanted.
 
     Raises:
         InputError: the markers' orientations or units are several.
@@ -166,15 +171,16 @@ def _clocks(tables: Sequence[Cells], places: Sequence[int], column: str) -> list
 
 
 def _nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
-    """By entry of ``one``, the place of the entry of ``two`` nearest to it that has none nearer to
-    it, -1 if none is within the tolerance; and this: half the shorter of both median steps."""
+    """Find for each entry of ``one`` the place of the nearest of ``two`` that has none nearer.
+
+    It is -1 where none is within the tolerance, which is half the shorter of both median steps and
+    returned as well.
+    """
     near, back = _closest(one, two), _closest(two, one)
     steps = [np.diff(np.unique(times)) for times in (one, two)]
     limit = min((float(np.median(step)) / 2 for step in steps if len(step)), default=0.0)
-    apart = np.abs(one - two[near])
-    mutual = apart <= np.minimum(
-        np.abs(two - one[back])[near], limit
-    )  # rows of one time all have it
+    # Of rows of one time all have it
+    mutual = np.abs(one - two[near]) <= np.minimum(np.abs(two - one[back])[near], limit)
     return np.where(mutual, near, -1).tolist(), limit
 
 
@@ -186,17 +192,6 @@ def _closest(one: np.ndarray, two: np.ndarray) -> np.ndarray:
     return pair[np.abs(two[pair] - one).argmin(axis=0), np.arange(len(one))]
 
 
-def _partners(one: list[str], two: list[str], table: Cells, column: str) -> list[int]:
-    """By entry of ``one``, the place of its like in ``two``; -1: it has none."""
-    places: dict[object, int] = {}
-    for place, text in enumerate(two):
-        if _key(text) in places:
-            line = table.rows[place][0]
-            raise InputError(table.where, f"line {line}, {column}", text, "each of them once")
-        places[_key(text)] = place
-    return [places.get(_key(text), -1) for text in one]
-
-
 def _key(text: str) -> object:
     try:
         return float(text)
@@ -204,8 +199,8 @@ def _key(text: str) -> object:
         return text.strip().lower()
 
 
-def _pointed(cells: Cells) -> Cells:
-    """With decimal points."""
+def _with_points(cells: Cells) -> Cells:
+    """Return the table with decimal points."""
     if cells.decimal == ".":
         return cells
     rows = tuple(

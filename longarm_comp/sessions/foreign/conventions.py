@@ -1,4 +1,4 @@
-"""Which convention an orientation's numbers follow: the one that the arm's own tip bears out."""
+"""Finds the convention of an orientation's numbers: the one that the arm's own tip bears out."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Conventions:
     errors: Mapping[str, float]
 
     def refutes(self, rotation: Rotation) -> bool:
-        """Whether the rows clearly follow another convention."""
+        """Tell whether the rows clearly follow another convention."""
         best = next(iter(self.errors))
         own = self.errors.get(rotation.spelt, np.inf)
         return self._clear and own > max(SUSPECT_TURN, _CLEAR * self.errors[best])
@@ -36,8 +36,8 @@ class Conventions:
     def _clear(self) -> bool:
         return next(iter(self.errors.values())) < SUSPECT_TURN
 
-    def said(self, columns: str) -> str:
-        """The convention that fits, with its columns and what others leave; else that none does."""
+    def describe(self, columns: str) -> str:
+        """Say which convention fits, with its columns, and what others leave; or that none does."""
         best, *others = self.errors.items()
         if not self._clear:
             return f"no convention fits (the best leaves {1e3 * best[1]:.3g} mrad)"
@@ -48,10 +48,10 @@ class Conventions:
         return f"the rows fit {fit} (it leaves {1e3 * best[1]:.3g} mrad{left})"
 
 
-def conventions(
+def try_conventions(
     arm: Arm, q: np.ndarray, xyz: np.ndarray, labels: Mapping[str, np.ndarray], values: np.ndarray
 ) -> Conventions | None:
-    """How each convention of so many numbers fits the arm; None for too few rows or none.
+    """Fit each convention of so many numbers to the arm; None for too few rows or none.
 
     Args:
         q, xyz: (N, n) joints, rad and m; (N, 3) positions, m.
@@ -61,14 +61,14 @@ def conventions(
     whole = np.isfinite(values).all(axis=1) & np.isfinite(xyz).all(axis=1)
     if whole.sum() < _FEWEST:
         return None
-    held = {name: texts[whole] for name, texts in labels.items()}
-    error = turn_error(Model(arm), Session.record(q[whole], xyz[whole], labels=held))
-    made: dict[str, float] = {}
+    labels = {name: texts[whole] for name, texts in labels.items()}
+    error = turn_error(Model(arm), Session.record(q[whole], xyz[whole], labels=labels))
+    errors: dict[str, float] = {}
     for name in CONVENTIONS.get(values.shape[1], ()):
         for inverse in (False, True):
             tried = Rotation(name, (), inverse)
             try:
-                made[tried.spelt] = error(tried.quaternions(values[whole]))
+                errors[tried.spelt] = error(tried.quaternions(values[whole]))
             except ValueError:  # numbers that are no rotation in it
                 continue
-    return Conventions(dict(sorted(made.items(), key=lambda each: each[1]))) if made else None
+    return Conventions(dict(sorted(errors.items(), key=lambda each: each[1]))) if errors else None

@@ -18,15 +18,15 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_paths
 from longarm_comp.sessions.csv import LABELS, XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
-from longarm_comp.sessions.foreign.columns import JOINT, Column, kind_of, turned, understand
-from longarm_comp.sessions.foreign.combine import (
-    appended,
-    beside_each_other,
-    joined,
-    melted,
-    ordered,
+from longarm_comp.sessions.foreign.columns import (
+    JOINT,
+    Column,
+    kind_of,
+    looks_like_orientation,
+    understand,
 )
-from longarm_comp.sessions.foreign.conventions import Conventions, conventions
+from longarm_comp.sessions.foreign.combine import append, beside_each_other, join, melt, sort
+from longarm_comp.sessions.foreign.conventions import try_conventions
 from longarm_comp.sessions.foreign.poses import Found, found_in, of_marker, unit_in
 from longarm_comp.sessions.foreign.units import (
     ALLOWED,
@@ -49,7 +49,7 @@ _MAY_BE_BLANK = re.compile(
 
 @dataclass(frozen=True)
 class Options:
-    """What the user says of a file.
+    """The user's words about a file.
 
     Attributes:
         units: of columns that name none, such as ``mm`` and ``deg``.
@@ -71,13 +71,13 @@ class Options:
     columns: tuple[str, ...] = ()
 
     def like(self, mapping: Path) -> Options:
-        """With what an earlier mapping says beside; what is told here goes before it."""
+        """Add what an earlier mapping says; what is told here goes before it."""
         form = Like(mapping)
-        told = {name.partition(":")[0] for name in self.given.values()}
+        own = {name.partition(":")[0] for name in self.given.values()}
         kept = {
             source: f"{name}:{unit.name}" if unit else name
             for name, (source, unit) in form.columns.items()
-            if name not in told
+            if name not in own
         }
         return replace(
             self,
@@ -104,7 +104,7 @@ class _Imported:
     markers: tuple[str, ...] = ()  # that stood side by side
 
     def preview(self) -> list[dict[str, Any]]:
-        """One row a column: what it was read from, in which unit, and its range."""
+        """Return a row a column: what it was read from, in which unit, and its range."""
         rows = []
         for column in self.sources:
             values = self.columns[column.name]
@@ -122,20 +122,12 @@ class _Imported:
     def save(self, path: Path) -> Path:
         """Write the session and the mapping beside it, both or none; returns the mapping's path."""
         beside = path.with_suffix(".mapping.yaml")
-        with atomic_paths(path, beside) as (session, mapping):
-            fill_table(session, list(self.columns), zip(*self.columns.values(), strict=True))
-            mapping.write_text(self._mapping(session), encoding="utf-8", newline="\n")
-        return beside
-
-    def _mapping(self, session: Path) -> str:
-        """Text of the mapping of a session that is written."""
         several = len(self.files) > 1  # each may have its own sign
         names = ", ".join(file.name for file in self.files)
-        hashes = [hashlib.sha256(file.read_bytes()).hexdigest() for file in self.files]
-        mapping = {
+        mapping: dict[str, Any] = {
             "source": names,
-            "source_sha256": ", ".join(hashes),
-            "session_sha256": hashlib.sha256(session.read_bytes()).hexdigest(),
+            "source_sha256": ", ".join(map(_hash_file, self.files)),
+            "session_sha256": "",
             "separator": self.cells.separator,
             "decimal": self.cells.decimal if self.cells.separator and not several else None,
             "header_lines": list(self.cells.header_lines),
@@ -153,110 +145,100 @@ class _Imported:
             mapping["rotation"] = self.options.rotation
         if self.options.columns:
             mapping["names"] = list(self.options.columns)
-        text = yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
-        return f"# How longarm import-data read {names}.\n{text}"
+        with atomic_paths(path, beside) as (session, written):
+            fill_table(session, list(self.columns), zip(*self.columns.values(), strict=True))
+            mapping["session_sha256"] = _hash_file(session)
+            text = yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
+            text = f"# How longarm import-data read {names}.\n{text}"
+            written.write_text(text, encoding="utf-8", newline="\n")
+        return beside
+
+
+def _hash_file(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _Imported:
     """Read a table of another program, or several that make one session."""
     files = tuple(map(Path, [path] if isinstance(path, str | Path) else path))
-    cells, said = _together(files, options)
+    tables = [read_cells(file, options.sheet, options.decimal, options.columns) for file in files]
+    cells, arm = tables[0], options.arm
+    partners: tuple[str, ...] = ()
+    if options.join is not None:
+        if len(tables) == 1:
+            raise InputError(cells.where, "--join", options.join, "two files or more")
+        cells, partners = join(tables, options.join)
+    elif len(tables) > 1:
+        cells = append(tables)
+    if options.sort is not None:
+        cells = sort(cells, options.sort)
     where = cells.where
     markers = beside_each_other(cells, options.given)
     if markers:
-        cells = melted(cells, markers, options.rotation != "none")
-    found = _poses(cells, options)
-    defaults = _defaults(where, options.units)
-    turned_by = {cells.names[k] for each in found if each.turn for k in each.places}
-    told = _told_rotation(cells, options)
-    apart = turned_by.union(() if told is None else told.columns)
-    axes = {
-        k: a for each in found if not each.turn for k, a in zip(each.places, "xyz", strict=True)
-    }
-    sources = understand(cells, options.given, defaults, options.arm, apart, axes)
-    _complete(where, cells, sources, options.arm, bool(apart))
-    columns: dict[str, np.ndarray] = {c.name: _values(cells, c) for c in sources}
+        cells = melt(cells, markers, options.rotation != "none")
+    found = _find_poses(cells, options)
+    defaults: dict[str, Unit] = {}
+    for name in options.units:
+        if name not in UNITS or UNITS[name].kind in defaults:
+            raise InputError(where, "--units", name, f"one of a kind of {', '.join(UNITS)}")
+        defaults[UNITS[name].kind] = UNITS[name]
+    apart = {cells.names[k] for each in found if each.turn for k in each.places}
+    rotation = None
+    if options.rotation not in (None, "none"):
+        rotation = Rotation.parse(options.rotation, where)
+        places = (cells.place(name, "--rotation") for name in rotation.columns)
+        rotation = replace(rotation, columns=tuple(cells.names[place] for place in places))
+        apart.update(rotation.columns)
+    positions = (each.places for each in found if not each.turn)
+    axes = {k: axis for places in positions for k, axis in zip(places, "xyz", strict=True)}
+    sources = understand(cells, options.given, defaults, arm, apart, axes)
+    _check_complete(cells, [c.name for c in sources], arm, bool(apart))
+    columns: dict[str, np.ndarray] = {c.name: _read_column(cells, c) for c in sources}
     if cells.index and "index" not in columns:
         columns = {"index": np.array(cells.index), **columns}
-    rotation = told or _rotation(cells, options, found, {c.place for c in sources})
+    if options.rotation is None:
+        rotation = _find_rotation(cells, found, {c.place for c in sources})
     if rotation is not None:
-        values = _parts(cells, rotation, defaults)
-        columns |= _orientation(where, rotation, values, _fitting(columns, values, options))
+        columns |= _read_orientation(cells, rotation, columns, defaults, arm)
     read = {c.source for c in sources}.union(() if rotation is None else rotation.columns)
     left = tuple(n or f"column {k + 1}" for k, n in enumerate(cells.names) if n not in read)
     assumed = tuple(
         c.name
         for c in sources
-        if kind_of(c.name, options.arm) == JOINT and split_name(c.source)[1] is None
+        if kind_of(c.name, arm) == JOINT
+        and split_name(c.source)[1] is None
         and ":" not in options.given.get(c.source, "")
-    )  # fmt: skip
+    )
     return _Imported(
-        cells, columns, tuple(sources), left, assumed, rotation, options, files, said, markers
+        cells, columns, tuple(sources), left, assumed, rotation, options, files, partners, markers
     )
 
 
-def _together(files: tuple[Path, ...], options: Options) -> tuple[Cells, tuple[str, ...]]:
-    """The table of all files, and how their rows belong together."""
-    tables = [read_cells(file, options.sheet, options.decimal, options.columns) for file in files]
-    cells = tables[0]
-    said: tuple[str, ...] = ()
-    if options.join is not None:
-        if len(tables) == 1:
-            raise InputError(cells.where, "--join", options.join, "two files or more")
-        cells, said = joined(tables, options.join)
-    elif len(tables) > 1:
-        cells = appended(tables)
-    return cells if options.sort is None else ordered(cells, options.sort), said
-
-
-def _poses(cells: Cells, options: Options) -> list[Found]:
-    """Positions and orientations whose names are no joints and not told by the user.
+def _find_poses(cells: Cells, options: Options) -> list[Found]:
+    """Find positions and orientations whose names are no joints and not given by the user.
 
     Of ``q0`` to ``q3``, where their length is 1: numbers of joints have no such.
     """
-    known = () if options.arm is None else options.arm.joint_names
-    apart = [
-        k
-        for k, name in enumerate(cells.names)
-        if {name, split_name(name)[0]} & {*options.given, *known}
-    ]
-    found = found_in(cells.names, apart)
-    return [each for each in found if "3" not in each.form.parts or _of_length_1(cells, each)]
+    known = {*options.given, *(() if options.arm is None else options.arm.joint_names)}
+    names = enumerate(cells.names)
+    found = found_in(cells.names, [k for k, n in names if known & {n, split_name(n)[0]}])
+    poses = []
+    for each in found:
+        if "3" in each.form.parts:
+            numbers = [[cells.number(text) for text in cells.column(k)] for k in each.places]
+            values = np.array(numbers, dtype=float)
+            length = np.linalg.norm(values[:, np.isfinite(values).all(axis=0)], axis=0)
+            if not len(length) or (np.abs(length - 1) >= UNIT_LENGTH).any():
+                continue
+        poses.append(each)
+    return poses
 
 
-def _of_length_1(cells: Cells, found: Found) -> bool:
-    numbers = [[cells.number(t) for t in cells.column(k)] for k in found.places]
-    values = np.array(numbers, dtype=float)
-    length = np.linalg.norm(values[:, np.isfinite(values).all(axis=0)], axis=0)
-    return bool(len(length) and (np.abs(length - 1) < UNIT_LENGTH).all())
+def _find_rotation(cells: Cells, found: list[Found], read: Collection[int]) -> Rotation | None:
+    """Find the orientation of the marker whose position is read, in the convention of its names.
 
-
-def _defaults(where: str, names: tuple[str, ...]) -> dict[str, Unit]:
-    made: dict[str, Unit] = {}
-    for name in names:
-        if name not in UNITS or UNITS[name].kind in made:
-            allowed = f"one of a kind of {', '.join(UNITS)}"
-            raise InputError(where, "--units", name, allowed)
-        made[UNITS[name].kind] = UNITS[name]
-    return made
-
-
-def _told_rotation(cells: Cells, options: Options) -> Rotation | None:
-    """The orientation that the user says; None where none is said, or to read none."""
-    if options.rotation in (None, "none"):
-        return None
-    rotation = Rotation.parse(options.rotation, cells.where)
-    places = (cells.place(name, "--rotation") for name in rotation.columns)
-    return replace(rotation, columns=tuple(cells.names[place] for place in places))
-
-
-def _rotation(
-    cells: Cells, options: Options, found: list[Found], read: Collection[int]
-) -> Rotation | None:
-    """The orientation of the marker whose position is read, in the convention that its names say;
-    without one where they say none, or where columns look like an orientation but are not whole."""
-    if options.rotation is not None:
-        return None
+    It has no convention where they say none, or where columns look like one but are not whole.
+    """
     turns = of_marker(found, read)
     known = [each for each in turns if each.form.convention]
     alike = [each for each in known if each.form == known[0].form]
@@ -264,43 +246,40 @@ def _rotation(
         columns = tuple(cells.names[k] for k in known[0].places)
         return Rotation(known[0].form.convention, columns)
     whole = {k for each in found for k in each.places if each.turn}
-    looks = [
-        k for k, name in enumerate(cells.names) if k not in whole and k not in read and turned(name)
-    ]
+    others = [k for k in range(len(cells.names)) if k not in whole and k not in read]
+    looks = [k for k in others if looks_like_orientation(cells.names[k])]
     asked = [k for each in alike or turns[:1] for k in each.places] or looks
     return Rotation("", tuple(cells.names[k] for k in asked)) if len(asked) >= 3 else None
 
 
-def _complete(
-    where: str, cells: Cells, sources: list[Column], arm: Arm | None, turned: bool
-) -> None:
-    names = [c.name for c in sources]
+def _check_complete(cells: Cells, names: Collection[str], arm: Arm | None, turned: bool) -> None:
     joints = sorted(int(n[1:]) for n in names if n[:1] == "q" and n[1:].isdigit())
     wanted = list(range(1, (arm.n if arm else len(joints)) + 1))
+    there = f"(columns: {', '.join(cells.names)})"
     if not joints or joints != wanted:
         found = ", ".join(f"q{j}" for j in joints) or "none"
         hint = f"q1..q{len(wanted)}" if wanted else "q1..qn"
-        allowed = f"{hint}; name them with --map COLUMN=q1,... (columns: {', '.join(cells.names)})"
-        raise InputError(where, "joints", found, allowed)
+        allowed = f"{hint}; name them with --map COLUMN=q1,... {there}"
+        raise InputError(cells.where, "joints", found, allowed)
     if not turned and not {*XYZ, "distance", "ray_x", "touch", "plane"} & set(names):
-        allowed = f"x, y, z; name them with --map COLUMN=x,... (columns: {', '.join(cells.names)})"
-        raise InputError(where, "measurement", "none", allowed)
+        allowed = f"x, y, z; name them with --map COLUMN=x,... {there}"
+        raise InputError(cells.where, "measurement", "none", allowed)
 
 
-def _values(cells: Cells, column: Column) -> np.ndarray:
+def _read_column(cells: Cells, column: Column) -> np.ndarray:
     texts = cells.column(column.place)
     if column.name in LABELS:
         return np.array(texts)
     clock = seconds(texts) if column.name == "t_s" else None
     if clock is not None:
         return clock
+    values = _read_numbers(cells, column.place, bool(_MAY_BE_BLANK.fullmatch(column.name)))
     power = 2 if column.name.startswith("cov_") else 1
     unit = column.unit
-    values = _numbers(cells, column.place, bool(_MAY_BE_BLANK.fullmatch(column.name)))
     return values if unit is None else values * unit.factor**power + unit.offset
 
 
-def _numbers(cells: Cells, place: int, blanks: bool) -> np.ndarray:
+def _read_numbers(cells: Cells, place: int, blanks: bool) -> np.ndarray:
     values = np.empty(len(cells.rows))
     for k, (line, row) in enumerate(cells.rows):
         number = cells.number(row[place])
@@ -313,50 +292,48 @@ def _numbers(cells: Cells, place: int, blanks: bool) -> np.ndarray:
     return values
 
 
-def _parts(cells: Cells, rotation: Rotation, defaults: Mapping[str, Unit]) -> np.ndarray:
-    """(N, k) numbers of an orientation's columns, angles in rad; NaN without a unit."""
-    read = []
+def _read_orientation(
+    cells: Cells,
+    rotation: Rotation,
+    columns: Mapping[str, np.ndarray],
+    defaults: Mapping[str, Unit],
+    arm: Arm | None,
+) -> dict[str, np.ndarray]:
+    """Read the columns of the quaternion.
+
+    Args:
+        columns: of the session, which tell which convention an arm's rows fit.
+
+    Raises:
+        InputError: its convention is not known, or clearly another than that which the rows fit.
+    """
+    parts = []
     for name in rotation.columns:
-        values = _numbers(cells, cells.names.index(name), True)
+        numbers = _read_numbers(cells, cells.names.index(name), True)
         if rotation.angles:
             unit = unit_in(name) or defaults.get(ANGLE)
             if rotation.convention and (unit is None or unit.kind != ANGLE):
                 field = f"column {name}"
                 raise InputError(cells.where, field, "no angle's unit", "--units deg or rad")
-            values = values * (unit.factor if unit else math.nan)
-        read.append(values)
-    return np.stack(read, axis=-1)
-
-
-def _fitting(
-    columns: Mapping[str, np.ndarray], values: np.ndarray, options: Options
-) -> Conventions | None:
-    """How well each convention fits the rows; None where no arm or too few rows are known."""
-    if options.arm is None:
-        return None
-    q = np.stack([columns[f"q{j + 1}"] for j in range(options.arm.n)], axis=-1)
-    xyz = np.stack([columns.get(axis, np.full(len(q), np.nan)) for axis in XYZ], axis=-1)
-    labels = {name: columns[name] for name in ("group", "marker") if name in columns}
-    return conventions(options.arm, q, xyz, labels, values)
-
-
-def _orientation(
-    where: str, rotation: Rotation, values: np.ndarray, fitting: Conventions | None
-) -> dict[str, np.ndarray]:
-    """Columns of the quaternion.
-
-    Raises:
-        InputError: its convention is not known, or clearly another than that which the rows fit.
-    """
+            numbers = numbers * (unit.factor if unit else math.nan)
+        parts.append(numbers)
+    values = np.stack(parts, axis=-1)
+    fitting = None
+    if arm is not None:
+        q = np.stack([columns[f"q{j + 1}"] for j in range(arm.n)], axis=-1)
+        xyz = np.stack([columns.get(axis, np.full(len(q), np.nan)) for axis in XYZ], axis=-1)
+        labels = {name: columns[name] for name in ("group", "marker") if name in columns}
+        fitting = try_conventions(arm, q, xyz, labels, values)
     listed = ",".join(rotation.columns)
     if not rotation.convention:
-        said = f"{fitting.said(listed)}; " if fitting else ""
+        best = f"{fitting.describe(listed)}; " if fitting else ""
         missing = f"missing for {', '.join(rotation.columns)}"
-        raise InputError(where, "--rotation", missing, f"{said}{ALLOWED}; or none")
+        raise InputError(cells.where, "--rotation", missing, f"{best}{ALLOWED}; or none")
     if fitting and fitting.refutes(rotation):
-        raise InputError(where, "--rotation", f"{rotation.spelt}:{listed}", fitting.said(listed))
+        given = f"{rotation.spelt}:{listed}"
+        raise InputError(cells.where, "--rotation", given, fitting.describe(listed))
     try:
         made = rotation.quaternions(values)
     except ValueError as error:
-        raise InputError(where, "--rotation", str(error), "one rotation a row") from None
+        raise InputError(cells.where, "--rotation", str(error), "one rotation a row") from None
     return dict(zip(QUATERNION, made.T, strict=True))

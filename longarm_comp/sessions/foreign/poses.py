@@ -1,4 +1,4 @@
-"""Which columns of a table are one marker's pose: `FORMS` is the one list of their names."""
+"""Finds the columns of a table that are one marker's pose: `FORMS` is the list of their names."""
 
 from __future__ import annotations
 
@@ -94,23 +94,23 @@ class Found:
 
 
 def found_in(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
-    """All that a table holds in full, orientations before positions; no column is in two.
+    """Find all that a table holds in full, orientations before positions; no column is in two.
 
     Args:
         names: of the columns, with their units.
         apart: places of columns that are something else.
     """
-    held: list[Found] = []
-    taken = set(apart)
+    whole: list[Found] = []
+    used = set(apart)
     for turn in (True, False):
         for form in FORMS:
             if turn == (form.convention == POSITION):
                 continue
             for found in _complete(form, names):
-                if not taken & set(found.places) and _meant(found, names):
-                    held.append(found)
-                    taken |= set(found.places)
-    return held
+                if not used & set(found.places) and _is_meant(found, names):
+                    whole.append(found)
+                    used |= set(found.places)
+    return whole
 
 
 def unit_in(name: str) -> Unit | None:
@@ -133,8 +133,8 @@ def _complete(form: Form, names: Sequence[str]) -> Iterable[Found]:
             yield Found(form, heading, word, tuple(places[k] for k in range(len(places))))
 
 
-def _meant(found: Found, names: Sequence[str]) -> bool:
-    """Whether three turns about x, y, z are that: beside a position, else they are a marker's."""
+def _is_meant(found: Found, names: Sequence[str]) -> bool:
+    """Tell whether three turns about x, y, z are an orientation: only beside a position."""
     if found.form.convention or found.form.parts != ("x", "y", "z"):
         return True
     positions = (p for form in FORMS if form.convention == POSITION for p in _complete(form, names))
@@ -151,7 +151,7 @@ def axis_of(name: str) -> str | None:
 
 
 def of_marker(found: Sequence[Found], read: Collection[int]) -> list[Found]:
-    """The orientations of the marker whose position is in columns of these places: under its
+    """Find the orientations of the marker whose position is in columns of these places: under its
     heading, under none, or under one that has no position."""
     own = {each.heading for each in found if not each.turn and set(read) & set(each.places)}
     others = set(headings(found)) - own
@@ -161,7 +161,7 @@ def of_marker(found: Sequence[Found], read: Collection[int]) -> list[Found]:
 
 
 def headings(found: Iterable[Found]) -> dict[str, Found]:
-    """By heading, the position of each marker; the first where a heading has several."""
+    """Return the position of each marker by heading; the first where a heading has several."""
     made: dict[str, Found] = {}
     for each in found:
         if not each.turn:

@@ -75,7 +75,7 @@ class Rotation:
 
     @classmethod
     def parse(cls, text: str, where: str) -> Rotation:
-        """From ``CONVENTION:COLUMNS``. Raises InputError."""
+        """Read ``CONVENTION:COLUMNS``. Raises InputError."""
         convention, colon, names = text.partition(":")
         inverse, convention = convention.startswith("-"), convention.removeprefix("-")
         columns = tuple(name.strip() for name in names.split(","))
@@ -86,12 +86,12 @@ class Rotation:
 
     @property
     def spelt(self) -> str:
-        """As the user says it, without the columns."""
+        """The convention as the user says it, without the columns."""
         return "-" * self.inverse + self.convention
 
     @property
     def angles(self) -> bool:
-        """Whether the columns are angles, with a unit."""
+        """True if the columns are angles, with a unit."""
         return len(self.columns) == 3
 
     def quaternions(self, values: np.ndarray) -> np.ndarray:
@@ -104,32 +104,32 @@ class Rotation:
 
         made = np.full((len(values), 4), np.nan)
         blank = np.isnan(values)
-        told = ~blank.any(axis=1)
-        if (partly := ~told & ~blank.all(axis=1)).any():
+        whole = ~blank.any(axis=1)
+        if (partly := ~whole & ~blank.all(axis=1)).any():
             raise ValueError(f"row {int(partly.argmax()) + 1}: partly blank")
-        if not told.any():
+        if not whole.any():
             return made
-        held = values[told]
+        numbers = values[whole]
         if self.convention in _QUATERNIONS:
-            held = held[:, _QUATERNIONS[self.convention]]
-            off = np.abs(np.linalg.norm(held, axis=1) - 1)
+            numbers = numbers[:, _QUATERNIONS[self.convention]]
+            off = np.abs(np.linalg.norm(numbers, axis=1) - 1)
             if off.max() > UNIT_LENGTH:
-                row = int(np.flatnonzero(told)[int(off.argmax())])
+                row = int(np.flatnonzero(whole)[int(off.argmax())])
                 raise ValueError(f"row {row + 1}: length {np.linalg.norm(values[row]):.4g}")
-            turn = Turn.from_quat(held)
+            turn = Turn.from_quat(numbers)
         elif self.convention == MATRIX:
-            held = held.reshape(-1, 3, 3)
-            off = np.abs(held @ np.swapaxes(held, 1, 2) - np.eye(3)).max(axis=(1, 2))
-            if off.max() > UNIT_LENGTH or (np.linalg.det(held) < 0).any():
-                worst = int(np.where(np.linalg.det(held) < 0, np.inf, off).argmax())
-                row = int(np.flatnonzero(told)[worst])
+            numbers = numbers.reshape(-1, 3, 3)
+            off = np.abs(numbers @ np.swapaxes(numbers, 1, 2) - np.eye(3)).max(axis=(1, 2))
+            if off.max() > UNIT_LENGTH or (np.linalg.det(numbers) < 0).any():
+                worst = int(np.where(np.linalg.det(numbers) < 0, np.inf, off).argmax())
+                row = int(np.flatnonzero(whole)[worst])
                 raise ValueError(f"row {row + 1}: nine numbers that are no rotation")
-            turn = Turn.from_matrix(held)
+            turn = Turn.from_matrix(numbers)
         elif self.convention == ROTATION_VECTOR:
-            turn = Turn.from_rotvec(held)
+            turn = Turn.from_rotvec(numbers)
         else:
-            turn = Turn.from_euler(self.convention, held)
-        made[told] = (turn.inv() if self.inverse else turn).as_quat(canonical=True)
+            turn = Turn.from_euler(self.convention, numbers)
+        made[whole] = (turn.inv() if self.inverse else turn).as_quat(canonical=True)
         return made
 
 
@@ -180,13 +180,13 @@ _SUFFIXED = re.compile(r"^(.*\S)\s*(?:[_/,]|\s)\s*([^\s_/,]+)$")
 
 
 def unit_of(text: str) -> Unit | None:
-    """The unit that a text names, or None."""
+    """Return the unit that a text names, or None."""
     plain = text.strip().strip("[](){}<>").strip().lower()
     return _BY_WORD.get(plain)
 
 
 def split_name(name: str) -> tuple[str, Unit | None]:
-    """A column's name and its unit: ``q1 [deg]``, ``x_mm``, ``Time (ms)``, ``A1/deg``."""
+    """Split a column's name and its unit: ``q1 [deg]``, ``x_mm``, ``Time (ms)``, ``A1/deg``."""
     for pattern in (_BRACKETED, _SUFFIXED):
         found = pattern.match(name)
         unit = unit_of(found.group(2)) if found else None

@@ -38,15 +38,19 @@ class Like:
         data = read_yaml(mapping)
         try:
             self.columns = {
-                str(name): (str(held["from"]), UNITS[held["unit"]] if "unit" in held else None)
-                for name, held in data["columns"].items()
+                str(name): (str(entry["from"]), UNITS[entry["unit"]] if "unit" in entry else None)
+                for name, entry in data["columns"].items()
             }
             self.units, self.rotation = tuple(map(str, data["units"])), data.get("rotation")
             self.workbook = Path(str(data["source"])).suffix.lower() in WORKBOOK
             self.decimal = data["decimal"]
             self.names = tuple(map(str, data.get("names", ())))
             self._sign = str(self.decimal or ".")
-            self._separator = _plain(str(data["separator"]), self._sign)
+            # As pandas writes it, where a pattern was read
+            mark = str(data["separator"])
+            mark = {r"\t": "\t", r"\|": "|"}.get(mark, mark)
+            other = "\t" if mark else ";" if self._sign == "," else ","
+            self._separator = mark if len(mark) == 1 and mark != self._sign else other
         except (TypeError, KeyError, AttributeError) as error:
             allowed = "a mapping that longarm import-data wrote"
             raise InputError(mapping, "columns", repr(error), allowed) from error
@@ -59,7 +63,7 @@ class Like:
         """A table in this form as one in SI; columns that the mapping does not know stay."""
         cells = read_cells(Path(path))
         known = {s: (n, u) for n, (s, u) in self.columns.items()}
-        known = {split_name(s)[0]: held for s, held in known.items()} | known
+        known = {split_name(s)[0]: form for s, form in known.items()} | known
         made: dict[str, list[str]] = {}
         for place, source in enumerate(cells.names):
             stem, stated = split_name(source)
@@ -78,12 +82,14 @@ class Like:
         """Write rows whose columns are in SI, whole or not at all; by the ending of the path."""
         import pandas as pd
 
+        def convert(value: Any, unit: Unit | None, moved: bool) -> Any:
+            if unit is None or value is None or value == "":
+                return value
+            return (float(value) - (unit.offset if moved else 0.0)) / unit.factor
+
         forms = [self._form(name) for name in header]
         cells = [
-            [
-                _in_unit(value, unit, moved)
-                for value, (_, unit, moved) in zip(row, forms, strict=True)
-            ]
+            [convert(value, *form[1:]) for value, form in zip(row, forms, strict=True)]
             for row in rows
         ]
         frame = pd.DataFrame(cells, columns=[name for name, _, _ in forms], dtype=object)
@@ -112,18 +118,3 @@ class Like:
                 bracket = f" [{unit.name}]" if unit and named else ""
                 return f"{what} {stem}{bracket}".strip(), unit, False
         return name, None, False
-
-
-def _plain(separator: str, decimal: str) -> str:
-    """A separator that pandas writes, of the pattern that was read."""
-    found = {r"\t": "\t", r"\|": "|"}.get(separator, separator)
-    if len(found) == 1 and found != decimal:
-        return found
-    return "\t" if found else ";" if decimal == "," else ","
-
-
-def _in_unit(value: Any, unit: Unit | None, moved: bool) -> Any:
-    if unit is None or value is None or value == "":
-        return value
-    offset = unit.offset if moved else 0.0
-    return (float(value) - offset) / unit.factor

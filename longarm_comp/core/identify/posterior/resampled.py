@@ -19,7 +19,7 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.data.holdout import resampled
+from longarm_comp.core.data.holdout import resample
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, Rival
 from longarm_comp.core.identify.posterior.offers import offered
@@ -66,7 +66,7 @@ class Resampling:
         if not self.found:
             return ()
         whole = self.explained(np.ones(len(self.fit.session)))
-        samples = [self.explained(c) for c in resampled(self.fit.session, SAMPLES, seed)]
+        samples = [self.explained(c) for c in resample(self.fit.session, SAMPLES, seed)]
         return tuple(self._averaged(f, whole, samples) for f in self.found)
 
     def _averaged(
