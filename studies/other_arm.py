@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.placement import placed
+from longarm_comp.core.calibration.placement import place_bases
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Effect
@@ -63,4 +63,4 @@ def study(
 
 def _rigid(part: Measured) -> Model:
     model = declared_model(part.arm, deflection=False).plus(*geometry(part.arm, part.train))
-    return placed(model, part.train)
+    return place_bases(model, part.train)

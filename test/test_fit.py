@@ -25,7 +25,7 @@ from longarm_comp.core.calibration.noise import (
     from_repeats,
     lag_correlation,
 )
-from longarm_comp.core.calibration.placement import placed
+from longarm_comp.core.calibration.placement import place_bases
 from longarm_comp.core.calibration.standing import frames
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance, LinkBending
@@ -178,7 +178,7 @@ def test_a_base_that_stands_elsewhere_is_found(arm: Arm, rng: np.random.Generato
         base = BasePose(x=2.0, y=-1.5, z=0.4, rx=0.1, rz=turn)
         truth = Model(arm, (LinkDeflection(), base))
         session = measured(truth, box(arm, 40, rng), rng)
-        start = placed(Model(arm, (LinkDeflection(), *frames(arm, session))), session)
+        start = place_bases(Model(arm, (LinkDeflection(), *frames(arm, session))), session)
         left = np.linalg.norm(start.tip(session.q) - session.xyz, axis=1)
         assert np.median(left) < 0.05  # sag in the wrong direction of gravity is not seen here
         found = fit(start, session)
@@ -187,7 +187,7 @@ def test_a_base_that_stands_elsewhere_is_found(arm: Arm, rng: np.random.Generato
         assert apart.max() < 1e-3
         near = measured(Model(arm, (LinkDeflection(),)), session.q, rng)
         kept = Model(arm, (LinkDeflection(), BasePose()))
-        assert placed(kept, near) == kept  # a base that is right stays
+        assert place_bases(kept, near) == kept  # a base that is right stays
 
 
 def test_arms_on_one_torso_share_it(rng: np.random.Generator) -> None:

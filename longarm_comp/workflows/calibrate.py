@@ -17,7 +17,7 @@ from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import Place, places, untold
+from longarm_comp.core.calibration.standing import Place, list_undetermined, places
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
@@ -121,7 +121,7 @@ class Calibration:
     @property
     def untold(self) -> tuple[str, ...]:
         """What of the placement the rows do not tell; it was left as declared."""
-        return untold(self.fit)
+        return list_undetermined(self.fit)
 
     @property
     def places(self) -> tuple[Place, ...]:

@@ -1,10 +1,9 @@
-"""One session on its way through the Gauss-Newton steps of a fit."""
+"""The session of a fit on its way through the Gauss-Newton steps."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from functools import cached_property
 
 import numpy as np
 
@@ -30,7 +29,7 @@ adds a tenth of itself, and rounding nothing."""
 
 
 class SessionProblem:
-    """One session on its way through the Gauss-Newton steps; arguments and errors as of `fit`.
+    """A session on its way through the Gauss-Newton steps; arguments and errors are those of `fit`.
 
     `mine` are the places of its parameters among those of all sessions that are fitted together.
     """
@@ -62,18 +61,19 @@ class SessionProblem:
         self.noise = np.asarray(
             np.full(len(seen.channels), np.nan) if sigma is None else sigma, float
         )
+        self.uneven = seen.uneven(seen.claimed)
         self.effective = 0.0
         self.posture: Posture | None = None
         self.near: Posture | None = None
 
     def look(self) -> None:
-        """Residual and design of the model as it is now."""
+        """Compute residual and design of the model as it is now, unless they are known."""
         if self.posture is None:
             self._predict()
             self.differentiate()
 
     def _predict(self, close: bool = False) -> None:
-        """Residual of the model as it is now."""
+        """Compute the residual of the model as it is now."""
         if self.near is None:
             self.posture = posture(self.model, self.seen)
         else:
@@ -82,7 +82,7 @@ class SessionProblem:
         self._finite(self.residual)
 
     def differentiate(self) -> None:
-        """Design of the model as it is now; where it is next is taken to be near."""
+        """Compute the design of the model as it is now; where it is next is taken to be near."""
         assert self.posture is not None
         self.columns = equations(self.model, self.seen, self.posture).columns
         self._finite(self.columns)
@@ -95,37 +95,49 @@ class SessionProblem:
     def fitted(
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
     ) -> ModelFit:
-        """The model as it is now."""
+        """Return the model as it is now."""
         model = self.model
         if any(not b.geometry for b in model.biases):
             model = with_frame_shift(model, self.seen)
-        found = ModelFit(
-            model, self.seen, self.residual, self.columns, covariance, self.weights,
-            self.noise, self.effective, iterations, converged, self.rho,
-        )  # fmt: skip
-        found.__dict__["posture"] = self.posture
-        return found
+        assert self.posture is not None
+        return ModelFit(
+            model=model,
+            session=self.seen,
+            posture=self.posture,
+            residual=self.residual,
+            columns=self.columns,
+            covariance=covariance,
+            weights=self.weights,
+            sigma=self.noise,
+            effective=self.effective,
+            iterations=iterations,
+            converged=converged,
+            rho=self.rho,
+        )
 
-    def moved(self, values: np.ndarray, close: bool) -> None:
-        """Residual at other parameter values, close to where the design is of; that stays."""
+    def move(self, values: np.ndarray, close: bool) -> None:
+        """Compute the residual at other parameter values; the design stays.
+
+        `close`: whether they are close to those that the design is of.
+        """
         self.model = self.model.with_values(values)
         self._predict(close)
 
     def bend(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
-        """(p,) product of the prior-scaled design with half the second derivative of the rows along
-        a step (p,)."""
+        """Return (p,) the product of the prior-scaled design with half the second derivative of
+        the rows along a step (p,)."""
         values, residual = self.model.values, self.residual
-        self.moved(values + AHEAD * step, close)
+        self.move(values + AHEAD * step, close)
         half = (residual - self.residual - AHEAD * (self.columns @ step)) / AHEAD**2
         white = self._white(np.concatenate([self.columns * scale, half[..., None]], axis=-1))
         return np.asarray(white[:, :-1].T @ white[:, -1])
 
     def cost(self) -> float:
-        """Squared residual of the inliers in units of the noise."""
+        """Return the squared residual of the inliers in units of the noise."""
         return float((self._white(self.residual[..., None]) ** 2).sum())
 
     def weigh(self, step: int) -> None:
-        """Outliers and noise for the residual as it is now, at a step of the fit from 1.
+        """Find outliers and noise in the residual as it is now, at a step of the fit from 1.
 
         All rows are in at first, so that no start decides which of them are believed; with them in,
         a row is judged by what the whole session says.
@@ -137,42 +149,36 @@ class SessionProblem:
                 known = self.noise if step > 2 else None
                 self.weights = self.weights * inliers(even, self.seen.measured, known)
         if self.sigma is None:
-            self.noise = self._common(self.spread())
+            self.noise = self._pool_noise(self.estimate_noise())
 
-    @cached_property
-    def uneven(self) -> np.ndarray:
-        """(N,) stated noise of the rows over the usual one."""
-        return self.seen.uneven(self.seen.claimed)
-
-    def spread(self) -> np.ndarray:
-        """(d,) noise of every channel in the residual as it is now."""
+    def estimate_noise(self) -> np.ndarray:
+        """Return (d,) the noise of every channel in the residual as it is now."""
         return spread(self.residual, self.weights, self.effective, self.seen.measured)
 
-    def _common(self, sigma: np.ndarray) -> np.ndarray:
-        """(d,) one figure for all channels of a kind and sensor.
+    def _pool_noise(self, sigma: np.ndarray) -> np.ndarray:
+        """Return (d,) one figure for all channels of a kind and sensor.
 
         Where the usual noise of the kind is known it counts as `BEFOREHAND` further equations.
         """
-        made, start = [], 0
+        pooled = np.full(len(sigma), np.inf)
         free = freedom(self.weights, self.effective, self.seen.measured)
+        start = 0
         for block in self.seen.blocks:
-            mine = sigma[start : start + len(block.channels)]
-            degrees = float(free[start : start + len(mine)][np.isfinite(mine)].sum())
-            start += len(mine)
-            held = mine[np.isfinite(mine)]
-            common = np.sqrt((held**2).mean()) if len(held) else np.inf
-            known = self.usual.get(block.kind)
-            if known is not None and len(held):
-                square = BEFOREHAND * known**2 + degrees * common**2
-                common = np.sqrt(square / (BEFOREHAND + degrees))
-            made.append(np.full(len(mine), common))
-        return np.concatenate(made)
+            mine = slice(start, start := start + len(block.channels))
+            found = np.isfinite(sigma[mine])
+            if not found.any():
+                continue
+            pooled[mine] = np.sqrt((sigma[mine][found] ** 2).mean())
+            if (known := self.usual.get(block.kind)) is not None:
+                degrees = float(free[mine][found].sum())
+                square = BEFOREHAND * known**2 + degrees * pooled[start - 1] ** 2
+                pooled[mine] = np.sqrt(square / (BEFOREHAND + degrees))
+        return pooled
 
     def whitened(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(dN, p) prior-scaled design and (dN,) linearised data, in units of the noise."""
+        """Return (dN, p) prior-scaled design, (dN,) linearised data, in units of the noise."""
         y = self.residual + self.columns @ (self.model.values - centre)
-        both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
-        white = self._white(both)
+        white = self._white(np.concatenate([self.columns * scale, y[..., None]], axis=-1))
         return white[:, :-1], white[:, -1]
 
     def _white(self, columns: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import from_repeats
 from longarm_comp.core.calibration.plausible import believed, check_noise, refuse
-from longarm_comp.core.calibration.standing import standing
+from longarm_comp.core.calibration.standing import place_as_seen
 from longarm_comp.core.data.holdout import spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
@@ -114,7 +114,7 @@ def diagnose(
     say("structure")
     fits = _fits(calibrated, found)
     models = {
-        "nominal": standing(nominal, train)[0],
+        "nominal": place_as_seen(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
         **{name: folded(fitted).model for name, fitted in fits.items()},
     }

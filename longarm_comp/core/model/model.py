@@ -83,6 +83,7 @@ class Model:
         ended_s: where the clock of its session stood at the end, s; None if that is not known.
         frame_shift: m, what the measuring side moved the fitted rows by, on average: so far from
             where the arm is lies the frame in which it was measured.
+        chain: the arm's stations; made from `arm` and `elements_per_beam`, never given.
     """
 
     arm: Arm
@@ -96,6 +97,12 @@ class Model:
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
     ended_s: float | None = field(default=None, compare=False)
     frame_shift: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), compare=False)
+    chain: Chain = field(default=None, compare=False)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        known = self.chain  # of the model that this one is a changed copy of
+        if known is None or known.arm is not self.arm or known.cuts != self.elements_per_beam:
+            object.__setattr__(self, "chain", Chain(self.arm, self.elements_per_beam))
 
     def __repr__(self) -> str:
         counts = Counter(term.name for term in self.terms)
@@ -108,11 +115,6 @@ class Model:
     def __getstate__(self) -> dict[str, object]:
         """State for copies and other processes, without compiled programs."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-
-    @cached_property
-    def chain(self) -> Chain:
-        """The arm's stations."""
-        return Chain(self.arm, self.elements_per_beam)
 
     @property
     def terms(self) -> tuple[Effect | Bias, ...]:
@@ -138,6 +140,11 @@ class Model:
     def values(self) -> np.ndarray:
         """Parameter values, (p,)."""
         return np.array([s.value for s in self.slots], dtype=float)
+
+    @cached_property
+    def memo(self) -> dict[str, Any]:
+        """Results that others derive from this model and keep with it, by name."""
+        return {}
 
     def with_values(self, values: np.ndarray) -> Model:
         """A copy with other parameter values, (p,)."""
@@ -168,13 +175,11 @@ class Model:
 
     def with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
         """A copy with these terms and no others."""
-        model = dataclasses.replace(
+        return dataclasses.replace(
             self,
             effects=tuple(t for t in terms if isinstance(t, Effect)),
             biases=tuple(t for t in terms if isinstance(t, Bias)),
         )
-        model.__dict__["chain"] = self.chain
-        return model
 
     def plus(self, *terms: Effect | Bias) -> Model:
         """A copy with further terms."""
@@ -204,9 +209,9 @@ class Model:
     def _weighed(self, posture: Posture) -> Posture:
         """A posture's frames under this model's gravity and masses."""
         gravity = self._gravity(posture.context)
-        bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
+        bare = dataclasses.replace(posture, gravity=gravity, extra=())
         extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
-        return dataclasses.replace(bare, extra=extra, _cache={}) if extra else bare
+        return dataclasses.replace(bare, extra=extra) if extra else bare
 
     def _passed(self, posture: Posture, passes: int) -> Posture:
         for _ in range(passes):
