@@ -32,7 +32,7 @@ NEVER_TOLD = "(a circumstance that no command knows)"
 
 
 def is_told(name: str) -> bool:
-    """Whether a command is told a circumstance, by a topic or by its target."""
+    """Tell whether a command knows a circumstance, by a topic or by its target."""
     return name in _TOLD or INCLINATION.match(name) is not None
 
 
@@ -63,7 +63,7 @@ class Context:
     legs: tuple[Scalar, ...] = ()
 
     def has(self, name: str) -> bool:
-        """Whether an input was recorded: a per-joint field or a column."""
+        """Tell whether an input was recorded: a per-joint field or a column."""
         return bool(getattr(self, name)) if name in PER_JOINT else name in {ORDER, *self.columns}
 
     def column(self, name: str, default: float | None = None) -> Scalar:
@@ -169,7 +169,7 @@ def stacked(contexts: Sequence[Context]) -> Context:
 
 
 def _of_each(value: Any) -> bool:
-    """Whether a quantity has a value for each of N postures; not one for all."""
+    """Tell whether a quantity has a value for each of N postures; not one for all."""
     return not isinstance(value, (float, str)) and np.ndim(value) > 0
 
 
@@ -189,7 +189,7 @@ class Layout:
 
     @property
     def traceable(self) -> bool:
-        """Whether one kernel serves all rows: no text column changes from row to row."""
+        """True if one kernel serves all rows: no text column changes from row to row."""
         return all(isinstance(value, str) for _, value in self.labels)
 
     @property

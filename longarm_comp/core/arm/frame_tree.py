@@ -16,16 +16,16 @@ from longarm_comp.core.errors import InputError, LongarmError
 
 
 class UnknownPlace(LongarmError):  # noqa: N818
-    """Where a frame is in another one is not known at that time; the message says why."""
+    """A frame's place in another one is not known at that time; the message says why."""
 
 
 class NotYet(UnknownPlace):
-    """What was last published is older than the time asked for."""
+    """The last published place is older than the time asked for."""
 
 
 @dataclass
 class _Child:
-    """Where a frame was in its parent: times (ns, rising), positions (m) and x, y, z, w."""
+    """The places of a frame in its parent: times (ns, rising), positions (m) and x, y, z, w."""
 
     parent: str
     static: bool
@@ -43,7 +43,7 @@ class _Child:
         del self.times[:old], self.places[:old]
 
     def at(self, name: str, t_ns: int) -> np.ndarray:
-        """(4, 4) in the parent."""
+        """Return the pose (4, 4) in the parent at a time (ns)."""
         if self.static:
             return quaternion.pose(*self.places[0])
         if t_ns > self.times[-1]:

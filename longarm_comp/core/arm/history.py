@@ -1,4 +1,4 @@
-"""How the joints came to where they stand: the per-joint fields of the record of circumstances.
+"""The way of the joints to where they stand: the per-joint fields of the circumstances.
 
 A joint's way is kept as its *legs*, from turn to turn, as far as friction and play of any size can
 remember them: a leg as long as the one before swallows the loop that it closes (the wiping-out
@@ -88,7 +88,7 @@ def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What every joint did last. Its fields are the per-joint fields of `Context`.
+    """The last moves of every joint. Its fields are the per-joint fields of `Context`.
 
     Attributes:
         approach: (n,) or (N, n) of -1, 0 (unknown), +1: the side each joint arrived from.
@@ -101,11 +101,11 @@ class History:
 
     @classmethod
     def unknown(cls, n: int) -> History:
-        """Of an arm of n joints that nobody has watched."""
+        """Return the history of an arm of n joints that nobody has watched."""
         return cls(np.zeros(n), np.zeros((n, LEGS)))
 
     def after(self, points: np.ndarray, start: np.ndarray | None) -> History:
-        """After a move from rest to rest.
+        """Return the history after a move from rest to rest.
 
         Args:
             points: (k, n) way-points; the joints come to rest at the last.
@@ -121,7 +121,7 @@ class History:
         return History(sides, made)
 
     def along(self, points: np.ndarray, start: np.ndarray | None) -> History:
-        """After each of the way-points (k, n) of one motion without a stop; as `after`."""
+        """Return `after` for each way-point (k, n) of one motion without a stop."""
         first = points[0] if start is None else start
         ways = np.diff(points, axis=0, prepend=first[None])
         legs = np.zeros_like(self.legs) if start is None else self.legs
@@ -132,18 +132,18 @@ class History:
         return History(sides, made)
 
     def told(self, sides: np.ndarray) -> History:
-        """Where a side (n,) of +-1 is told but not from how far: the legs are not known."""
+        """Return the history with given sides (n,) of +-1, of unknown legs; 0: as it is."""
         mine = sides != 0
         legs = np.where(mine[:, None], 0.0, self.legs)
         return History(np.where(mine, sides, self.approach), legs)
 
     def agrees(self, other: History) -> bool:
-        """Whether every joint came the same way, to 10 microradians or micrometres."""
+        """Tell whether every joint came the same way, to 10 microradians or micrometres."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in PER_JOINT)
         return all(np.allclose(*pair, rtol=0.0, atol=1e-5) for pair in pairs)  # rad, m
 
     def agreed(self, other: History) -> History:
-        """What both say; unknown, 0, for a joint that turned to opposite sides."""
+        """Return what both say; unknown, 0, for a joint that turned to opposite sides."""
         same = np.sign(self.approach) == np.sign(other.approach)
         return History(np.where(same, self.approach, 0), np.where(same[:, None], self.legs, 0.0))
 

@@ -1,4 +1,4 @@
-"""What measures the arm, as `arm.yaml` declares it: cameras, markers, anchors, sensors."""
+"""The declared means of measuring of `arm.yaml`: cameras, markers, anchors, sensors."""
 
 from __future__ import annotations
 
@@ -94,13 +94,13 @@ _Spread = Positive | tuple[Positive, Positive, Positive]
 
 
 class _PointTolerance(Declared):
-    """How well a point is known: standard deviation of its position (m)."""
+    """The tolerance of a point: standard deviation of its position (m)."""
 
     xyz_m: _Spread
 
 
 class _PoseTolerance(_PointTolerance):
-    """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
+    """The tolerance of a placement: standard deviations of position (m) and rotation (deg)."""
 
     rpy_deg: _Spread
 

@@ -12,7 +12,7 @@ from longarm_comp.core.arm.history import SAME_POSE
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """How the joints come to rest at a command.
+    """The way in which the joints come to rest at a command.
 
     Attributes:
         q: (n,) where they rest (rad, m).

@@ -15,7 +15,7 @@ LENGTH_TOLERANCE = 1e-3
 
 
 def is_unit(quaternion: np.ndarray) -> bool:
-    """Whether x, y, z, w are finite and of length 1 within `LENGTH_TOLERANCE`."""
+    """Tell whether x, y, z, w are finite and of length 1 within `LENGTH_TOLERANCE`."""
     length = float(np.linalg.norm(quaternion))
     return math.isfinite(length) and abs(length - 1.0) <= LENGTH_TOLERANCE
 

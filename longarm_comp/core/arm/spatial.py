@@ -174,7 +174,7 @@ def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def tangent(twist: Twist, at: Vec, large: bool = False) -> tuple[list[Vec], list[Vec]]:
-    """How ``exp(twist)`` moves what it carries, per unit of each component of the twist.
+    """Return how ``exp(twist)`` moves what it carries, per unit of each component of the twist.
 
     The right Jacobian of the motion, ``exp(x + c) = exp(x) exp(J c)``.  With ``-x`` for x its
     blocks are ``A = 1 + b w^ + c w^w^`` and the derivative of ``p = A d`` by w, less the turn of p.

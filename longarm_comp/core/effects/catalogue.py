@@ -110,7 +110,7 @@ def searched() -> tuple[Kind, ...]:
 
 
 def through_others(arm: Arm) -> list[Effect]:
-    """What an arm has that acts through other effects only."""
+    """List what an arm has that acts through other effects only."""
     kinds = (kind for kind in registered().values() if issubclass(kind, Effect))
     return [term for kind in kinds if kind.through_others for term in kind.for_arm(arm)]
 

@@ -122,7 +122,7 @@ class _Term:
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
-        """By place field, its allowed values on an arm, without fields that allow any text."""
+        """The allowed values on an arm by place field, without fields that allow any text."""
         return {name: known for name, known in metadata(cls, PLACE).items() if known}  # type: ignore[arg-type]
 
     @classmethod
@@ -153,12 +153,12 @@ class _Term:
         return ", ".join(told) or self.whole
 
     def advice(self, arm: Arm) -> str:
-        """What can be done about it at an arm."""
+        """Say what can be done about it at an arm."""
         return self.action
 
     @property
     def reading(self) -> str:
-        """What it says of itself besides its parameters: a form, a formula. Empty: nothing."""
+        """The text about itself besides its parameters: a form, a formula. Empty: nothing."""
         return ""
 
     @property
@@ -260,11 +260,11 @@ class Effect(_Term, ABC):
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
     def outside(self, posture: Posture) -> Sequence[tuple[str, ...]]:
-        """What of each of N postures lies outside the data that it was found in, in words."""
+        """List, for N postures, what lies outside the data that it was found in, in words."""
         return [()] * posture.count
 
     def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
-        """By commanded joint (0-based), the side of arrival at which the effect is surest.
+        """Return the side of arrival at which the effect is surest, by commanded joint (0-based).
 
         +1 from below, -1 from above, 0: either.
         """
@@ -279,17 +279,17 @@ class Effect(_Term, ABC):
         return gravity
 
     def base(self, arm: Arm) -> Frame | None:
-        """Where the base stands in the frame of the measurements, for an effect that says so."""
+        """Return the base in the frame of the measurements, for an effect that places it."""
         return None
 
     @property
     def commandable(self) -> bool:
-        """Whether a command can compensate it: by what a command is told."""
+        """True if a command can compensate it: by what a command is told."""
         return all(name in PER_JOINT or is_told(name) for name in self.inputs)
 
     @property
     def changes_loads(self) -> bool:
-        """Whether the effect acts through the loads on other effects instead of by a twist."""
+        """True if the effect acts through the loads on other effects instead of by a twist."""
         kind = type(self)
         return kind.masses is not Effect.masses or kind.gravity is not Effect.gravity
 
@@ -311,7 +311,7 @@ class Bias(_Term, ABC):
 
     @classmethod
     def of_instrument(cls, arm: Arm) -> bool:
-        """Whether what measures the arm may have it; where nothing is declared, anything may."""
+        """Tell whether what measures the arm may have it; without a declaration it may."""
         return arm.measuring is None or not cls.instruments or arm.measuring in cls.instruments
 
     def advice(self, arm: Arm) -> str:
@@ -322,7 +322,7 @@ class Bias(_Term, ABC):
         """Point reported by the camera for a tip at `point` (m, base frame)."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """What a row's encoder reads where it sees its joint at a value (rad or m)."""
+        """Return the reading of a row's encoder that sees its joint at a value (rad or m)."""
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:

@@ -1,4 +1,4 @@
-"""How the arm is made and read: rows, zeros, pins and encoders."""
+"""Errors of how the arm is made and read: rows, zeros, pins and encoders."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ class Encoder(Bias):
 
 @dataclass(frozen=True)
 class KindDirection(Effect):
-    """What other arms of the kind share: errors that come together, with one free amount.
+    """A difference that arms of the kind share: errors that come together, with one free amount.
 
     It is fitted in the place of a correlated prior (`core/calibration/kind_of_arm.py`) and then
     folded into the errors that it is made of.  No model.yaml holds it.

@@ -71,7 +71,7 @@ def cantilever(posture: Posture, element: Element) -> Twist:
 
 
 def _cantilevers(posture: Posture) -> dict[int, Twist]:
-    """Of all elements, by station; those of one kind at once."""
+    """Compute the twists of all elements, by station; those of one kind at once."""
     kinds: dict[tuple, dict[tuple[int, int], tuple[Scalar, ...]]] = {}
     masses, firsts = posture.carried
     for e in elements(posture):
@@ -153,7 +153,7 @@ def _beam(posture: Posture, element: Element) -> tuple[Scalar, float, tuple[floa
 
 
 def _beam_axes(axis: int, of_frame: tuple[_T, _T, _T]) -> tuple[_T, _T, _T]:
-    """What belongs to a frame's x, y, z, by the beam's axes: the one along it, two across it."""
+    """Reorder what belongs to a frame's x, y, z: the axis along the beam, two across it."""
     return of_frame[axis:] + of_frame[:axis]  # type: ignore[return-value]
 
 

@@ -1,4 +1,4 @@
-"""Where base, tip, markers, sensors and anchors are: what every calibration solves for."""
+"""Places of base, tip, markers, sensors and anchors: what every calibration solves for."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def slowing() -> float:
 
 
 def settled(context: Context, slowing: float) -> Scalar:
-    """How far a change has gone by now, by how far it goes in the first hour:
+    """Return how far a change has gone by now, as a share of its first hour:
     ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, t in hours."""
     hours: Scalar = context.column(CLOCK, 0.0) / 3600.0
     return (1.0 - np.exp(-slowing * hours)) / (1.0 - np.exp(-slowing)) if slowing else hours

@@ -15,7 +15,7 @@ GEARED = 2
 
 
 def near(joint: int, other: int) -> bool:
-    """Whether gears or rods may couple two commanded joints, by their numbers."""
+    """Tell whether gears or rods may couple two commanded joints, by their numbers."""
     return 0 < abs(joint - other) <= GEARED
 
 

@@ -1,4 +1,4 @@
-"""What changes with time and temperature."""
+"""Changes with time and temperature."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where touched points and planes are: solved from the touches."""
+"""Places of touched points and planes: solved from the touches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much an arm carries, in all and at each place: what priors of effects scale with."""
+"""The loads that an arm carries, in all and at each place: what priors of effects scale with."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _levers(posture: Posture) -> np.ndarray:
 
 
 def _rms(vector: Vec) -> float:
-    """Of the length of a vector at all poses."""
+    """Return the RMS length of a vector over all poses."""
     each = np.array([np.broadcast_to(part, _POSES) for part in vector])
     return math.sqrt((each**2).sum(axis=0).mean())
 

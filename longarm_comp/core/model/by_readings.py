@@ -18,7 +18,7 @@ from longarm_comp.core.model.model import Model
 
 @dataclass(frozen=True)
 class _Shaft(JointTerm):
-    """Where a joint stands whose encoder reads the commanded value: `Encoder` turned round.
+    """The place of a joint whose encoder reads the commanded value: `Encoder` turned round.
 
     It has the name and parameters of its encoder, whose uncertainty is its own.
     """

@@ -68,7 +68,7 @@ class _ArmReference(Declared):
 
 
 class _StoredUncertainty(Declared):
-    """How far off the tip may be (`ModelUncertainty`). Parameters in the order of the file."""
+    """A stored `ModelUncertainty`: how far off the tip may be; parameters in the file's order."""
 
     factor: list[str] = Field(description="triangle of the covariance, rows in base 64")
     structure_m2: _Square
@@ -184,7 +184,7 @@ def _in_file(model: Model) -> list[Effect | Bias]:
 
 
 def _bases(model: Model) -> dict[str, Pose]:
-    """Where every base stands, as `base` of arm.yaml would say it."""
+    """Return the place of every base, as `base` of arm.yaml would say it."""
     made = {}
     for effect in model.effects:
         frame = effect.base(model.arm)

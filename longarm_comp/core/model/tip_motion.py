@@ -1,4 +1,4 @@
-"""How the tip, and what a sensor reports of it, moves with each parameter of a model.
+"""Motion of the tip, and of what a sensor reports of it, by each parameter of a model.
 
 The arm side moves the tip: by Eq. (5) a shift of the point and a turn of its axes.  The camera
 side moves what is reported of a tip that stays.  A kind of measurement
@@ -79,7 +79,7 @@ class TipMotion:
 
     @cached_property
     def joints(self) -> list[Scalar]:
-        """Where the encoder of each joint sees it, n scalars, rad or m."""
+        """The place at which the encoder of each joint sees it, n scalars, rad or m."""
         parts = [(e, e.twists(self.posture)) for e in self.model.effects]
         off = encoders.seen(self.posture.chain, parts)
         return [q + by for q, by in zip(self.posture.q, off, strict=True)]

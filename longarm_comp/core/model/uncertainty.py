@@ -1,4 +1,4 @@
-"""How far off the tip may be: what a fitted model keeps of the rows that it was fitted to.
+"""The expected error of the tip: what a fitted model keeps of the rows that it was fitted to.
 
 The error of the tip has two parts.  The parameters are known to their covariance, which
 `Model.columns` carries to the tip at any joints: it grows away from the rows.  What no parameter
@@ -28,7 +28,7 @@ _Identity = tuple[object, ...]
 
 @dataclass(frozen=True, eq=False)
 class ModelUncertainty:
-    """What is not known of a fitted model.
+    """The record of what is not known of a fitted model.
 
     Attributes:
         slots: identities of the fitted parameters (`Slot.identity`).
