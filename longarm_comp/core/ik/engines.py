@@ -6,7 +6,9 @@ iterations, starts.  `tip_poses` and `posture_at` run the model alone by the sam
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from enum import Enum
 from functools import cache
 from typing import Any
@@ -16,7 +18,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context, Layout
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.kernel import Kernel, TwistRow, kernel_of, works
+from longarm_comp.core.ik.kernel import Kernel, TwistRow, kept_kernels, kernel_of, works
 from longarm_comp.core.model.model import Model, unstack
 
 _FEW = 6  # number of targets up to which floats are faster than arrays
@@ -25,29 +27,29 @@ NOTHING = Context().layout
 
 
 class Engine(Enum):
-    """How to run the search; they differ in speed only."""
+    """The ways to run the search; they differ in speed only."""
 
     AUTO = "machine code, for a model that is worth its compilation"
     COMPILED = "machine code"
     MODEL = "the model's own code: what machine code is checked against"
 
 
-class _LongLived:
-    """Whether `warm_up` was called."""
-
-    now = False
+_AT_ONCE: ContextVar[bool] = ContextVar("compile_at_once", default=False)
 
 
-def warm_up(model: Model | None = None, context: Context | None = None) -> None:
-    """Compile models on their first use from now on, which takes a second each; a given one now."""
-    _LongLived.now = True
-    if model is not None:
-        kernel_of(model, (context or Context()).layout).code  # noqa: B018 - is kept
+@contextmanager
+def compile_at_once() -> Iterator[None]:
+    """Compile, within this context, every model that is solved; which takes a second each."""
+    token = _AT_ONCE.set(True)
+    try:
+        yield
+    finally:
+        _AT_ONCE.reset(token)
 
 
-def is_compiled(kernel: Kernel, engine: Engine) -> bool:
-    """Whether one target would be solved by machine code."""
-    return engine is Engine.COMPILED or (engine is Engine.AUTO and "code" in kernel.__dict__)
+def warm_up(model: Model, context: Context | None = None) -> None:
+    """Compile a model now, for contexts of this layout."""
+    kernel_of(model, (context or Context()).layout).code  # noqa: B018 - is kept
 
 
 def run(
@@ -112,13 +114,13 @@ def run(
 
 
 def _worth_compiling(model: Model, layout: Layout, count: int) -> bool:
-    """Whether machine code is there, or would soon have saved the time of its compilation."""
+    """Tell whether machine code is there, or would soon have saved the time of its compilation."""
     if not layout.traceable:
         return False
     kernel = kernel_of(model, layout)
     # workload of a batch, in single targets
     kernel.workload += min(count, _FEW + count / 160)
-    return _LongLived.now or is_compiled(kernel, Engine.AUTO) or kernel.workload > 60
+    return _AT_ONCE.get() or kernel.is_compiled or kernel.workload > 60
 
 
 _Given = dict[str, np.ndarray]
@@ -249,8 +251,8 @@ def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
 
 def _compiled_kernel(model: Model, context: Context) -> Kernel | None:
     layout = context.layout
-    kernel = model.__dict__.get("_kernels", {}).get(layout) if layout.traceable else None
-    return kernel if kernel is not None and is_compiled(kernel, Engine.AUTO) else None
+    kernel = kept_kernels(model).get(layout) if layout.traceable else None
+    return kernel if kernel is not None and kernel.is_compiled else None
 
 
 def _evaluated(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:

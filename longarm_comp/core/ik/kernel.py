@@ -143,6 +143,7 @@ class Kernel:
     def __init__(self, model: Model, layout: Layout) -> None:
         self._model, self.arm, self.layout = model, model.arm, layout
         self.passes, self.workload = model.load_passes, 0.0
+        self._code: Any = None
 
     @cached_property
     def row(self) -> TwistRow:
@@ -163,13 +164,23 @@ class Kernel:
         """Slice of a quantity in the state."""
         return slice(self.place[name].start, self.place[name].stop)
 
-    @cached_property
+    @property
+    def is_compiled(self) -> bool:
+        """True if there is machine code already."""
+        return self._code is not None
+
+    @property
     def code(self) -> Any:
         """The programs as machine code (see `codegen.llvm`), and flows of them.
 
         `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix;
         `evaluate` is the model itself at the trial joints.
         """
+        if self._code is None:
+            self._code = self._compile()
+        return self._code
+
+    def _compile(self) -> Any:
         from longarm_comp.core.ik.codegen import llvm
 
         width = llvm.lanes()
@@ -215,15 +226,21 @@ some 2 MB."""
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 
+def kept_kernels(model: Model) -> dict[Layout, Kernel]:
+    """Return the kernels that a model has so far."""
+    kernels: dict[Layout, Kernel] = model.memo.setdefault("kernels", {})
+    return kernels
+
+
 def kernel_of(model: Model, layout: Layout) -> Kernel:
-    """The kernel of a model, kept by content."""
-    held: dict[Layout, Kernel] = model.__dict__.setdefault("_kernels", {})
-    if layout not in held:
+    """Return the kernel of a model, kept by content."""
+    kept = kept_kernels(model)
+    if layout not in kept:
         key = (model.arm.hash, repr(model.effects), model.passes, model.elements_per_beam, layout)
         if key not in _kernels:
             _kernels[key] = Kernel(model, layout)
         _kernels.move_to_end(key)
         while len(_kernels) > MOST_KERNELS:
             _kernels.popitem(last=False)
-        held[layout] = _kernels[key]
-    return held[layout]
+        kept[layout] = _kernels[key]
+    return kept[layout]

@@ -85,7 +85,7 @@ def rotation_error(R: _Scalars, target: _Scalars) -> tuple[list[Any], Any]:
 
 
 def skewness(R: _Scalars) -> Any:
-    """How far the axes n, o, a (9 numbers) are from a right-handed rotation: sum of the squares of
+    """Return how far axes n, o, a (9 numbers) are from a right-handed rotation: sum of squares of
     ``R'R - 1`` (once each) and of ``n x o - a``."""
     s = 0.0
     for i in range(3):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.context import Context, Layout
-from longarm_comp.core.ik.engines import NOTHING, Engine, is_compiled
+from longarm_comp.core.ik.engines import NOTHING, Engine
 from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.model.model import Model
 
@@ -91,14 +91,14 @@ def solve_compiled(
     columns, or the input is invalid and needs an error message.
     """
     key = (None if context is None else context.layout, *options)
-    tasks: dict[Any, _Task] = model.__dict__.setdefault("_tasks", {})
+    tasks: dict[Any, _Task] = model.memo.setdefault("tasks", {})
     task = tasks.get(key)
     if task is None:
         layout = key[0] or NOTHING
         if not layout.traceable or not options[1] > 0:
             return None
         kernel = kernel_of(model, layout)
-        if not is_compiled(kernel, engine):
+        if engine is not Engine.COMPILED and not kernel.is_compiled:
             return None
         task = tasks[key] = _Task(kernel, key)
     return task.run(target, task.kernel.arm.mid if seed is None else np.asarray(seed), context)

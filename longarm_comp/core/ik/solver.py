@@ -17,13 +17,22 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.engines import Engine, restart_points, run, tip_poses, warm_up
+from longarm_comp.core.ik.engines import (
+    Engine,
+    compile_at_once,
+    restart_points,
+    run,
+    tip_poses,
+    warm_up,
+)
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.ik.newton import REACHED, rotation_error, skewness
 from longarm_comp.core.ik.single import solve_compiled
 from longarm_comp.core.model.model import Model
 
-__all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "warm_up"]
+__all__ = [
+    "Engine", "Reason", "Solution", "Solutions", "compile_at_once", "solve", "solve_many", "warm_up"
+]  # fmt: skip
 
 TOLERANCE = 1e-9
 """Tolerance of the search, m and rad."""

@@ -1,4 +1,4 @@
-"""What a move leaves ringing at the tip, and how long until it is small."""
+"""The ring that a move leaves at the tip, and how long until it is small."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ REST_S = 0.3
 
 
 def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None) -> float:
-    """How long to rest before a sighting, s: as given; else what 90 of 100 of these moves need.
+    """Return how long to rest before a sighting, s: as given; else what 90 of 100 moves need.
 
     Without `damping` in arm.yaml nobody knows, and it is `REST_S`.
 
@@ -175,7 +175,7 @@ _LOOKED_AT = 32
 
 @dataclass(frozen=True)
 class MoveRing:
-    """What the model expects of the tip after a move."""
+    """The model's expectation of the tip after a move."""
 
     hz: float  # of the slowest mode
     size_m: float  # at the end of the move
