@@ -11,7 +11,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.calibration.plausible import displaced
+from longarm_comp.core.calibration.plausible import describe_offset
 from longarm_comp.core.calibration.standing import place_as_seen
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
@@ -143,7 +143,7 @@ def evaluate(
     if arm.links:
         models["deflection"] = place_as_seen(inputs.physics(arm, None), session).model
     if calibrated is not None:
-        if far := displaced(calibrated, session):
+        if far := describe_offset(calibrated, session):
             note(far)
         models["calibrated"] = calibrated
     taken_off = {name: np.zeros(3) for name in models}

@@ -159,7 +159,7 @@ class Context:
         return Layout(joints, tuple(sorted(self.columns)), tuple(sorted(self.labels.items())))
 
 
-def stacked(contexts: Sequence[Context]) -> Context:
+def stack_contexts(contexts: Sequence[Context]) -> Context:
     """The circumstances of M postures from one each, alike but for the history of the joints."""
     history: dict[str, Any] = {
         name: tuple(np.array([getattr(each, name) for each in contexts], dtype=float).T)

@@ -37,7 +37,7 @@ def onward(legs: Sequence[float], way: float) -> list[float]:
     return made[: LEGS - 1]
 
 
-def moved(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
+def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
     """Side of arrival and legs of a joint after some ways (rad, m), one after the other."""
     for way in ways:
         if abs(way) >= SAME_POSE:
@@ -46,8 +46,8 @@ def moved(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float,
     return side, legs
 
 
-def _walked(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Side (k,) and legs (k, LEGS) of a joint after each of k ways: `moved`, run by run."""
+def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Side (k,) and legs (k, LEGS) of a joint after each of k ways: `move_joint`, run by run."""
     moves = np.abs(ways) >= SAME_POSE
     done = ways[moves]
     sides = np.append(np.sign(done), side)  # the last: before the first move
@@ -116,7 +116,7 @@ class History:
         legs = np.zeros_like(self.legs) if start is None else self.legs
         sides, made = self.approach.astype(float), np.zeros_like(self.legs)
         for joint, held in enumerate(legs.tolist()):
-            side, after = moved(float(sides[joint]), [leg for leg in held if leg], ways[joint])
+            side, after = move_joint(float(sides[joint]), [leg for leg in held if leg], ways[joint])
             sides[joint], made[joint, : len(after)] = side, after
         return History(sides, made)
 
@@ -128,7 +128,7 @@ class History:
         sides, made = np.zeros(ways.shape), np.zeros((*ways.shape, LEGS))
         for joint, side in enumerate(self.approach.tolist()):
             held = [leg for leg in legs[joint].tolist() if leg]
-            sides[:, joint], made[:, joint] = _walked(side, held, ways[:, joint])
+            sides[:, joint], made[:, joint] = _walk(side, held, ways[:, joint])
         return History(sides, made)
 
     def told(self, sides: np.ndarray) -> History:
@@ -189,9 +189,9 @@ def recorded(
         rows = zip(*(a[:, joint].tolist() for a in (q, via, told)), gap.tolist(), strict=True)
         for i, (here, turn, mark, unknown) in enumerate(rows):
             if unknown:
-                side, now = moved(0.0, [], [here - turn])
+                side, now = move_joint(0.0, [], [here - turn])
             else:
-                side, now = moved(side, now, [turn - before, here - turn])
+                side, now = move_joint(side, now, [turn - before, here - turn])
             if mark:
                 side, now = mark, []
             before = here

@@ -232,7 +232,7 @@ def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
     )
 
 
-def turned(a: Frame, b: Frame) -> Vec:
+def small_rotation(a: Frame, b: Frame) -> Vec:
     """Small rotation (rad) from the axes of b to those of a, in their parent; to second order.
 
     With ``a = (1 + w^) b`` the cross products of the axes, b's with a's, sum up to ``2 w``.
@@ -243,7 +243,7 @@ def turned(a: Frame, b: Frame) -> Vec:
     return scale(0.5, total)
 
 
-def summed(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
+def sum_twists(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
     """Sum of twists by station."""
     total: dict[int, Twist] = {}
     for part in parts:

@@ -92,7 +92,7 @@ class KindOfArm:
         return dataclasses.replace(whole, tolerances=self.rest)
 
 
-def folded(fit: ModelFit) -> ModelFit:
+def fold_directions(fit: ModelFit) -> ModelFit:
     """Return a fit whose shared directions are part of the errors that they are made of."""
     kept = tuple(e for e in fit.model.effects if not isinstance(e, KindDirection))
     if kept == fit.model.effects:

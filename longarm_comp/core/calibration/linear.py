@@ -229,7 +229,7 @@ def whiten(
     return rows.reshape(columns.shape[1] * len(rows), columns.shape[-1])
 
 
-def believed(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> np.ndarray:
+def weigh_rows(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """Return (N,) how much each row counts: by the noise that it states, or all alike.
 
     What rows state counts where it makes the residual more probable: by Laplace's law, whose scale

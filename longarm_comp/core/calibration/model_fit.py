@@ -29,7 +29,7 @@ class ModelFit:
             a row does not hold a channel.
         columns: (N, d, p) design at the solution.
         covariance: (p, p) of the parameters, Laplace approximation.
-        weights: (N,) 0 (outlier), or how much a row counts (`linear.believed`): mostly 1.
+        weights: (N,) 0 (outlier), or how much a row counts (`linear.weigh_rows`): mostly 1.
         sigma: (d,) noise per channel, m or rad; infinite where nothing was measured. Where the
             weights of inliers differ, that of a weight of 1.
         effective: number of parameters that the data determine.

@@ -147,7 +147,7 @@ def from_residual(
         gram = white[:, :-1, :-1] * np.outer(scale, scale)
         posterior = linear.solved(gram.sum(0), scale * white[:, :-1, -1].sum(0))
         residual = (y - columns @ (scale * posterior.u)[:, None])[..., 0]
-        count = linear.believed(residual, uneven, held)
+        count = linear.weigh_rows(residual, uneven, held)
         even = residual * np.sqrt(count)[:, None]
         kept = np.where(held, even, np.nan)
         robust = MAD * median(np.abs(kept[weights > 0]))
@@ -177,7 +177,7 @@ def from_residual(
     return NoiseEstimate(sigma, "residual", rho, float(np.max(degrees))), weights
 
 
-def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
+def limit_by_repeats(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
     """Return the residual's figure, but no more than the repeats allow.
 
     A few dozen repeats give sigma to a factor of 1.5 only, too rough to weigh evidence with;

@@ -47,8 +47,8 @@ def refuse(
 ) -> SetAside:
     """Refuse a model that may not be believed, for `calibrate` and `diagnose`.
 
-    Errors are of the rows that `believed` leaves of each, for gross errors that come alone are no
-    fault of a model.
+    Errors are of the rows that `believed_rows` leaves of each, for gross errors that come alone are
+    no fault of a model.
 
     Args:
         final: the model that would be written, fitted to all rows.
@@ -106,7 +106,7 @@ def refuse(
     return aside
 
 
-def believed(final: ModelFit, rows: Session) -> np.ndarray:
+def believed_rows(final: ModelFit, rows: Session) -> np.ndarray:
     """Return (M,) whether the fit did not set aside each of any rows of its session."""
 
     def contents(some: Session) -> list[bytes]:
@@ -149,7 +149,7 @@ def find_offset(model: Model, session: Session) -> float:
     return median_distance(errors(model, rows))
 
 
-def displaced(model: Model, session: Session) -> str:
+def describe_offset(model: Model, session: Session) -> str:
     """Say how far the arm is from where a model puts it; nothing where it is there."""
     if off := find_offset(model, session):
         return (

@@ -10,10 +10,10 @@ import numpy as np
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.calibration.linear import (
     BEFOREHAND,
-    believed,
     freedom,
     inliers,
     spread,
+    weigh_rows,
     whiten,
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -143,7 +143,7 @@ class SessionProblem:
         a row is judged by what the whole session says.
         """
         if self.robust and self.fixed is None:
-            self.weights = believed(self.residual, self.uneven, self.seen.measured)
+            self.weights = weigh_rows(self.residual, self.uneven, self.seen.measured)
             if step > 1:
                 even = self.residual * np.sqrt(self.weights)[:, None]
                 known = self.noise if step > 2 else None

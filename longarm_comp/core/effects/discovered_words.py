@@ -149,11 +149,11 @@ def domain(terms: Sequence[Found]) -> list[str]:
 
 
 def _part(function: Function, value: float, error: float, unit: str) -> str:
-    size = f"({_rounded(value, error)}) {unit}".removesuffix(" 1")
+    size = f"({_round_to_error(value, error)}) {unit}".removesuffix(" 1")
     return f"{size} x {function.formula}" if function.factors else size
 
 
-def _rounded(value: float, error: float) -> str:
+def _round_to_error(value: float, error: float) -> str:
     """``24.2 +- 0.3``: the value to the digits that its error leaves."""
     if not error > 0:
         return f"{value:.3g}"

@@ -204,7 +204,7 @@ class KindDirection(Effect):
 
     def twists(self, posture: Posture) -> Twists:
         """The twists of its parts, which are linear in their values, times the amount."""
-        return spatial.summed(
+        return spatial.sum_twists(
             {s: tuple(self.amount * v for v in t) for s, t in term.twists(posture).items()}  # type: ignore[misc]
             for term in self.terms
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.arm.spatial import Twist, summed
+from longarm_comp.core.arm.spatial import Twist, sum_twists
 from longarm_comp.core.effects.effect import Effect, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
 from longarm_comp.core.effects.settling import settled, slowing
@@ -35,7 +35,7 @@ class ThermalGrowth(Effect):
                 {posture.frame(joint.id): (0.0, 0.0, rise * d, 0.0, 0.0, 0.0)},
                 {posture.frame(joint.id - 1): (rise * joint.a_m, 0.0, 0.0, 0.0, 0.0, 0.0)},
             ]
-        return summed(growth)
+        return sum_twists(growth)
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,8 @@ def run(
                 "length": np.array([radian_m]),
                 "permitted": np.array([max_iterations]),
             }
-            found, left, used = (_compiled if compiled else _own)(model, here, m, given, ids.size)
+            search = _search_compiled if compiled else _search_by_model
+            found, left, used = search(model, here, m, given, ids.size)
             report[ids, 2] += used
             report[ids, 3] += 1
             won = left @ weights < report[ids, :2] @ weights
@@ -164,7 +165,7 @@ class _Search:
         return np.stack([np.broadcast_to(v, count) for v in self.state[name]], axis=1)
 
 
-def _own(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
+def _search_by_model(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
     flow = newton.flow(model.load_passes, m)
     searches = []
     try:
@@ -186,16 +187,16 @@ def _own(model: Model, context: Context, m: int, given: _Given, count: int) -> _
     return q, size, used[:, 0]
 
 
-def _compiled(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
+def _search_compiled(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
     kernel = kernel_of(model, context.layout)
     packed = {"c": kernel.layout.pack(context, count)}
-    blocks = filled_blocks(kernel, given | packed, count)
+    blocks = fill_blocks(kernel, given | packed, count)
     kernel.code.function(f"many_search{m}")(blocks.ctypes.data, len(blocks))
     q, size, used = (rows_of(blocks, kernel, name, count) for name in ("q", "size", "used"))
     return q, size, used[:, 0]
 
 
-def filled_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
+def fill_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
     """States of K searches for machine code, (number, size, width); unused columns are 0."""
     width = kernel.code.width
     full, rest = divmod(count, width)
@@ -231,7 +232,7 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
     kernel = _compiled_kernel(model, context)
     if kernel is None or not len(q):
         return model.pose(q, context)
-    out = _evaluated(kernel, q, context, "out")
+    out = _evaluate(kernel, q, context, "out")
     poses = np.zeros((len(q), 4, 4))
     poses[:, :3, 3] = out[:, :3]
     poses[:, :3, :3] = out[:, 3:12].reshape(-1, 3, 3).swapaxes(1, 2)
@@ -244,7 +245,7 @@ def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
     rows, kernel = np.atleast_2d(q), _compiled_kernel(model, context)
     if kernel is None or not len(rows):
         return model.posture(unstack(q), context)
-    x = _evaluated(kernel, rows, context, "x")
+    x = _evaluate(kernel, rows, context, "x")
     carried = np.ascontiguousarray(x.T) if q.ndim == 2 else x[0].tolist()
     return model.loaded(unstack(q), context, kernel.row.twists(carried))
 
@@ -255,10 +256,10 @@ def _compiled_kernel(model: Model, context: Context) -> Kernel | None:
     return kernel if kernel is not None and kernel.is_compiled else None
 
 
-def _evaluated(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:
+def _evaluate(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:
     """(M, k) rows of the state of that name after an evaluation at joints and contexts."""
     c = kernel.layout.pack(context, len(q))
-    blocks = filled_blocks(kernel, {"trial": q, "c": c}, len(q))
+    blocks = fill_blocks(kernel, {"trial": q, "c": c}, len(q))
     kernel.code.function("many_evaluate")(blocks.ctypes.data, len(blocks))
     return rows_of(blocks, kernel, name, len(q))
 

@@ -185,7 +185,7 @@ class Kernel:
 
         width = llvm.lanes()
         made = works(self._model, lambda s: self.layout.unpack(s["c"]), self.row)
-        programs = {name: _traced(work, self.place) for name, work in made.items()}
+        programs = {name: _trace(work, self.place) for name, work in made.items()}
         evaluate = newton.evaluation(newton.LEVELS[-1], self.passes, True)
         flows: dict[str, newton.Flow] = {"evaluate": evaluate}
         for m in (3, 6):
@@ -194,7 +194,7 @@ class Kernel:
         return llvm.compile_module(llvm.module(programs, flows, self.place, width), width)
 
 
-def _traced(work: Work, place: dict[str, range]) -> Program:
+def _trace(work: Work, place: dict[str, range]) -> Program:
     graph = Graph()
     state = {k: [graph.input(str(i)) for i in r] for k, r in place.items()}
     outputs = {

@@ -104,7 +104,7 @@ def entered(model: Model, path: np.ndarray) -> str:
 
 
 def entered_at(model: Model, q: np.ndarray) -> str:
-    """Do as `entered`, for postures (M, n) on the way."""
+    """Say the same as `entered`, for postures (M, n) on the way."""
     for joints, found in zip(q.tolist(), boxes_entered(model, q), strict=True):
         if found:
             at = ", ".join(f"{number:.3g}" for number in joints)
@@ -113,7 +113,7 @@ def entered_at(model: Model, q: np.ndarray) -> str:
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
-    """`entered_at` for joints (M, n) in the order of their names; None where there are no boxes."""
+    """Return `entered_at` of joints (M, n) in the order of their names; None without boxes."""
     if not model.arm.keep_out:
         return None
     order = model.arm.order(names, where)

@@ -24,7 +24,7 @@ from longarm_comp.core.arm.posture import PLACEMENT, Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 from longarm_comp.core.model.encoders import Parts
-from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, moved, stack
+from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, move_tip, stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 
@@ -226,7 +226,7 @@ class Model:
     def unsagged(self, q: Sequence[Scalar], context: Context) -> Posture:
         """The arm at q as its base stands, before any other effect: where the load passes begin."""
         bare = self.unplaced((), context)
-        standing = spatial.summed(e.twists(bare) for e in self.effects if e.seen_only)
+        standing = spatial.sum_twists(e.twists(bare) for e in self.effects if e.seen_only)
         return self.loaded(q, context, standing)
 
     def unplaced(self, q: Sequence[Scalar], context: Context) -> Posture:
@@ -252,7 +252,7 @@ class Model:
 
     def twists(self, posture: Posture) -> Twists:
         """Sum of all effects' twists, by station."""
-        return spatial.summed(effect.twists(posture) for effect in self.effects)
+        return spatial.sum_twists(effect.twists(posture) for effect in self.effects)
 
     def tip_frame(self, posture: Posture) -> Frame:
         """Pose of the tip (of the marker that the context names) in the base frame."""
@@ -360,7 +360,7 @@ class Model:
     ) -> TipMotion:
         tip = self.tip_frame(posture)
         arm_side = [e for e in ends if isinstance(e, TwistChange)]
-        shifts = iter(moved(posture, tip.p, arm_side, turns))
+        shifts = iter(move_tip(posture, tip.p, arm_side, turns))
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
         return TipMotion(self, posture, tip, changes, arm_side)
 

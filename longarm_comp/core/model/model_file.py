@@ -24,9 +24,14 @@ from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.file_versions import previous, put, replaced, settle
+from longarm_comp.core.model.file_versions import previous, replace_file, settle, write_version
 from longarm_comp.core.model.model import Model, slots_of
-from longarm_comp.core.model.uncertainty import ModelUncertainty, read, triangular, written
+from longarm_comp.core.model.uncertainty import (
+    ModelUncertainty,
+    decode_triangle,
+    encode_triangle,
+    triangular,
+)
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 _Square = tuple[Vec3, Vec3, Vec3]
@@ -170,7 +175,7 @@ def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
         if identity in known.row:
             factor[k] = known.factor[known.row[identity]]
     return _StoredUncertainty(
-        factor=written(triangular(factor)),
+        factor=encode_triangle(triangular(factor)),
         structure_m2=known.structure.tolist(), noise_m2=known.noise.tolist(),
         largest_m=known.largest_m, rows=known.rows, frame_m2=known.frame.tolist(),
         circumstances=dict(known.circumstances),
@@ -201,7 +206,7 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
     data = stored.model_dump(mode="json", by_alias=True)
     text = yaml.safe_dump(data, sort_keys=False, width=100)
     head = "Written by longarm; values in SI units. Geometry, effects and measuring-side biases."
-    put(path, f"# {head}\n{text}".encode())
+    write_version(path, f"# {head}\n{text}".encode())
 
 
 def undo(path: str | Path) -> None:
@@ -211,7 +216,7 @@ def undo(path: str | Path) -> None:
     if not kept.is_file():
         raise InputError(str(path), "previous version", "missing", f"a file {kept.name}")
     read_stored(kept)
-    replaced(kept, path)
+    replace_file(kept, path)
 
 
 def read_stored(path: str | Path) -> StoredModel:
@@ -289,7 +294,7 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
         allowed = f"{len(slots)}, one a parameter"
         raise InputError(where, "uncertainty.factor", f"{len(given.factor)} lines", allowed)
     try:
-        factor = read(given.factor)
+        factor = decode_triangle(given.factor)
     except ValueError as error:
         allowed = "base 64 of as many 32-bit numbers as its number"
         raise InputError(where, "uncertainty.factor", str(error), allowed) from None

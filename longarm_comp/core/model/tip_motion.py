@@ -160,7 +160,7 @@ class TipMotion:
             n, o, a = (turn.rotate(v) for v in self.frame[:3])
             tip = Frame(n, o, a, self.frame.p)
             ends.append(self.model.seen_axes(tip, self.context))
-        return spatial.scale(0.5 / _H, spatial.turned(ends[0], ends[1]))
+        return spatial.scale(0.5 / _H, spatial.small_rotation(ends[0], ends[1]))
 
     def _turn(self, change: _Moved | Reseen, gain: list[Vec]) -> Vec:
         if isinstance(change, _Moved):
@@ -169,10 +169,10 @@ class TipMotion:
         if "orientation" not in change.sees:
             return spatial.ZERO
         ends = [s.seen_axes(self.frame, self.context) for s in (change.raised, change.lowered)]
-        return spatial.scale(change.per, spatial.turned(ends[0], ends[1]))
+        return spatial.scale(change.per, spatial.small_rotation(ends[0], ends[1]))
 
 
-def moved(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
+def move_tip(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
     """Eq. (5): the tip's motion under changes of twists.
 
     Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
@@ -197,7 +197,7 @@ def _sum(vectors: list[np.ndarray]) -> Vec:
 
 def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
     """Station, component of its twist (0 to 5), and by how much it changes, where it does."""
-    raised, lowered = (spatial.summed(twists for _, twists in part) for part in end[:2])
+    raised, lowered = (spatial.sum_twists(twists for _, twists in part) for part in end[:2])
     for station in sorted({*raised, *lowered}):
         up = raised.get(station, spatial.ZERO_TWIST)
         down = lowered.get(station, spatial.ZERO_TWIST)

@@ -108,14 +108,14 @@ def triangular(factor: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.qr(wide.T, mode="r")).T
 
 
-def written(factor: np.ndarray) -> list[str]:
-    """A lower triangle as text, a row a line: 32-bit numbers, little-endian, in base 64."""
+def encode_triangle(factor: np.ndarray) -> list[str]:
+    """Write a lower triangle as text, a row a line: 32-bit numbers, little-endian, in base 64."""
     rows = factor.astype("<f4")
     return [base64.b64encode(rows[k, : k + 1].tobytes()).decode() for k in range(len(rows))]
 
 
-def read(lines: Sequence[str]) -> np.ndarray:
-    """The triangle that `written` wrote. Raises `ValueError` with the number of a wrong line."""
+def decode_triangle(lines: Sequence[str]) -> np.ndarray:
+    """Return an encoded triangle. Raises `ValueError` with the number of a wrong line."""
     made = np.zeros((len(lines), len(lines)))
     for k, line in enumerate(lines):
         try:

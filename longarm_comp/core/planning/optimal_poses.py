@@ -235,7 +235,7 @@ class Choice:
     def after(self, chosen: Sequence[int]) -> _Known:
         """Return what is known once these are measured."""
         covariance = self.covariance(chosen)
-        turned = _turned(self.x)
+        turned = _transpose(self.x)
         own = _times(self.x, covariance) @ turned + np.eye(self.x.shape[1])
         if self.tips is None:
             return _Known(self, covariance, own)
@@ -294,18 +294,18 @@ class _Known:
         if self.error is None or self.left is None:
             seen = _times(poses, a)
             covariance = self.covariance - a @ core @ a.T
-            return _Known(self.choice, covariance, self.own - seen @ core @ _turned(seen))
+            return _Known(self.choice, covariance, self.own - seen @ core @ _transpose(seen))
         b = self.error @ x.T
         b = b - a @ (core @ (x @ b)) / 2  # half: each cross term takes its share of the last one
         seen, weighed = np.split(_times(poses, np.concatenate([a, b], axis=1)), 2, axis=2)
         seen_core, a_core = seen @ core, a @ core
-        cross, error = seen_core @ _turned(weighed), a_core @ b.T
+        cross, error = seen_core @ _transpose(weighed), a_core @ b.T
         return _Known(
             self.choice,
             self.covariance - a_core @ a.T,
-            self.own - seen_core @ _turned(seen),
+            self.own - seen_core @ _transpose(seen),
             self.error - error - error.T,
-            self.left - cross - _turned(cross),
+            self.left - cross - _transpose(cross),
         )
 
     def gains(self, taken: Sequence[int]) -> np.ndarray:
@@ -318,7 +318,7 @@ class _Known:
         return np.asarray(gain)
 
 
-def _turned(blocks: np.ndarray) -> np.ndarray:
+def _transpose(blocks: np.ndarray) -> np.ndarray:
     return np.swapaxes(blocks, 1, 2)
 
 

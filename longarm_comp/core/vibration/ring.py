@@ -96,7 +96,7 @@ def _rates(modes: Modes, damping: float) -> np.ndarray:
     return np.asarray(modes.omega * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
 
-def sampled(modes: Sequence[Modes], seconds: float) -> np.ndarray:
+def sample_times(modes: Sequence[Modes], seconds: float) -> np.ndarray:
     """(M,) s from 0 on: times in a motion that are far closer than a period of these modes."""
     fastest = max(float(each.hz.max(initial=1.0 / seconds)) for each in modes)
     return np.linspace(0.0, seconds, int(np.ceil(_IN_A_PERIOD * max(1.0, fastest * seconds))) + 1)
@@ -113,7 +113,7 @@ def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
     Args:
         way, seconds: the motion, from time 0 on.
     """
-    times = sampled([modes], seconds)
+    times = sample_times([modes], seconds)
     joints, left = way(times)[..., None], np.zeros((1, 0, 1), complex)
     if len(modes.omega):
         left = amplitudes([modes], np.zeros(len(times), int), times, joints, damping, np.ones(1))

@@ -15,7 +15,7 @@ import numpy as np
 
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import Modes, modes_along
-from longarm_comp.core.vibration.ring import USUAL_DAMPING, amplitudes, sampled
+from longarm_comp.core.vibration.ring import USUAL_DAMPING, amplitudes, sample_times
 from longarm_comp.math.shaper import Shaper, Way
 
 _FREQUENCY_SD = 0.05
@@ -57,7 +57,7 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
     late = np.linspace(0.0, 2.0 * np.pi / min(m.omega[0] for m in along), _DELAYS)
     begin, end = np.triu_indices(_DELAYS)
     parts = Shaper(np.full(len(begin), 1.0 / len(begin)), late[begin], late[end])
-    times = sampled(along, seconds + parts.duration)
+    times = sample_times(along, seconds + parts.duration)
     joints = np.moveaxis(parts.parts(way, times, seconds), 0, 2)
     progress = np.interp(parts.since(times, seconds), *_progress(way, seconds))
     # A normal distribution by three points (Gauss and Hermite)

@@ -59,7 +59,7 @@ class Graph:
     def apply(self, op: str, *args: Any) -> Any:
         """The result of an operation on symbols and numbers: a symbol, or a float if constant."""
         args = tuple(a if isinstance(a, Symbol) else float(a) for a in args)
-        simple = _simplified(self, op, args)
+        simple = _simplify(self, op, args)
         if simple is not None:
             return simple
         operands = tuple(a.node if isinstance(a, Symbol) else a for a in args)
@@ -167,7 +167,7 @@ def _order(operand: Operand) -> tuple[bool, float]:
     return type(operand) is float, operand
 
 
-def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
+def _simplify(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
     """The result without a new node, or None."""
     a, b = args[0], args[1] if len(args) > 1 else None
     fa, fb = type(a) is float, type(b) is float
@@ -182,7 +182,7 @@ def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
             return 0.0
         if fa and a == 0.0:
             return graph.apply("neg", b)
-        inner = _negated(graph, b)
+        inner = _negation_of(graph, b)
         return None if inner is None else graph.apply("add", a, inner)
     if op == "mul":
         for x, y in ((a, b), (b, a)):
@@ -192,13 +192,13 @@ def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
     if op == "div":
         return 0.0 if fa and a == 0.0 else graph.apply("mul", a, 1.0 / b) if fb and b else None
     if op == "neg":
-        return -a if fa else _negated(graph, a)
+        return -a if fa else _negation_of(graph, a)
     if op == "select" and args[1] is args[2]:
         return args[1]
     return None
 
 
-def _negated(graph: Graph, x: Any) -> Any:
+def _negation_of(graph: Graph, x: Any) -> Any:
     """y where x is the symbol -y, else None."""
     if not isinstance(x, Symbol):
         return None
@@ -209,7 +209,7 @@ def _negated(graph: Graph, x: Any) -> Any:
 def _signed_sum(graph: Graph, a: Any, b: Any) -> Any:
     """a + b where one of them is a negated symbol, else None."""
     for x, y in ((a, b), (b, a)):
-        inner = _negated(graph, y)
+        inner = _negation_of(graph, y)
         if inner is not None:
             return graph.apply("sub", x, inner)
     return None
