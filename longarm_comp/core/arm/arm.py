@@ -273,11 +273,18 @@ class Arm(Declared):
 
     def _repr_html_(self) -> str:
         rows = [
-            {"row": j.id, "name": j.name or "", "type": j.type, "a, m": j.a_m,
-             "alpha, deg": j.alpha_deg, "d, m": j.d_m, "theta, deg": j.theta_offset_deg,
-             "limits": " to ".join(f"{v:g}" for v in j.limits_deg or j.limits_m or ())}
+            {
+                "row": j.id,
+                "name": j.name or "",
+                "type": j.type,
+                "a, m": j.a_m,
+                "alpha, deg": j.alpha_deg,
+                "d, m": j.d_m,
+                "theta, deg": j.theta_offset_deg,
+                "limits": " to ".join(f"{v:g}" for v in j.limits_deg or j.limits_m or ()),
+            }
             for j in self.joints
-        ]  # fmt: skip
+        ]
         return html_table(repr(self), rows)
 
     @cached_property

@@ -73,9 +73,15 @@ class FrameTree:
         return sorted(parents | set(self._children))
 
     def hear(
-        self, parent: str, child: str, position: np.ndarray, turn: np.ndarray, t_ns: int,
-        *, static: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        parent: str,
+        child: str,
+        position: np.ndarray,
+        turn: np.ndarray,
+        t_ns: int,
+        *,
+        static: bool = False,
+    ) -> None:
         """Take in where a frame is in its parent: (3,) m and x, y, z, w. Static: at all times."""
         if not np.isfinite(position).all():
             raise InputError("tf", f"position of {child}", position.tolist(), "finite numbers, m")

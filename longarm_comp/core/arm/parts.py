@@ -262,6 +262,6 @@ class Box(Declared):
 def link_places(joints: Sequence[Any]) -> list[tuple[int, str, float]]:
     """List where links can lie along `Arm.joints`: row, role, length (m, joint value 0), longest
     first."""
-    held = [(j.id, role, size) for j in joints if j.type != "fixed"
-            for role, size in (("a", j.a_m), ("d", j.d_m)) if size]  # fmt: skip
-    return sorted(held, key=lambda place: -abs(place[2]))
+    movable = [j for j in joints if j.type != "fixed"]
+    sizes = [(j.id, role, s) for j in movable for role, s in (("a", j.a_m), ("d", j.d_m)) if s]
+    return sorted(sizes, key=lambda place: -abs(place[2]))

@@ -60,24 +60,23 @@ def run(
     targets: np.ndarray,
     starts: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
-    points: np.ndarray,
+    restarts: int,
     tol: float,
-    max_iterations: int,
     radian_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """N searches: from the starts, then from the restarts for the targets that failed.
+    """Run N searches: from the starts, then from restarts for the targets that failed.
 
     Args:
         m: 3 for position tasks, 6 for poses.
         targets: position (m) and axes n, o, a, (N, 12).
         starts, box: (N, n), and lower and upper limits alike; those of a locked joint are at its
             start.
-        points: restarts (S, n + 1): a point in the unit box and the share of the way to it.
+        restarts: their number (`restart_points`).
         tol: tolerance on position (m) and angle (rad); what fails `REACHED` too is restarted.
-        max_iterations: per start.
         radian_m: what a radian of the tool's angle weighs, in metres.
     """
     count, weights = len(targets), (1.0, radian_m)
+    points = restart_points(model.arm.n, restarts)
     q, report = np.empty_like(starts), np.zeros((count, 4))
     report[:, :2] = newton.UNKNOWN
     for first in range(0, count, _CHUNK):
@@ -100,7 +99,7 @@ def run(
                 "live": np.ones((ids.size, 1)),
                 "tol": np.array([tol]),
                 "length": np.array([radian_m]),
-                "permitted": np.array([max_iterations]),
+                "permitted": np.array([newton.MAX_ITERATIONS]),
             }
             search = _search_compiled if compiled else _search_by_model
             found, left, used = search(model, here, m, given, ids.size)
@@ -197,7 +196,7 @@ def _search_compiled(model: Model, context: Context, m: int, given: _Given, coun
 
 
 def fill_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
-    """States of K searches for machine code, (number, size, width); unused columns are 0."""
+    """Fill states of K searches for machine code, (number, size, width); unused columns are 0."""
     width = kernel.code.width
     full, rest = divmod(count, width)
     blocks = np.zeros((full + (rest > 0), kernel.size, width))
@@ -213,14 +212,14 @@ def fill_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
 
 
 def rows_of(blocks: np.ndarray, kernel: Kernel, name: str, count: int) -> np.ndarray:
-    """(K, k): the quantity of a name in such states."""
+    """Return (K, k): the quantity of a name in such states."""
     groups, _, lanes = blocks.shape
     each = blocks[:, kernel.slice(name)].swapaxes(1, 2)
     return each.reshape(groups * lanes, len(kernel.place[name]))[:count]
 
 
 def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """True tip poses as by `Model.pose`, in machine code if the model is compiled.
+    """Return true tip poses as `Model.pose`, in machine code if the model is compiled.
 
     Args:
         q: joints (M, n), rad or m. context: of the M postures, scalars or (M,) arrays.
@@ -241,7 +240,7 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
 
 
 def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
-    """`Model.posture` at joints (n,) or (M, n), without load passes if the model is compiled."""
+    """Return `Model.posture` at joints (n,) or (M, n), without load passes by a compiled model."""
     rows, kernel = np.atleast_2d(q), _compiled_kernel(model, context)
     if kernel is None or not len(rows):
         return model.posture(unstack(q), context)
@@ -257,7 +256,7 @@ def _compiled_kernel(model: Model, context: Context) -> Kernel | None:
 
 
 def _evaluate(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:
-    """(M, k) rows of the state of that name after an evaluation at joints and contexts."""
+    """Return rows (M, k) of the state of that name after an evaluation at joints and contexts."""
     c = kernel.layout.pack(context, len(q))
     blocks = fill_blocks(kernel, {"trial": q, "c": c}, len(q))
     kernel.code.function("many_evaluate")(blocks.ctypes.data, len(blocks))
@@ -266,7 +265,7 @@ def _evaluate(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.
 
 @cache
 def restart_points(n: int, count: int) -> np.ndarray:
-    """(count, n + 1): points of the unit box, and the share of the way from the seed to each.
+    """Return (count, n + 1): points of the unit box, and the share of the way from a seed to each.
 
     A fixed additive recurrence on the generalised plastic number (M. Roberts' R_d).  The first
     stay near the seed.  Every other one is stretched, so that many joints start at a limit.

@@ -185,25 +185,23 @@ class Kernel:
 
         width = llvm.lanes()
         made = works(self._model, lambda s: self.layout.unpack(s["c"]), self.row)
-        programs = {name: _trace(work, self.place) for name, work in made.items()}
+        programs: dict[str, Program] = {}
+        for name, work in made.items():
+            graph = Graph()
+            state = {k: [graph.input(str(i)) for i in r] for k, r in self.place.items()}
+            outputs = {
+                self.place[part][k]: value
+                for part, values in work(state).items()
+                for k, value in enumerate(values)
+                if value is not state[part][k]  # unchanged values need no writing
+            }
+            programs[name] = graph, outputs
         evaluate = newton.evaluation(newton.LEVELS[-1], self.passes, True)
         flows: dict[str, newton.Flow] = {"evaluate": evaluate}
         for m in (3, 6):
             search = newton.flow(self.passes, m)
             flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
         return llvm.compile_module(llvm.module(programs, flows, self.place, width), width)
-
-
-def _trace(work: Work, place: dict[str, range]) -> Program:
-    graph = Graph()
-    state = {k: [graph.input(str(i)) for i in r] for k, r in place.items()}
-    outputs = {
-        place[part][k]: value
-        for part, values in work(state).items()
-        for k, value in enumerate(values)
-        if value is not state[part][k]  # unchanged values need no writing
-    }
-    return graph, outputs
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:

@@ -147,21 +147,31 @@ def store(
         }
         side = "camera" if isinstance(term, Bias) else "geometry" if term.geometry else "effects"
         stored = _StoredTerm(
-            effect=term.name, where=term.where, form=term.placement, parameters=parameters,
+            effect=term.name,
+            where=term.where,
+            form=term.placement,
+            parameters=parameters,
             origin=(origins or {}).get(number, ""),
-        )  # fmt: skip
+        )
         sides[side].append(stored)
     arm = _ArmReference(name=model.arm.name, hash=model.arm.hash)
     # Effects from outside the package, which the user must provide again
     known = {f"{term.name}_from": origin(type(term)) for term in model.terms}
     outside = {name: source for name, source in known.items() if source}
     return StoredModel(
-        schema="longarm/model/1", version=version, arm=arm, passes=model.passes,
-        elements_per_beam=model.elements_per_beam, arrivals=model.arrivals,
-        provenance={**(provenance or {}), **outside}, placement=_bases(model),
-        uncertainty=_stored_uncertainty(model), ended_s=model.ended_s,
-        frame_shift_m=model.frame_shift, **sides,
-    )  # fmt: skip
+        schema="longarm/model/1",
+        version=version,
+        arm=arm,
+        passes=model.passes,
+        elements_per_beam=model.elements_per_beam,
+        arrivals=model.arrivals,
+        provenance={**(provenance or {}), **outside},
+        placement=_bases(model),
+        uncertainty=_stored_uncertainty(model),
+        ended_s=model.ended_s,
+        frame_shift_m=model.frame_shift,
+        **sides,
+    )
 
 
 def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
@@ -176,10 +186,13 @@ def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
             factor[k] = known.factor[known.row[identity]]
     return _StoredUncertainty(
         factor=encode_triangle(triangular(factor)),
-        structure_m2=known.structure.tolist(), noise_m2=known.noise.tolist(),
-        largest_m=known.largest_m, rows=known.rows, frame_m2=known.frame.tolist(),
+        structure_m2=known.structure.tolist(),
+        noise_m2=known.noise.tolist(),
+        largest_m=known.largest_m,
+        rows=known.rows,
+        frame_m2=known.frame.tolist(),
         circumstances=dict(known.circumstances),
-    )  # fmt: skip
+    )
 
 
 def _in_file(model: Model) -> list[Effect | Bias]:
@@ -272,9 +285,12 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         allowed = f"two numbers for each of {arm.n} joints, or none"
         raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
     bare = Model(
-        arm, passes=stored.passes, elements_per_beam=stored.elements_per_beam,
-        arrivals=stored.arrivals, ended_s=_ended(stored, terms),
-    )  # fmt: skip
+        arm,
+        passes=stored.passes,
+        elements_per_beam=stored.elements_per_beam,
+        arrivals=stored.arrivals,
+        ended_s=_ended(stored, terms),
+    )
     model = bare.with_terms(terms)
     told = _uncertainty(stored, model, where)
     return dataclasses.replace(model, uncertainty=told, frame_shift=stored.frame_shift_m)

@@ -156,9 +156,14 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
     x, y, z = (np.where(along == axis, sizes, 0.0) for axis in range(3))
     context = posture.context.take(np.repeat(np.arange(postures), 4 * count))
     pushed = _Pushed(
-        posture.chain, rows(posture.q), context, frames, list(rows(tuple(posture.lengths))),
-        (x, y, z), pushes=pushes,
-    )  # fmt: skip
+        posture.chain,
+        rows(posture.q),
+        context,
+        frames,
+        list(rows(tuple(posture.lengths))),
+        (x, y, z),
+        pushes=pushes,
+    )
     moved = np.zeros((postures, len(points), 3, count))
     carriers = np.array([p.station for p in points])
     places = _points([posture.frames[p.station].transform(p.position) for p in points], postures)

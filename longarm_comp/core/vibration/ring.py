@@ -75,8 +75,9 @@ def amplitudes(
     speeds = np.diff(joints, axis=0) / np.diff(times)[:, None, None]
     wave = np.zeros((len(factors), count, joints.shape[2]), complex)
     here, before = int(where[0]), np.zeros(joints.shape[1:])
-    for step, took, speed in zip(where, np.diff(times, append=times[-1]),
-                                 [*speeds, np.zeros_like(before)], strict=True):  # fmt: skip
+    for step, took, speed in zip(
+        where, np.diff(times, append=times[-1]), [*speeds, np.zeros_like(before)], strict=True
+    ):
         while here < step:
             old, new = way[here], way[here + 1]
             pull = new.shape[:count] * new.mass

@@ -88,11 +88,14 @@ def waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
     parts = np.linalg.lstsq(_basis(np.array(found), t), seen, rcond=None)[0][1:]
     made = [
         SeenWave(
-            w / (2.0 * np.pi), sd[2 * k] / (2.0 * np.pi), z, sd[2 * k + 1],
+            w / (2.0 * np.pi),
+            sd[2 * k] / (2.0 * np.pi),
+            z,
+            sd[2 * k + 1],
             unit * np.hypot(parts[2 * k], parts[2 * k + 1]),
         )
         for k, (w, z) in enumerate(zip(found[::2], found[1::2], strict=True))
-    ]  # fmt: skip
+    ]
     return sorted(made, key=lambda wave: -float(np.linalg.norm(wave.size)))
 
 

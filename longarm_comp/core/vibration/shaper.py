@@ -71,8 +71,9 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
         rows = np.concatenate([left.real, left.imag])
         # The last row: the shares add up to 1.  Its weight changes their sum, not their ratios.
         like = np.abs(rows).max()
-        weights, _ = nnls(np.vstack([rows, np.full(len(begin), like)]),
-                          np.append(np.zeros(len(rows)), like))  # fmt: skip
+        weights, _ = nnls(
+            np.vstack([rows, np.full(len(begin), like)]), np.append(np.zeros(len(rows)), like)
+        )
         parts = replace(parts, weights=weights / weights.sum())
     used = parts.weights > 0.0
     return Shaper(parts.weights[used], parts.begins[used], parts.ends[used])

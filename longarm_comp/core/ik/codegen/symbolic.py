@@ -38,9 +38,11 @@ _UFUNCS = {
     np.power: "pow",
 }
 _IN_ARITHMETIC: dict[Any, Callable[..., Any]] = {
-    np.sin: sine, np.cos: cosine, np.arctan2: arc_tangent2,
+    np.sin: sine,
+    np.cos: cosine,
+    np.arctan2: arc_tangent2,
     np.sign: lambda x: (x > 0.0) - (x < 0.0),
-}  # fmt: skip
+}
 """Recorded as arithmetic, which works on all lanes at once."""
 
 
