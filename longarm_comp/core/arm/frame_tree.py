@@ -114,7 +114,7 @@ class FrameTree:
         return np.asarray(np.linalg.inv(down) @ up)
 
     def _line(self, name: str) -> list[str]:
-        """A frame, its parent, and so on to the root."""
+        """Return a frame, its parent, and so on to the root."""
         line = [name]
         while (child := self._children.get(line[-1])) is not None:
             line.append(child.parent)
@@ -128,7 +128,7 @@ class FrameTree:
 
 
 def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """The covariance (6, 6) of a place and turn in a frame, along the axes that its pose has."""
+    """Return a frame's covariance (6, 6) of place and turn along the axes that its pose is in."""
     turn = np.kron(np.eye(2), pose[:3, :3])
     return np.asarray(turn @ covariance @ turn.T)
 

@@ -148,7 +148,7 @@ class History:
         return History(np.where(same, self.approach, 0), np.where(same[:, None], self.legs, 0.0))
 
     def fields(self) -> dict[str, Any]:
-        """The per-joint fields of a `Context` at one posture or N, 0 where they are unknown."""
+        """Return the per-joint fields of a `Context` at one posture or N, 0 where unknown."""
         held = {name: getattr(self, name) for name in PER_JOINT}
         if self.approach.ndim == 1:
             return {name: tuple(values.ravel().tolist()) for name, values in held.items()}

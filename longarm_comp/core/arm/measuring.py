@@ -79,7 +79,7 @@ TouchDistances = tuple[tuple[str, str, _Length] | tuple[str, str, _Length, _Leng
 
 
 def known_distances(declared: TouchDistances) -> tuple[KnownDistance, ...]:
-    """Declared distances, all with a tolerance."""
+    """Return declared distances, all with a tolerance."""
     return tuple((d[0], d[1], d[2], d[3] if len(d) == 4 else PRINTED) for d in declared)
 
 
@@ -114,5 +114,5 @@ class Placements(Declared):
 
 
 def three(spread: _Spread) -> Vec3:
-    """A standard deviation of each component."""
+    """Return a standard deviation of each component."""
     return spread if isinstance(spread, tuple) else (spread, spread, spread)

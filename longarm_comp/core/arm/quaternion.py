@@ -66,7 +66,7 @@ def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 def between(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
-    """The orientation at a share of the shortest way from one to the other (slerp), x, y, z, w.
+    """Return x, y, z, w at a share of the shortest way from one to the other (slerp).
 
     Source: Shoemake, Animating Rotation with Quaternion Curves (1985).
     """

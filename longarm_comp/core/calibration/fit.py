@@ -73,20 +73,13 @@ def fit(
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
-    part = SessionProblem(model, session, sigma, weights, robust, rho, usual)
-    if begun is not None:
-        part.residual, part.columns = begun.residual, begun.columns
-        part.posture = part.near = begun.posture
-    elif near is not None:
-        part.near = near.posture
+    part = SessionProblem(model, session, sigma, weights, robust, rho, usual, begun, near)
     return _fit_parts([part], close)[0]
 
 
 def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
     """Compare a model with a session as it is: residual and design; `near` as in `fit`."""
-    part = SessionProblem(model, session, robust=False)
-    part.near = None if near is None else near.posture
-    part.look()
+    part = SessionProblem(model, session, robust=False, near=near)
     part.weigh(1)
     return part.fitted(np.diag(priors(model.slots) ** 2))
 
@@ -112,8 +105,6 @@ def _fit_parts(
     scale, centre, now = problem.scale, problem.centre, problem.start
     converged, step = False, 0
     adapting = any(part.sigma is None or part.fixed is None for part in parts)
-    for part in parts:
-        part.look()
     cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, GAUSS_NEWTON_STEPS + 1):
         for part in parts:

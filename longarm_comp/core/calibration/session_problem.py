@@ -34,8 +34,6 @@ class SessionProblem:
     `mine` are the places of its parameters among those of all sessions that are fitted together.
     """
 
-    residual: np.ndarray
-    columns: np.ndarray
     mine: np.ndarray
 
     def __init__(
@@ -47,6 +45,8 @@ class SessionProblem:
         robust: bool = True,
         rho: float = 0.0,
         usual: Mapping[str, float] | None = None,
+        begun: ModelFit | None = None,
+        near: ModelFit | None = None,
     ) -> None:
         self.seen = seen = session.take(session.seen)
         if len(seen) < 4:
@@ -54,7 +54,7 @@ class SessionProblem:
         context = seen.context()
         for term in model.terms:
             term.require(context)
-        self.model = dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None)
+        self.model = model = dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None)
         self.sigma, self.fixed, self.robust, self.rho = sigma, weights, robust, rho
         self.usual = usual or {}
         self.weights = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
@@ -63,32 +63,27 @@ class SessionProblem:
         )
         self.uneven = seen.uneven(seen.claimed)
         self.effective = 0.0
-        self.posture: Posture | None = None
-        self.near: Posture | None = None
-
-    def look(self) -> None:
-        """Compute residual and design of the model as it is now, unless they are known."""
-        if self.posture is None:
-            self._predict()
+        if begun is not None:
+            self.residual, self.columns = begun.residual, begun.columns
+            self.posture = self.near = begun.posture
+        else:
+            at = posture(model, seen) if near is None else model.posture_near(near.posture)
+            self._predict(at)
             self.differentiate()
 
-    def _predict(self, close: bool = False) -> None:
-        """Compute the residual of the model as it is now."""
-        if self.near is None:
-            self.posture = posture(self.model, self.seen)
-        else:
-            self.posture = self.model.posture_near(self.near, close)
-        self.residual = equations(self.model, self.seen, self.posture, ()).residual
-        self._finite(self.residual)
+    def _predict(self, at: Posture) -> None:
+        """Compute the residual of the model as it is now, with the arm at a posture."""
+        self.posture = at
+        self.residual = equations(self.model, self.seen, at, ()).residual
+        self._check_finite(self.residual)
 
     def differentiate(self) -> None:
         """Compute the design of the model as it is now; where it is next is taken to be near."""
-        assert self.posture is not None
         self.columns = equations(self.model, self.seen, self.posture).columns
-        self._finite(self.columns)
+        self._check_finite(self.columns)
         self.near = self.posture
 
-    def _finite(self, values: np.ndarray) -> None:
+    def _check_finite(self, values: np.ndarray) -> None:
         if not np.isfinite(values).all():
             raise JobError("the fit did not stay finite", session=self.seen.source)
 
@@ -99,7 +94,6 @@ class SessionProblem:
         model = self.model
         if any(not b.geometry for b in model.biases):
             model = with_frame_shift(model, self.seen)
-        assert self.posture is not None
         return ModelFit(
             model=model,
             session=self.seen,
@@ -121,7 +115,7 @@ class SessionProblem:
         `close`: whether they are close to those that the design is of.
         """
         self.model = self.model.with_values(values)
-        self._predict(close)
+        self._predict(self.model.posture_near(self.near, close))
 
     def bend(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
         """Return (p,) the product of the prior-scaled design with half the second derivative of

@@ -45,7 +45,7 @@ def stations(arm: Arm) -> list[str]:
 
 
 def _acting(posture: Posture, place: str) -> tuple[int, Frame]:
-    """The station that a twist acts at; the pose, in the base frame, that a wrench acts at."""
+    """Return the station that a twist acts at; the pose in the base frame of a wrench."""
     if place == TIP_PLACE:
         tip = posture.arm.tip
         station = posture.frame(tip.frame)
@@ -317,7 +317,7 @@ class DiscoveredView(_OfFunction, Bias):
         return self.axis
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """The amount, in m, or as a share of the distance, per unit of the function."""
+        """Return the amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
         unit = _quotient(unit, self.of.units(arm))
         return self.with_prior(self.scale, unit=unit)

@@ -185,7 +185,7 @@ class ServoQuantisation(JointTerm):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """The joints without a declared step, with one kind of servo, by its steps.
+        """Return the joints without a declared step, with one kind of servo, by its steps.
 
         All joints, where the arm declares every step: then the model holds them already.
         """

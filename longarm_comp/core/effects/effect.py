@@ -100,29 +100,29 @@ class _Term:
     @classmethod
     @cache
     def declared(cls) -> tuple[Parameter, ...]:
-        """The parameters of this kind of effect, in the order of its fields."""
+        """Return the parameters of this kind of effect, in the order of its fields."""
         each = metadata(cls, PARAMETER).items()  # type: ignore[arg-type]
         return tuple(dataclasses.replace(p, name=name) for name, p in each)
 
     @classmethod
     @lru_cache(maxsize=1024)
     def with_prior(cls, *priors: float, **changes: Any) -> tuple[Parameter, ...]:
-        """The same for an arm, with one prior for all or one for each, and other attributes."""
+        """Return `declared` with one prior for all or one for each, and other attributes."""
         priors = priors * len(cls.declared()) if len(priors) == 1 else priors
         each = zip(cls.declared(), priors, strict=True)
         return tuple(dataclasses.replace(p, prior=prior, **changes) for p, prior in each)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """The parameters of this instance; priors may come from the arm's tolerances."""
+        """Return the parameters of this instance; priors may come from the arm's tolerances."""
         return self.declared()
 
     def with_values(self, values: Mapping[str, float]) -> Self:
-        """A copy with other values of some parameters."""
+        """Return a copy with other values of some parameters."""
         return dataclasses.replace(self, **{name: float(v) for name, v in values.items()})
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
-        """The allowed values on an arm by place field, without fields that allow any text."""
+        """Return allowed values on an arm by place field, without fields that allow any text."""
         return {name: known for name, known in metadata(cls, PLACE).items() if known}  # type: ignore[arg-type]
 
     @classmethod
@@ -207,13 +207,13 @@ class _Term:
 
     @classmethod
     def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
-        """The instances to fit when the user declares this effect without a place."""
+        """Return the instances to fit when the user declares this effect without a place."""
         every = itertools.chain(*cls.candidates(arm))
         return tuple({term.variant: term for term in every}.values())
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:
-        """The instance at a joint with steps of a size (rad or m); of a `stepped` effect."""
+        """Return the instance at a joint with steps of a size (rad or m); of a `stepped` effect."""
         raise NotImplementedError(cls.name)
 
     def step(self, arm: Arm) -> float:
@@ -240,7 +240,7 @@ class _Term:
         """Raise `InputError` if its fields, read from `where`, mean nothing on an arm."""
 
     def missing(self, context: Context) -> str:
-        """The first recorded quantity that it reads and the context lacks, or ""."""
+        """Return the first recorded quantity that it reads and the context lacks, or ""."""
         read = (name for name in self.inputs if name not in PER_JOINT)
         return next((name for name in read if not context.has(name)), "")
 

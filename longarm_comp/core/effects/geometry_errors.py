@@ -99,7 +99,7 @@ class DhError(Effect):
                 raise InputError(where, f"{self.name}.{p.name} at {self.where}", value, allowed)
 
     def twists(self, posture: Posture) -> Twists:
-        """``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i.
+        """Return ``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i.
 
         The tilts are about the place of the axis there (`Chain.tilted_at`).
         """
@@ -203,7 +203,7 @@ class KindDirection(Effect):
         return any(term.loaded for term in self.terms)
 
     def twists(self, posture: Posture) -> Twists:
-        """The twists of its parts, which are linear in their values, times the amount."""
+        """Return the twists of its parts, which are linear in their values, times the amount."""
         return spatial.sum_twists(
             {s: tuple(self.amount * v for v in t) for s, t in term.twists(posture).items()}  # type: ignore[misc]
             for term in self.terms

@@ -59,7 +59,7 @@ class JointTerm(Effect):
         return (arm.commanded.index(self.joint),) if reads else ()
 
     def motion(self, posture: Posture, amount: Scalar) -> Twists:
-        """The joint moved by `amount` (rad or m) along its own z axis, at its bearing.
+        """Return the joint moved by `amount` (rad or m) along its own z axis, at its bearing.
 
         Passive joints coupled to it (mimic) follow.
         """

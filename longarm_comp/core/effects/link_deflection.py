@@ -39,8 +39,8 @@ class LinkDeflection(Effect):
 
 
 def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
-    """A share (one for all rows, or one per row) of the declared cantilever twist, at the end of
-    every element of one beam, or of all."""
+    """Return a share (one for all rows, or one each) of the declared cantilever twist, at the end
+    of every element of one beam, or of all."""
     return {
         e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
         for e in elements(posture)
@@ -158,7 +158,7 @@ def _beam_axes(axis: int, of_frame: tuple[_T, _T, _T]) -> tuple[_T, _T, _T]:
 
 
 def _frame_axes(axis: int, twist: Twist) -> Twist:
-    """A twist in the beam's axes, in the frame's."""
+    """Return a twist in the beam's axes, in the frame's."""
     d, theta = twist[:3], twist[3:]
     return (*d[3 - axis :], *d[: 3 - axis], *theta[3 - axis :], *theta[: 3 - axis])  # type: ignore[return-value]
 

@@ -167,7 +167,7 @@ class AnchorPlace(Bias):
         return [{"anchor": k} for k, v in arm.anchors.items() if v.xyz_m is None]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The tip moved against the anchor, for the rows that measure to it."""
+        """Return the tip moved against the anchor, for the rows that measure to it."""
         mine = context.is_label("anchor", self.anchor)
         return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
 

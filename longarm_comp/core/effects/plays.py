@@ -180,7 +180,7 @@ class TelescopeClearance(JointTerm):
 
 
 def _slider(arm: Arm, row: int) -> Beam | None:
-    """The sliding beam of a row: of length rest, with a body long enough to overlap always."""
+    """Return the sliding beam of a row: of length rest, its body always overlaps."""
     beams = [b for b in arm.links if b.row == row and b.role == "d"]
     joint = arm.joints[row - 1]
     for beam in beams[1:]:

@@ -226,7 +226,7 @@ _KINDS: tuple[type[Quantity], ...] = (
 
 @lru_cache(maxsize=4096)
 def quantity(name: str) -> Quantity | None:
-    """The quantity of a name; None where no quantity may have it."""
+    """Return the quantity of a name; None where no quantity may have it."""
     for kind in _KINDS:
         found = re.fullmatch(kind.pattern, name)
         if found:

@@ -10,7 +10,7 @@ from longarm_comp.core.effects.effect import form
 
 
 def slowing() -> float:
-    """A field of an effect: one over its time constant, 1/h; 0: it goes on at a constant rate.
+    """Declare a field: one over the time constant, 1/h; 0: it goes on at a constant rate.
 
     An instrument warms up in a quarter of an hour or more, ground settles in hours.
     """

@@ -274,7 +274,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 @lru_cache(maxsize=4096)
 def function(text: str, domain: str) -> Function:
-    """The function of a text over a domain.
+    """Return the function of a text over a domain.
 
     Raises:
         FunctionError: a part that is no shape, quantity, number or range; too many factors; a

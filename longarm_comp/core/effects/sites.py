@@ -25,7 +25,7 @@ def rows(arm: Arm) -> list[int]:
 
 
 def frames(arm: Arm) -> list[int]:
-    """The base (0) and the frame of every row."""
+    """Return the base (0) and the frame of every row."""
     return [0, *rows(arm)]
 
 

@@ -25,7 +25,7 @@ class ThermalGrowth(Effect):
     expansion: float = parameter("1/K", "expansion coefficient of the links", prior=1e-4)
 
     def twists(self, posture: Posture) -> Twists:
-        """Translation along every row's a and d, in proportion to their length."""
+        """Return translations along every row's a and d, in proportion to their length."""
         warm = posture.context.column("temperature_c", posture.arm.reference_temperature_c)
         rise = self.expansion * (warm - posture.arm.reference_temperature_c)
         growth: list[dict[int, Twist]] = []

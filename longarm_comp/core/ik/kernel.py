@@ -72,7 +72,7 @@ class TwistRow:
 
     @classmethod
     def traced(cls, model: Model, layout: Layout) -> TwistRow:
-        """A row without the components that depend neither on joints nor on context or loads."""
+        """Return a row without the components that depend on no joint, context or load."""
         graph = Graph()
         q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
         context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
@@ -106,7 +106,7 @@ Work = Callable[[newton.State], newton.Outcome]
 def works(
     model: Model, context_of: Callable[[newton.State], Context], row: TwistRow
 ) -> dict[str, Work]:
-    """The programs by name, for circumstances that are those of the state."""
+    """Return the programs by name, for circumstances that are those of the state."""
 
     def at(s: newton.State, x: Sequence[Any]) -> Posture:
         return model.loaded(tuple(s["trial"]), context_of(s), row.twists(x))

@@ -18,8 +18,8 @@ EDGE = 1e-9
 def nearest(
     R: np.ndarray, low: np.ndarray, high: np.ndarray, *, kept: int = 16, max_nodes: int = 4000
 ) -> tuple[np.ndarray, int]:
-    """The points ``R k + y`` nearest to zero, `kept` at most: k (P, n), the nearest first, and the
-    number of visited nodes of the search tree.
+    """Find the points ``R k + y`` nearest to zero, `kept` at most: k (P, n), the nearest first, and
+    the number of visited nodes of the search tree.
 
     They are searched within the radius that holds twice as many on average (the ball's volume
     over that of a cell), and within a larger one if too few of them are in the box.

@@ -36,7 +36,7 @@ class _Shaft(JointTerm):
 
 
 def by_readings(model: Model) -> Model:
-    """The model whose joints are readings (rad, m) instead of commands."""
+    """Return the model whose joints are readings (rad, m) instead of commands."""
     arm = model.arm
     behind = [t for t in model.terms if not any(sees(arm, row, t) for row in arm.commanded)]
     return model.with_terms(

@@ -50,7 +50,7 @@ def _beside(path: str | Path, what: str) -> Path:
 
 
 def replace_file(path: Path, to: str | Path) -> None:
-    """A file takes the place of another."""
+    """Return a file takes the place of another."""
     try:
         os.replace(path, followed(to))
     except OSError as error:

@@ -127,7 +127,7 @@ class Model:
         return tuple(self._within(slot) for slot in slots_of(self.arm, self.terms))
 
     def _within(self, slot: Slot) -> Slot:
-        """The parameter with the prior that this model gives it."""
+        """Return the parameter with the prior that this model gives it."""
         p, owner = slot.parameter, slot.owner
         share = dict(self.beyond).get(slot.identity, 1.0)
         if owner.geometry and not owner.passing and not p.unknown:
@@ -147,7 +147,7 @@ class Model:
         return {}
 
     def with_values(self, values: np.ndarray) -> Model:
-        """A copy with other parameter values, (p,)."""
+        """Return a copy with other parameter values, (p,)."""
         changes: list[dict[str, float]] = [{} for _ in self.terms]
         for slot, value in zip(self.slots, values, strict=True):
             changes[slot.term][slot.parameter.name] = float(value)
@@ -156,7 +156,7 @@ class Model:
         )
 
     def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
-        """A copy with those of the terms that it does not hold yet, the first at each place."""
+        """Return a copy with those of the terms that it lacks, the first at each place."""
         known = {(t.name, t.where) for t in self.terms}
         new: dict[tuple[str, str], Effect | Bias] = {}
         for term in terms:
@@ -165,16 +165,16 @@ class Model:
         return self.plus(*new.values())
 
     def lasting(self) -> Model:
-        """A copy without facts of one session, such as the place of a touched point."""
+        """Return a copy without facts of one session, such as the place of a touched point."""
         kept = [t for t in self.terms if not t.passing]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
     def without(self, places: Container[tuple[str, str]]) -> Model:
-        """A copy without its terms at some places (`Effect.key`)."""
+        """Return a copy without its terms at some places (`Effect.key`)."""
         return self.with_terms([t for t in self.terms if t.key not in places])
 
     def with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
-        """A copy with these terms and no others."""
+        """Return a copy with these terms and no others."""
         return dataclasses.replace(
             self,
             effects=tuple(t for t in terms if isinstance(t, Effect)),
@@ -182,7 +182,7 @@ class Model:
         )
 
     def plus(self, *terms: Effect | Bias) -> Model:
-        """A copy with further terms."""
+        """Return a copy with further terms."""
         return self.with_terms([*self.terms, *terms])
 
     def told_by(self, context: Context) -> Model:
@@ -193,7 +193,7 @@ class Model:
     # ------------------------------------------------------------------ predict
 
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
-        """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
+        """Return the loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context()
         return self._passed(self.unsagged(q, context), self.load_passes)
 
@@ -207,7 +207,7 @@ class Model:
         return self._passed(known, 1 if close else max(self.load_passes - 1, 1))
 
     def _weighed(self, posture: Posture) -> Posture:
-        """A posture's frames under this model's gravity and masses."""
+        """Return a posture's frames under this model's gravity and masses."""
         gravity = self._gravity(posture.context)
         bare = dataclasses.replace(posture, gravity=gravity, extra=())
         extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
@@ -224,17 +224,17 @@ class Model:
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
 
     def unsagged(self, q: Sequence[Scalar], context: Context) -> Posture:
-        """The arm at q as its base stands, before any other effect: where the load passes begin."""
+        """Return the arm at q as its base stands, without other effects: the first load pass."""
         bare = self.unplaced((), context)
         standing = spatial.sum_twists(e.twists(bare) for e in self.effects if e.seen_only)
         return self.loaded(q, context, standing)
 
     def unplaced(self, q: Sequence[Scalar], context: Context) -> Posture:
-        """The joints at q without frames and loads, for effects that depend on neither."""
+        """Return the joints at q without frames and loads, for effects that depend on neither."""
         return Posture(self.chain, tuple(q), context, [], [], self.arm.gravity_mps2)
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
-        """The arm at q with given twists (by station), and its loads."""
+        """Return the arm at q with given twists (by station), and its loads."""
         placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
         return self._weighed(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
 
@@ -268,21 +268,21 @@ class Model:
         return frame._replace(p=p)
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec:
-        """The point as a sensor of that kind reports it: its biases applied in order."""
+        """Return the point as a sensor of that kind reports it: its biases applied in order."""
         for bias in self.biases:
             if kind in bias.sees:
                 point = bias.seen(point, context, self.arm)
         return point
 
     def seen_axes(self, tip: Frame, context: Context) -> Frame:
-        """The tip's axes as a sensor of poses reports them; they need not be of unit length."""
+        """Return the tip's axes as a sensor of poses reports them, of any length."""
         for bias in self.biases:
             if "orientation" in bias.sees:
                 tip = bias.seen_pose(tip, context, self.arm)
         return tip
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """Reading of a DH row's encoder if it sees its joint at a value (rad or m)."""
+        """Return the reading of a DH row's encoder if it sees its joint at a value (rad or m)."""
         for bias in self.biases:
             value = bias.read(value, row)
         return value
@@ -322,7 +322,7 @@ class Model:
     def motion(
         self, posture: Posture, slots: Sequence[Slot] | None = None, turns: bool = False
     ) -> TipMotion:
-        """The tip at N postures and its motion per unit of every parameter, as `columns`.
+        """Return the tip at N postures and its motion per unit of every parameter, as `columns`.
 
         `turns`: whether the turns of the tip's axes are wanted.
         """
@@ -343,7 +343,7 @@ class Model:
     def added(
         self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
     ) -> TipMotion:
-        """The tip and its motion by each of some terms outside the model.
+        """Return the tip and its motion by each of some terms outside the model.
 
         To first order, by Eq. (5). It is meant for terms without free parameters.
         """
@@ -374,17 +374,17 @@ class Model:
         return TwistChange(raised, self._under_load(posture), 1.0 / slot.step)
 
     def _under_load(self, posture: Posture) -> Parts:
-        """The twists that depend on the loads."""
+        """Return the twists that depend on the loads."""
         return [(e, e.twists(posture)) for e in self.effects if e.loaded or e.changes_loads]
 
     def _changed(self, term: Effect | Bias, to: Effect | Bias) -> Model:
-        """A copy with a term changed, which is added if the model does not hold it."""
+        """Return a copy with a term changed, which is added if the model does not hold it."""
         terms = [to if t is term else t for t in self.terms]
         return self.with_terms(terms if any(t is to for t in terms) else [*terms, to])
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
-    """The free parameters of some terms."""
+    """Return the free parameters of some terms."""
     every = ((t, term, p) for t, term in enumerate(terms) for p in term.parameters(arm))
     return tuple(Slot(t, term, p) for t, term, p in every if p.prior > 0)
 

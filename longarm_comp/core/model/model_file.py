@@ -120,7 +120,7 @@ def store(
     origins: Mapping[int, str] | None = None,
     intervals: Mapping[tuple[int, str], tuple[float, float]] | None = None,
 ) -> StoredModel:
-    """The stored form of a model.
+    """Return the stored form of a model.
 
     Args:
         standard_errors: (p,) of its parameters, for normal intervals.
@@ -175,7 +175,7 @@ def store(
 
 
 def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
-    """What the model's record says, its parameters in the order in which `restore` has them."""
+    """Return the model's record, its parameters in the order in which `restore` has them."""
     known = model.uncertainty
     if known is None:
         return None
@@ -196,7 +196,7 @@ def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
 
 
 def _in_file(model: Model) -> list[Effect | Bias]:
-    """The terms as they stand in the file, and in a model that is read from it."""
+    """Return the terms as they stand in the file, and in a model that is read from it."""
     kept = [t for t in model.terms if not t.passing]
     return sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
 
@@ -233,12 +233,12 @@ def undo(path: str | Path) -> None:
 
 
 def read_stored(path: str | Path) -> StoredModel:
-    """The file's contents, validated."""
+    """Return the file's contents, validated."""
     return parse_declared(StoredModel, read_yaml(path), str(path))
 
 
 def load_model(path: str | Path, arm: Arm) -> Model:
-    """The model in a file.
+    """Return the model in a file.
 
     Raises:
         InputError: as `read_stored`; the file belongs to another arm; an unknown place or
@@ -248,7 +248,7 @@ def load_model(path: str | Path, arm: Arm) -> Model:
 
 
 def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
-    """A model from its stored form."""
+    """Return a model from its stored form."""
     if stored.arm.hash != arm.hash:
         mine = f"the arm given: {arm.name} {arm.hash[:12]}"
         allowed = f"{mine} (calibrate again after editing arm.yaml)"

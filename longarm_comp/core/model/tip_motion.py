@@ -94,7 +94,7 @@ class TipMotion:
         return made
 
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
-        """Reported point (N, 3) in m and its derivative (N, 3, p)."""
+        """Return the reported point (N, 3) in m and its derivative (N, 3, p)."""
         seen = self.model.seen(self.frame.p, self.context, kind)
         free = seen is self.frame.p
         blocks = [self._point_change(change, kind, free) for change in self.changes]
@@ -111,7 +111,7 @@ class TipMotion:
         return change.shift if free else self._reported(change.shift, kind)
 
     def _reported(self, shift: Vec, kind: str) -> Vec:
-        """Derivative of the reported point as the tip moves along a shift."""
+        """Return the derivative of the reported point as the tip moves along a shift."""
         tip, by = self.frame.p, spatial.scale(_H, shift)
         up, down = (
             self.model.seen(end, self.context, kind)
@@ -120,8 +120,8 @@ class TipMotion:
         return spatial.scale(0.5 / _H, spatial.sub(up, down))
 
     def read(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
-        """Reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and its
-        derivative (N, 1, p)."""
+        """Return the reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and
+        its derivative (N, 1, p)."""
         at, model, row = self.joints[joint], self.model, self.model.arm.commanded[joint]
         gain = (model.read(at + _H, row) - model.read(at - _H, row)) * (0.5 / _H)
         moves = iter(self.joint_changes)
@@ -140,7 +140,7 @@ class TipMotion:
         return _together(stack(self.frame.p), blocks)[1]
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Reported axes of the tip (N, 3, 3) and their turn (rad) by each parameter (N, 3, p).
+        """Return reported axes of the tip (N, 3, 3), their turn (rad) by each parameter (N, 3, p).
 
         How a bias turns the axes may depend on where the tip is; that part is left out.
         """
@@ -240,7 +240,7 @@ def stack(v: Vec) -> np.ndarray:
 def _together(
     whole: np.ndarray, blocks: Sequence[tuple[Scalar, ...]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A value (N, k), and p blocks of its k components in its shape, (N, k, p)."""
+    """Return a value (N, k), and p blocks of its k components in its shape, (N, k, p)."""
     columns = np.empty((len(blocks), whole.shape[-1], *whole.shape[:-1]))
     for column, block in zip(columns, blocks, strict=True):
         for axis, component in enumerate(block):

@@ -68,7 +68,7 @@ class ModelUncertainty:
 
 
 def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Expected length of a normal error, and the length that it stays below in 90 of 100 cases.
+    """Return the expected length of a normal error, and what it stays below in 90 of 100 cases.
 
     The squared length is taken to be gamma distributed (Satterthwaite 1946, Biometrics Bull. 2),
     its cube root normal (Wilson and Hilferty 1931, PNAS 17): right to 2 % for any covariance.

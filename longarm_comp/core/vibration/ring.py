@@ -109,7 +109,7 @@ off by a thousandth of the way."""
 
 
 def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
-    """The ring after a motion from rest to rest, by the modes at its end, where its time 0 is.
+    """Return the ring after a motion from rest to rest, by the modes at its end, its time 0.
 
     Args:
         way, seconds: the motion, from time 0 on.
@@ -197,7 +197,7 @@ class MoveRing:
 def ring_after(
     model: Model, context: Context, start: np.ndarray, points: np.ndarray, times: np.ndarray
 ) -> MoveRing | None:
-    """The ring after a move from rest at ``start`` (n,) through points (k, n) at times (k,) s.
+    """Return the ring after a move from rest at ``start`` (n,) through points (k, n), times (k,) s.
 
     None where nothing of the model bends.
     """

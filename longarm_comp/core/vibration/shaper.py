@@ -36,7 +36,7 @@ def way_modes(model: Model, way: Way, seconds: float) -> list[Modes]:
 
 
 def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times (M,), and the share of the way that is behind the joints at each, 0 to 1."""
+    """Return times (M,), and the share of the way that is behind the joints at each, 0 to 1."""
     times = np.linspace(0.0, seconds, 8 * _PLACES)
     moved = np.abs(np.diff(way(times), axis=0))
     gone = np.cumsum((moved / np.maximum(moved.sum(axis=0), 1e-12)).max(axis=1))
@@ -44,7 +44,7 @@ def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) -> Shaper | None:
-    """The shaper of a motion from rest to rest, one period longer; None where nothing bends.
+    """Return the shaper of a motion from rest to rest, one period longer; None where nothing bends.
 
     Args:
         along: modes evenly along the motion. way, seconds: the motion, from time 0 on.
@@ -80,7 +80,7 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
 
 
 def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float], Shaper | None]:
-    """The shaper of a motion from rest: joints by time, in the order of their names, and seconds.
+    """Return a shaper of motions from rest: joints by time, in the order of names, and seconds.
 
     Raises:
         InputError: names ``where``: a joint of the arm is not among the names.

@@ -55,11 +55,11 @@ class Graph:
         self._symbols: dict[int, Symbol] = {}
 
     def input(self, text: str) -> Symbol:
-        """A symbol for an input; `text` is its place in the state."""
+        """Return a symbol for an input; `text` is its place in the state."""
         return self._node("input", (text,))
 
     def apply(self, op: str, *args: Any) -> Any:
-        """The result of an operation on symbols and numbers: a symbol, or a float if constant."""
+        """Return the result of an operation: a symbol, or a float if it is constant."""
         args = tuple(a if isinstance(a, Symbol) else float(a) for a in args)
         simple = _simplify(self, op, args)
         if simple is not None:
@@ -79,7 +79,7 @@ class Graph:
         return self._symbols[node]
 
     def needed(self, outputs: Sequence[Any]) -> list[int]:
-        """The nodes that the outputs depend on, in order."""
+        """Return the nodes that the outputs depend on, in order."""
         keep = [False] * len(self.nodes)
         for out in outputs:
             if isinstance(out, Symbol):
@@ -98,7 +98,7 @@ Program = tuple[Graph, Outputs]
 
 
 def _both(op: str) -> tuple[Any, Any]:
-    """An operation of a symbol with another number, and of that number with the symbol."""
+    """Return an operation of a symbol with another number, and of that number with the symbol."""
 
     def first(self: Symbol, other: Any) -> Any:
         return self.graph.apply(op, self, other)
@@ -170,7 +170,7 @@ def _order(operand: Operand) -> tuple[bool, float]:
 
 
 def _simplify(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
-    """The result without a new node, or None."""
+    """Return the result without a new node, or None."""
     a, b = args[0], args[1] if len(args) > 1 else None
     fa, fb = type(a) is float, type(b) is float
     if op in _FOLD and fa and fb:
@@ -209,7 +209,7 @@ def _negation_of(graph: Graph, x: Any) -> Any:
 
 
 def _signed_sum(graph: Graph, a: Any, b: Any) -> Any:
-    """a + b where one of them is a negated symbol, else None."""
+    """Return a + b where one of them is a negated symbol, else None."""
     for x, y in ((a, b), (b, a)):
         inner = _negation_of(graph, y)
         if inner is not None:
