@@ -94,7 +94,7 @@ class Rows:
         if gap:
             self._at, self._history = None, History.unknown(buffer.arm.n)
         told = _sides(row, buffer)
-        self._history = self._history.after(points, self._at).told(told)
+        self._history = self._history.after(points, self._at).with_sides(told)
         self._at = points[-1]
         self._passed = passed
         if seen is not None:

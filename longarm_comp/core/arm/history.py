@@ -131,7 +131,7 @@ class History:
             sides[:, joint], made[:, joint] = _walk(side, held, ways[:, joint])
         return History(sides, made)
 
-    def told(self, sides: np.ndarray) -> History:
+    def with_sides(self, sides: np.ndarray) -> History:
         """Return the history with given sides (n,) of +-1, of unknown legs; 0: as it is."""
         mine = sides != 0
         legs = np.where(mine[:, None], 0.0, self.legs)
@@ -142,7 +142,7 @@ class History:
         pairs = ((getattr(self, name), getattr(other, name)) for name in PER_JOINT)
         return all(np.allclose(*pair, rtol=0.0, atol=1e-5) for pair in pairs)  # rad, m
 
-    def agreed(self, other: History) -> History:
+    def common_with(self, other: History) -> History:
         """Return what both say; unknown, 0, for a joint that turned to opposite sides."""
         same = np.sign(self.approach) == np.sign(other.approach)
         return History(np.where(same, self.approach, 0), np.where(same[:, None], self.legs, 0.0))

@@ -14,7 +14,7 @@ from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, sized
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import frames, place_as_seen, with_frames
+from longarm_comp.core.calibration.standing import frames, place_as_seen, place_frames
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
@@ -139,7 +139,7 @@ def stages(
         kind: what other arms of the kind say of the full geometry.
     """
     base = frames(model.arm, session)
-    start = placed = with_frames(model, session)
+    start = placed = place_frames(model, session)
     borne = through_others(model.arm) if any(e.loaded for e in model.effects) else ()
     for name, terms in (
         ("frames_only", base),

@@ -81,7 +81,7 @@ def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> Mo
     """Compare a model with a session as it is: residual and design; `near` as in `fit`."""
     part = SessionProblem(model, session, robust=False, near=near)
     part.weigh(1)
-    return part.fitted(np.diag(priors(model.slots) ** 2))
+    return part.finish(np.diag(priors(model.slots) ** 2))
 
 
 def fit_together(
@@ -147,7 +147,7 @@ def _fit_parts(
     for part in parts:
         if part.sigma is None:
             part.noise = part.estimate_noise()
-    return [p.fitted(covariance[np.ix_(p.mine, p.mine)], step, converged) for p in parts]
+    return [p.finish(covariance[np.ix_(p.mine, p.mine)], step, converged) for p in parts]
 
 
 class _JointProblem:
@@ -184,7 +184,7 @@ class _JointProblem:
         p = len(self.scale)
         gram, moment, square = np.zeros((p, p)), np.zeros(p), 0.0
         for part in self.parts:
-            a, y = part.whitened(self.scale[part.mine], self.centre[part.mine])
+            a, y = part.linearise(self.scale[part.mine], self.centre[part.mine])
             gram[np.ix_(part.mine, part.mine)] += a.T @ a
             moment[part.mine] += a.T @ y
             square += float(y @ y)

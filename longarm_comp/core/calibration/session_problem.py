@@ -87,7 +87,7 @@ class SessionProblem:
         if not np.isfinite(values).all():
             raise JobError("the fit did not stay finite", session=self.seen.source)
 
-    def fitted(
+    def finish(
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
     ) -> ModelFit:
         """Return the model as it is now."""
@@ -169,7 +169,7 @@ class SessionProblem:
                 pooled[mine] = np.sqrt(square / (BEFOREHAND + degrees))
         return pooled
 
-    def whitened(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def linearise(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (dN, p) prior-scaled design, (dN,) linearised data, in units of the noise."""
         y = self.residual + self.columns @ (self.model.values - centre)
         white = self._white(np.concatenate([self.columns * scale, y[..., None]], axis=-1))

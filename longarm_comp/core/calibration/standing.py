@@ -61,7 +61,7 @@ def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
 
 
-def with_frames(model: Model, session: Session) -> Model:
+def place_frames(model: Model, session: Session) -> Model:
     """Return the model with bases, markers and sensors where the rows say, in closed form."""
     whole = model.with_missing(frames(model.arm, session))
     return place_sensors(place_bases(whole, reference_rows(session)), session)
@@ -92,7 +92,7 @@ def place_as_seen(model: Model, session: Session) -> SeenModel:
     groups = (session.take(session.frames == name) for name in np.unique(session.frames))
     if not any(is_misplaced(axes, rows) for rows in groups):
         return SeenModel(axes, elsewhere=False, placed=False)
-    moved, seen = with_frames(model, session), session.take(session.seen)
+    moved, seen = place_frames(model, session), session.take(session.seen)
     rows = seen.take(np.unique(sightings(seen), axis=0, return_index=True)[1])
     slots = [slot for slot in moved.slots if slot.parameter.unknown]
     found = equations(moved, rows, posture(moved, rows), slots)

@@ -108,7 +108,7 @@ def compensate_move(
         if not outcome.success or not matters or arrived.agrees(assumed):
             break
         if trials_left == 1:
-            arrived = arrived.agreed(assumed)
+            arrived = arrived.common_with(assumed)
     if outcome.success and lattice_of(model, options.realisable) is not None:
         outcome = solved(context, move.doubtful, options.realisable)
         move = move_to(outcome.command)

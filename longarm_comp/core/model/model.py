@@ -186,7 +186,7 @@ class Model:
         return self.with_terms([*self.terms, *terms])
 
     def told_by(self, context: Context) -> Model:
-        """Without the terms that read a quantity which the context lacks; itself with all."""
+        """Return a copy without terms that read what the context lacks; itself with all."""
         kept = [term for term in self.terms if not term.missing(context)]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
@@ -195,25 +195,36 @@ class Model:
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """Return the loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context()
-        return self._passed(self.unsagged(q, context), self.load_passes)
+        return self._pass_loads(self.unsagged(q, context), self.load_passes)
 
     def posture_near(self, known: Posture, close: bool = False) -> Posture:
-        """`posture` at the joints and circumstances of a known one of a similar model.
+        """Return `posture` at the joints and circumstances of a known one of a similar model.
 
         Its loads save a pass; where they differ so little (`close`), one pass will do.
         """
         if any(e.changes_loads for e in self.effects):
-            known = self._weighed(known)
-        return self._passed(known, 1 if close else max(self.load_passes - 1, 1))
+            known = self._weigh(known)
+        return self._pass_loads(known, 1 if close else max(self.load_passes - 1, 1))
 
-    def _weighed(self, posture: Posture) -> Posture:
+    def _weigh(self, posture: Posture) -> Posture:
         """Return a posture's frames under this model's gravity and masses."""
-        gravity = self._gravity(posture.context)
+        gravity: Vec = self.arm.gravity_mps2  # in the frame of the measurements
+        for effect in self.effects:
+            gravity = effect.gravity(gravity)
+        home = self.arm.base.frame()
+        for twists in self._placements(posture.context):
+            turn = spatial.exp_large(twists[PLACEMENT])
+            gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
         bare = dataclasses.replace(posture, gravity=gravity, extra=())
         extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
         return dataclasses.replace(bare, extra=extra) if extra else bare
 
-    def _passed(self, posture: Posture, passes: int) -> Posture:
+    def _placements(self, context: Context) -> list[Twists]:
+        """Return the twists of the effects that place the base."""
+        bare = self.unplaced((), context)
+        return [effect.twists(bare) for effect in self.effects if effect.seen_only]
+
+    def _pass_loads(self, posture: Posture, passes: int) -> Posture:
         for _ in range(passes):
             posture = self.loaded(posture.q, posture.context, self.twists(posture))
         return posture
@@ -225,9 +236,7 @@ class Model:
 
     def unsagged(self, q: Sequence[Scalar], context: Context) -> Posture:
         """Return the arm at q as its base stands, without other effects: the first load pass."""
-        bare = self.unplaced((), context)
-        standing = spatial.sum_twists(e.twists(bare) for e in self.effects if e.seen_only)
-        return self.loaded(q, context, standing)
+        return self.loaded(q, context, spatial.sum_twists(self._placements(context)))
 
     def unplaced(self, q: Sequence[Scalar], context: Context) -> Posture:
         """Return the joints at q without frames and loads, for effects that depend on neither."""
@@ -236,26 +245,14 @@ class Model:
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """Return the arm at q with given twists (by station), and its loads."""
         placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
-        return self._weighed(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
-
-    def _gravity(self, context: Context) -> Vec:
-        """Gravity (m/s^2) in the frame of the measurements."""
-        gravity: Vec = self.arm.gravity_mps2
-        for effect in self.effects:
-            gravity = effect.gravity(gravity)
-        bare, home = self.unplaced((), context), self.arm.base.frame()
-        for effect in self.effects:
-            if effect.seen_only:
-                turn = spatial.exp_large(effect.twists(bare)[PLACEMENT])
-                gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
-        return gravity
+        return self._weigh(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
 
     def twists(self, posture: Posture) -> Twists:
-        """Sum of all effects' twists, by station."""
+        """Return the sum of all effects' twists, by station."""
         return spatial.sum_twists(effect.twists(posture) for effect in self.effects)
 
     def tip_frame(self, posture: Posture) -> Frame:
-        """Pose of the tip (of the marker that the context names) in the base frame."""
+        """Return the pose of the tip (of the marker that the context names) in the base frame."""
         tip = self.arm.tip
         frame = posture.frames[posture.spot()] @ tip.pose()
         if not self.arm.markers or "marker" not in posture.context.labels:
@@ -331,10 +328,10 @@ class Model:
         for slot in slots:
             term, per = slot.owner, 0.5 / slot.step
             if isinstance(term, Bias):
-                raised, lowered = (self._changed(term, end) for end in slot.ends)
+                raised, lowered = (self._with_changed(term, end) for end in slot.ends)
                 ends.append(Reseen(raised, lowered, per, term.sees))
             elif term.changes_loads:
-                ends.append(self._reloaded(slot, posture))
+                ends.append(self._change_of_loads(slot, posture))
             else:
                 up, down = ([(term, end.twists(posture))] for end in slot.ends)
                 ends.append(TwistChange(up, down, per))
@@ -364,20 +361,20 @@ class Model:
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
         return TipMotion(self, posture, tip, changes, arm_side)
 
-    def _reloaded(self, slot: Slot, posture: Posture) -> TwistChange:
-        """Change of the twists that depend on the loads, with a parameter that changes these."""
+    def _change_of_loads(self, slot: Slot, posture: Posture) -> TwistChange:
+        """Return how twists that depend on the loads change, by a parameter that changes these."""
         if not any(term is slot.owner for term in self.terms):  # from none of such a load on
             none = {p.name: 0.0 for p in slot.owner.parameters(self.arm)}
             slot = dataclasses.replace(slot, owner=slot.owner.with_values(none))
-        model = self._changed(slot.owner, slot.ends[0])
-        raised = model._under_load(model._weighed(posture))
+        model = self._with_changed(slot.owner, slot.ends[0])
+        raised = model._under_load(model._weigh(posture))
         return TwistChange(raised, self._under_load(posture), 1.0 / slot.step)
 
     def _under_load(self, posture: Posture) -> Parts:
         """Return the twists that depend on the loads."""
         return [(e, e.twists(posture)) for e in self.effects if e.loaded or e.changes_loads]
 
-    def _changed(self, term: Effect | Bias, to: Effect | Bias) -> Model:
+    def _with_changed(self, term: Effect | Bias, to: Effect | Bias) -> Model:
         """Return a copy with a term changed, which is added if the model does not hold it."""
         terms = [to if t is term else t for t in self.terms]
         return self.with_terms(terms if any(t is to for t in terms) else [*terms, to])
@@ -390,6 +387,6 @@ def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
 
 
 def unstack(q: np.ndarray) -> tuple[Scalar, ...]:
-    """(n,) -> n floats; (N, n) -> n arrays of (N,)."""
+    """Split (n,) into n floats, (N, n) into n arrays of (N,)."""
     joints = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
     return tuple(np.ascontiguousarray(v) if v.ndim else float(v) for v in joints)
