@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_type_hints
 
@@ -166,20 +166,22 @@ def store(
         elements_per_beam=model.elements_per_beam,
         arrivals=model.arrivals,
         provenance={**(provenance or {}), **outside},
-        placement=_bases(model),
-        uncertainty=_stored_uncertainty(model),
+        placement=_base_poses(model),
+        uncertainty=_store_uncertainty(model),
         ended_s=model.ended_s,
         frame_shift_m=model.frame_shift,
         **sides,
     )
 
 
-def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
+def _store_uncertainty(model: Model) -> _StoredUncertainty | None:
     """Return the model's record, its parameters in the order in which `restore` has them."""
     known = model.uncertainty
     if known is None:
         return None
-    order = [slot.identity for slot in slots_of(model.arm, _in_file(model))]
+    kept = [t for t in model.terms if not t.passing]
+    in_file = sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
+    order = [slot.identity for slot in slots_of(model.arm, in_file)]
     factor = np.zeros((len(order), known.factor.shape[1]))
     for k, identity in enumerate(order):
         if identity in known.row:
@@ -195,23 +197,17 @@ def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
     )
 
 
-def _in_file(model: Model) -> list[Effect | Bias]:
-    """Return the terms as they stand in the file, and in a model that is read from it."""
-    kept = [t for t in model.terms if not t.passing]
-    return sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
-
-
-def _bases(model: Model) -> dict[str, Pose]:
+def _base_poses(model: Model) -> dict[str, Pose]:
     """Return the place of every base, as `base` of arm.yaml would say it."""
-    made = {}
+    poses = {}
     for effect in model.effects:
         frame = effect.base(model.arm)
         if frame is not None:
             matrix = frame.matrix()
             x, y, z = (round(float(v), 7) for v in matrix[:3, 3])
             roll, pitch, yaw = (round(math.degrees(v), 6) for v in roll_pitch_yaw(matrix[:3, :3]))
-            made[effect.where] = Pose(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
-    return made
+            poses[effect.where] = Pose(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
+    return poses
 
 
 def save_model(path: str | Path, stored: StoredModel) -> None:
@@ -284,25 +280,24 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
     if stored.arrivals and len(stored.arrivals) != arm.n:
         allowed = f"two numbers for each of {arm.n} joints, or none"
         raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
-    bare = Model(
+    ended_s = stored.ended_s
+    if ended_s is None:  # functions of the session's clock may say when it ended
+        factors = (f for term in terms for f in getattr(term, "of", Function()).factors)
+        ended_s = max((f.high for f in factors if f.of == CLOCK), default=None)
+    model = Model(
         arm,
+        effects=tuple(t for t in terms if isinstance(t, Effect)),
+        biases=tuple(t for t in terms if isinstance(t, Bias)),
         passes=stored.passes,
         elements_per_beam=stored.elements_per_beam,
         arrivals=stored.arrivals,
-        ended_s=_ended(stored, terms),
+        ended_s=ended_s,
+        frame_shift=stored.frame_shift_m,
     )
-    model = bare.with_terms(terms)
-    told = _uncertainty(stored, model, where)
-    return dataclasses.replace(model, uncertainty=told, frame_shift=stored.frame_shift_m)
+    return dataclasses.replace(model, uncertainty=_restore_uncertainty(stored, model, where))
 
 
-def _ended(stored: StoredModel, terms: Sequence[Effect | Bias]) -> float | None:
-    """When the session ended; a file that does not say it may hold functions that do."""
-    told = (f for term in terms for f in getattr(term, "of", Function()).factors if f.of == CLOCK)
-    return max((f.high for f in told), default=None) if stored.ended_s is None else stored.ended_s
-
-
-def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:
+def _restore_uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:
     given, slots = stored.uncertainty, model.slots
     if given is None:
         return None
@@ -314,18 +309,17 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
     except ValueError as error:
         allowed = "base 64 of as many 32-bit numbers as its number"
         raise InputError(where, "uncertainty.factor", str(error), allowed) from None
-    told = ("structure_m2", "noise_m2", "frame_m2")
-    squares = {name: np.array(getattr(given, name)) for name in told}
+    names = ("structure_m2", "noise_m2", "frame_m2")
+    squares = {name: np.array(getattr(given, name)) for name in names}
     for name, square in squares.items():
         least, size = np.linalg.eigvalsh(square).min(), np.abs(square).max()
         if least < -1e-9 * size or not np.allclose(square, square.T, atol=1e-9 * size):
             raise InputError(where, f"uncertainty.{name}", "no covariance", "a covariance, m^2")
-    names = tuple(slot.identity for slot in slots)
     for name, (low, high) in given.circumstances.items():
         if not low <= high:
             raise InputError(where, f"uncertainty.circumstances.{name}", [low, high], "low, high")
     return ModelUncertainty(
-        names,
+        tuple(slot.identity for slot in slots),
         factor,
         squares["structure_m2"],
         squares["noise_m2"],
@@ -337,7 +331,7 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
 
 
 def _check_placement(term: Effect | Bias, arm: Arm, where: str) -> None:
-    """Places and forms are of the declared kind, forms on their scale, places on this arm."""
+    """Check places and forms: of the declared kind, on their scale, on this arm."""
     kinds = get_type_hints(type(term))
     for name, value in term.placement.items():
         kind = kinds[name]
