@@ -16,7 +16,6 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import (
     ZERO,
     Frame,
-    Twist,
     exp_large,
     roll_pitch_yaw,
     scale,
@@ -37,8 +36,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import ELSEWHERE
 from longarm_comp.core.effects.placements import (
     BasePose,
-    CameraPose,
-    SensorPlace,
+    RigidMotion,
     TipOffset,
     TipOrientation,
 )
@@ -164,10 +162,10 @@ def places(fit: ModelFit) -> tuple[Place, ...]:
     """Return where a fit puts bases, further sensors and a camera that is fitted."""
     made = []
     for k, term in enumerate(fit.model.terms):
-        if not isinstance(term, BasePose | SensorPlace | CameraPose):
+        if not isinstance(term, RigidMotion):
             continue
         mine = [i for i, slot in enumerate(fit.slots) if slot.term == k]
-        at = term.base(fit.model.arm) if isinstance(term, BasePose) else exp_large(_twist(term))
+        at = term.base(fit.model.arm) if isinstance(term, BasePose) else exp_large(term.twist)
         motion, pose = _motion(term, at), at.matrix()
         sd = np.sqrt(np.diag(motion @ fit.covariance[np.ix_(mine, mine)] @ motion.T))
         turn = np.degrees(roll_pitch_yaw(pose[:3, :3]))
@@ -176,13 +174,9 @@ def places(fit: ModelFit) -> tuple[Place, ...]:
     return tuple(made)
 
 
-def _twist(term: BasePose | SensorPlace | CameraPose) -> Twist:
-    return term.x, term.y, term.z, term.rx, term.ry, term.rz
-
-
-def _motion(term: BasePose | SensorPlace | CameraPose, at: Frame) -> np.ndarray:
+def _motion(term: RigidMotion, at: Frame) -> np.ndarray:
     """Return (6, 6) shift (m) and turn (rad) of a pose in its outer frame, by its term's values."""
-    turns, shifts = (np.array(each).T for each in tangent(_twist(term), ZERO, large=True))
+    turns, shifts = (np.array(each).T for each in tangent(term.twist, ZERO, large=True))
     axes = at.matrix()[:3, :3]
     return np.block([[axes @ turns, axes @ shifts], [np.zeros((3, 3)), axes @ turns]])
 
