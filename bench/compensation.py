@@ -32,12 +32,12 @@ def compensate_batch_10000(count: int = 10_000) -> Result:
     """Physics and predictor, passes until the expected error settles."""
     model = soft_model(demo_arm())
     targets = model.tip(random_joints(model.arm, count, 5))
-    ik.warm_up()
 
     def work(_: int) -> list[Compensation]:
         return compensate_many(model, _Smooth(), targets, method=Method.BOTH)
 
-    batch = work(0)
+    with ik.compile_at_once():
+        batch = work(0)
     rates = count / time_calls(work, range(5), time.process_time)
     success, passes = np.mean([(one.success, one.passes) for one in batch], axis=0)
     note = f"success {success:.4f}, {passes:.1f} passes"
@@ -48,12 +48,12 @@ def compensate_single() -> Result:
     """One target after another."""
     model = soft_model(demo_arm())
     targets = model.tip(random_joints(model.arm, 200, 5))
-    ik.warm_up()
 
     def work(i: int) -> None:
         compensate(model, _Smooth(), targets[i], method=Method.BOTH)
 
-    time_calls(work, range(20))
+    with ik.compile_at_once():
+        time_calls(work, range(20))
     each = 1e6 * time_calls(work, range(200)).reshape(8, -1)
     return alone("us", np.median(each, axis=1), "one target, all passes")
 
@@ -68,12 +68,12 @@ def path(way_points: int, play: bool = False) -> Result:
     rows = np.linspace(0, len(plan.times) - 1, way_points).round().astype(int)
     targets, seed = plan.targets[rows], plan.joints[0]
     times = plan.times[-1] * np.linspace(0.0, 1.0, way_points)
-    ik.warm_up()
 
     def work(_: int) -> None:
         compensate_path(studied.model, targets, times=times, seed=seed, frame="measured")
 
-    time_calls(work, range(5))
+    with ik.compile_at_once():
+        time_calls(work, range(5))
     each = 1e6 / way_points * time_calls(work, range(40), time.process_time).reshape(8, -1)
     note = f"{way_points} way-points, {len(studied.model.slots)} parameters"
     return beside("us a way-point", np.median(each, axis=1), "goal", [200.0], note=note)

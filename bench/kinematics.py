@@ -74,7 +74,7 @@ def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> 
     model, per_block = soft_model(demo_arm()), per_block or PER_BLOCK
     kind: Any = getattr(ik_peers, peer_name)
     arm = model.arm
-    ik.warm_up()
+    ik.warm_up(model)
     try:
         peer = kind(arm)
     except ImportError as error:
@@ -128,7 +128,7 @@ def batch(grid: bool = False) -> Result:
     model = soft_model(demo_arm())
     arm = model.arm
     q = paper_grid(arm) if grid else random_joints(arm, BATCH, 2)
-    ik.warm_up()
+    ik.warm_up(model)
     try:
         peer = Toolbox(arm)
     except ImportError as error:
@@ -173,6 +173,5 @@ def compile_seconds() -> Result:
     def work(k: int) -> None:
         ik.warm_up(soft_model(arm, elements_per_beam=2).plus(JointCompliance(4, 1e-4 * (k + 1))))
 
-    ik.warm_up()
     seconds = time_calls(work, range(3), time.process_time)
     return alone("s", seconds, "trace and compile, once a model")

@@ -14,8 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from longarm_comp.core.arm import quaternion
-from longarm_comp.core.arm.arm import Arm, Joint
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import exp_large, roll_pitch_yaw
 from longarm_comp.core.compensation.compensate import rigid

@@ -25,11 +25,11 @@ from longarm_comp.core.calibration.calibrate import (
     errors,
     frames,
     geometry,
-    warm,
+    start_from,
 )
 from longarm_comp.core.calibration.fit import fit_together
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.placement import placed
+from longarm_comp.core.calibration.placement import place_bases
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
@@ -119,8 +119,8 @@ def _fit_rung(
     models = []
     for k, (part, added) in enumerate(zip(parts, terms, strict=True)):
         model = declared_model(part.arm).plus(*added)
-        held = placed(model, part.train) if start is None else start[k].model
-        models.append(warm(model, held))
+        held = place_bases(model, part.train) if start is None else start[k].model
+        models.append(start_from(held, model))
     pairs = [(m, p.train) for m, p in zip(models, parts, strict=True)]
     return fit_together(pairs, _own)
 

@@ -21,7 +21,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import straight
-from longarm_comp.core.vibration.seen import corrected, waves
+from longarm_comp.core.vibration.seen import correct_modes, waves
 from longarm_comp.core.vibration.shaper import shaper_of, way_modes
 from longarm_comp.math.shaper import Way
 from longarm_comp.sim.arm_truth import TrueArm
@@ -119,7 +119,7 @@ def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str,
             if shaping.model:
                 way_by = way_modes(known[shaping.model], way, seconds)
                 if shaping.seen:
-                    way_by = [corrected(each, *heard) for each in way_by]
+                    way_by = [correct_modes(each, *heard) for each in way_by]
                 wrong = [replace(each, omega=shaping.factor * each.omega) for each in way_by]
                 shaper = shaper_of(wrong, way, seconds, DAMPING)
                 assert shaper is not None

@@ -31,7 +31,7 @@ from longarm_comp.cli.fit import calibrate as calibrate_command
 from longarm_comp.cli.fit import evaluate as evaluate_command
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import places, untold
+from longarm_comp.core.calibration.standing import list_undetermined, places
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -104,7 +104,7 @@ def test_coordinates_alone_place_and_calibrate_what_they_see(kind: str, turn: Ro
     assert found.converged and left[seen].max() < 1.5e-4
     away = [axis for axis in "xyz" if axis not in kind]
     turns = [f"turn about {kind}"] if len(kind) == 1 else []
-    assert untold(found) == (f"base: {', '.join([*away, *turns])}",)
+    assert list_undetermined(found) == (f"base: {', '.join([*away, *turns])}",)
 
 
 @pytest.mark.parametrize("turn", TURNS)
@@ -114,7 +114,7 @@ def test_distances_and_rays_place_and_calibrate_the_arm(
 ) -> None:
     found = calibrated(kind, turn)
     assert found.converged and missed(found.model, turn).max() < good
-    assert untold(found) == ()
+    assert list_undetermined(found) == ()
 
 
 @pytest.mark.parametrize("turn", TURNS)
@@ -124,7 +124,7 @@ def test_axes_alone_tell_turns_and_no_place(turn: Rotation) -> None:
     axes = Rotation.from_matrix(found.model.pose(fresh.q)[:, :3, :3])
     body = axes.inv() * fresh.axes * BODY
     assert (body * body.mean().inv()).magnitude().mean() < SIGMA_ROT
-    assert untold(found) == ("base: x, y, z", "tip: x, y, z", "the size of the arm")
+    assert list_undetermined(found) == ("base: x, y, z", "tip: x, y, z", "the size of the arm")
 
 
 def test_every_step_of_the_closed_form_is_exact() -> None:

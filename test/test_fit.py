@@ -21,11 +21,11 @@ from longarm_comp.core.calibration.fit import CLOSE, fit, fit_together
 from longarm_comp.core.calibration.linear import whiten
 from longarm_comp.core.calibration.noise import (
     NoiseEstimate,
-    agreed,
     from_repeats,
     lag_correlation,
+    limit_by_repeats,
 )
-from longarm_comp.core.calibration.placement import placed
+from longarm_comp.core.calibration.placement import place_bases
 from longarm_comp.core.calibration.standing import frames
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance, LinkBending
@@ -178,7 +178,7 @@ def test_a_base_that_stands_elsewhere_is_found(arm: Arm, rng: np.random.Generato
         base = BasePose(x=2.0, y=-1.5, z=0.4, rx=0.1, rz=turn)
         truth = Model(arm, (LinkDeflection(), base))
         session = measured(truth, box(arm, 40, rng), rng)
-        start = placed(Model(arm, (LinkDeflection(), *frames(arm, session))), session)
+        start = place_bases(Model(arm, (LinkDeflection(), *frames(arm, session))), session)
         left = np.linalg.norm(start.tip(session.q) - session.xyz, axis=1)
         assert np.median(left) < 0.05  # sag in the wrong direction of gravity is not seen here
         found = fit(start, session)
@@ -187,7 +187,7 @@ def test_a_base_that_stands_elsewhere_is_found(arm: Arm, rng: np.random.Generato
         assert apart.max() < 1e-3
         near = measured(Model(arm, (LinkDeflection(),)), session.q, rng)
         kept = Model(arm, (LinkDeflection(), BasePose()))
-        assert placed(kept, near) == kept  # a base that is right stays
+        assert place_bases(kept, near) == kept  # a base that is right stays
 
 
 def test_arms_on_one_torso_share_it(rng: np.random.Generator) -> None:
@@ -326,12 +326,12 @@ def test_noise_is_no_more_than_the_repeats_allow_at_one_in_a_thousand() -> None:
     """18 repeats that scatter half as much by chance do not halve the noise."""
     repeats = NoiseEstimate(np.array([0.6, 0.45, 0.1, 2.0, 0.45]), "repeats", 0.0, 18.0)
     residual = NoiseEstimate(np.ones(5), "residual", 0.2, 270.0)
-    found = agreed(repeats, residual)
+    found = limit_by_repeats(repeats, residual)
     most = repeats.sigma / np.sqrt(f.ppf(1e-3, 18, 270))
     np.testing.assert_allclose(found.sigma, [1.0, most[1], most[2], 1.0, most[4]], rtol=1e-6)
     assert 0.8 < most[1] < 0.95
     assert (found.source, found.rho, found.degrees) == ("repeats", 0.2, 270.0)
-    sure = agreed(dataclasses.replace(repeats, degrees=1000.0), residual)
+    sure = limit_by_repeats(dataclasses.replace(repeats, degrees=1000.0), residual)
     assert sure.sigma[1] == pytest.approx(0.45, rel=0.2)
 
 

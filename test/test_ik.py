@@ -18,10 +18,9 @@ from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik import engines, solver
-from longarm_comp.core.ik.engines import is_compiled
+from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.kernel import kernel_of
-from longarm_comp.core.ik.solver import Engine, Reason, solve, solve_many
+from longarm_comp.core.ik.solver import Engine, Reason, compile_at_once, solve, solve_many
 from longarm_comp.core.model.model import Model
 
 FAST = Engine.COMPILED
@@ -161,16 +160,19 @@ def test_engines_run_one_search(model, base, count, position_only, rng):
     assert np.allclose(made.q, reference.q, rtol=0, atol=1e-12)
 
 
-def test_a_model_is_compiled_when_its_targets_are_worth_it(demo_arm_path, monkeypatch):
-    monkeypatch.setattr(engines._LongLived, "now", False)  # whoever was tested before
+def test_a_model_is_compiled_when_its_targets_are_worth_it(demo_arm_path):
     model = Model(Arm.load(demo_arm_path), (LinkDeflection(), JointCompliance(2, 1.1e-3)))
     target = model.pose(model.arm.mid + 0.01)
     first = solve(model, target)
     kernel = kernel_of(model, Context().layout)
-    assert not is_compiled(kernel, Engine.AUTO)
+    assert not kernel.is_compiled
     kernel.workload = 100.0
     assert np.allclose(solve(model, target).q, first.q, rtol=0, atol=1e-12)
-    assert is_compiled(kernel, Engine.AUTO)
+    assert kernel.is_compiled
+    other = model.plus(JointCompliance(3, 1.1e-3))
+    with compile_at_once():
+        solve(other, target)
+    assert kernel_of(other, Context().layout).is_compiled
 
 
 def test_one_target_alone_is_solved_as_among_many(model, rng):
@@ -281,8 +283,9 @@ def test_failure_is_an_answer(model, monkeypatch):
     assert inside(model, far.q)
     left = np.linalg.norm(model.tip(far.q) - [5.0, 0.0, 0.0])
     assert far.position_residual_m == pytest.approx(left, abs=1e-9)
-    monkeypatch.setattr(solver, "_MAX_ITERATIONS", 1)
-    short = solve(model, model.pose(model.arm.lower), max_starts=1, engine=FAST)
+    monkeypatch.setattr(newton, "MAX_ITERATIONS", 1)
+    anew = model.with_terms(model.terms)  # what is prepared once for a model knows the number
+    short = solve(anew, model.pose(model.arm.lower), max_starts=1, engine=FAST)
     assert short.reason is Reason.ITERATIONS
     assert short.iterations == 1
     assert short.angle_residual_rad > 0

@@ -14,7 +14,7 @@ import longarm_comp as la
 from longarm_comp.cli.diagnose import command as diagnose
 from longarm_comp.cli.fit import calibrate as command
 from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
@@ -99,7 +99,7 @@ def test_a_folded_fit_predicts_the_same_and_holds_no_direction(models: dict[str,
     rows = touches("2").take(slice(0, 40))
     *_, (_, fit) = stages(declared_model(ARM), rows, kind=kind)
     assert any(isinstance(e, KindDirection) for e in fit.model.effects)
-    whole = folded(fit)
+    whole = fold_directions(fit)
     assert not any(isinstance(e, KindDirection) for e in whole.model.effects)
     assert whole.model.tolerances == 1.0
     assert any(e.compliance != 0 for e in whole.model.effects if isinstance(e, JointCompliance))
@@ -135,7 +135,7 @@ def test_few_rows_of_a_real_arm_do_better_by_its_kind(models: dict[str, Model]) 
             fits = [
                 dict(stages(declared_model(ARM), few, kind=k))["geometry"] for k in (None, kind)
             ]
-            left.append([1e3 * spreads(folded(f).model, rest).mean() for f in fits])
+            left.append([1e3 * spreads(fold_directions(f).model, rest).mean() for f in fits])
     drawing, by_kind = np.mean(left, axis=0)
     assert by_kind < 1.3
     assert by_kind < 0.7 * drawing
@@ -152,7 +152,7 @@ def test_many_rows_are_not_worse_by_their_kind(models: dict[str, Model]) -> None
         few = session.take(np.flatnonzero(location == place)[:40])
         fits = [fitted(few, each) for each in (None, kind)]
         rest = session.take(location != place)
-        left.append([1e3 * spreads(folded(f).model, rest).mean() for f in fits])
+        left.append([1e3 * spreads(fold_directions(f).model, rest).mean() for f in fits])
     drawing, by_kind = np.mean(left, axis=0)
     assert by_kind < 1.02 * drawing
 

@@ -30,7 +30,7 @@ import longarm_comp as la
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.noise import from_repeats
-from longarm_comp.core.calibration.placement import started
+from longarm_comp.core.calibration.placement import place_sensors
 from longarm_comp.core.data.kinds import rotation_vector
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
@@ -54,7 +54,7 @@ GOOD = 1.5e-4
 
 def fitted(session: Session, arm: la.Arm = ARM) -> Model:
     base = declared_model(arm).plus(*geometry(arm, session))
-    return fit(started(base, session), session).model
+    return fit(place_sensors(base, session), session).model
 
 
 def mixture(seed: int = 3) -> Session:
@@ -82,7 +82,7 @@ def test_columns_are_derivatives_of_every_equation() -> None:
     session = mixture()
     arm = declared(camera={"position_m": [0.75, -1.7, 0.3]})
     terms = (*geometry(arm, session), CameraScale(), CameraPose())
-    base = started(Model(arm).plus(*terms), session)
+    base = place_sensors(Model(arm).plus(*terms), session)
     base = base.with_values(base.values + 1e-3 * np.sin(np.arange(len(base.values))))
     found = equations(base, session, posture(base, session))
     for k, slot, want in numeric_columns(base, session, lambda _: 1e-5):
@@ -108,7 +108,7 @@ def test_poses_calibrate_better_than_their_positions() -> None:
 def test_orientations_and_distances_have_noise_of_their_own() -> None:
     session = mixture()
     base = declared_model(ARM).plus(*geometry(ARM, session))
-    found = fit(started(base, session), session)
+    found = fit(place_sensors(base, session), session)
     noise = dict(zip(session.channels, found.sigma, strict=True))
     for name, sigma in (("x", SIGMA), ("rz", SIGMA_ROT), ("distance", SIGMA)):
         assert noise[name] == pytest.approx(sigma, rel=0.35)
@@ -133,7 +133,7 @@ def test_distances_to_solved_anchors_calibrate_the_arm_in_its_own_base() -> None
     labels = {"anchor": names}
     session = read(rows, xyz=nowhere(200), readings={"distance": distance}, labels=labels)
     base = declared_model(ARM).plus(*geometry(ARM, session))
-    found = fit(started(base, session), session)
+    found = fit(place_sensors(base, session), session)
     assert list(found.outliers) == [7]
     for term in found.model.biases:
         assert isinstance(term, AnchorPlace)
@@ -170,7 +170,7 @@ def test_rays_of_calibrated_cameras_calibrate_the_arm(tmp_path: Path) -> None:
     write_csv(read(rows, xyz=nowhere(200), readings=readings, labels={"sensor": names}), path)
     session = read_csv(path, arm)
     base = declared_model(arm).plus(*geometry(arm, session))
-    found = fit(started(base, session), session)
+    found = fit(place_sensors(base, session), session)
     assert not found.model.biases
     assert found.sigma == pytest.approx(np.full(4, SIGMA_ROT), rel=0.3)
     assert miss(found.model) < 3 * GOOD
@@ -191,7 +191,7 @@ def test_several_sensors_have_a_place_and_a_noise_of_their_own() -> None:
     readings = {"orientation": turned}
     session = read(rows, xyz=xyz, readings=readings, labels={"sensor": names})
     base = declared_model(ARM).plus(*geometry(ARM, session))
-    found = fit(started(base, session), session)
+    found = fit(place_sensors(base, session), session)
     noise = dict(zip(session.channels, found.sigma, strict=True))
     assert noise["tracker x"] == pytest.approx(SIGMA, rel=0.35)
     assert noise["camera x"] == pytest.approx(1e-3, rel=0.35)
@@ -293,7 +293,7 @@ def test_repeats_tell_the_noise_of_every_kind_in_enough_of_them() -> None:
     xyz[8:, 2] = np.nan  # too few of them
     readings = {"orientation": rows.quaternion(), "distance": wires}
     session = read(rows, xyz=xyz, readings=readings, labels={"anchor": names})
-    model = started(declared_model(ARM).plus(*geometry(ARM, session)), session)
+    model = place_sensors(declared_model(ARM).plus(*geometry(ARM, session)), session)
     noise = from_repeats(model, session)
     assert noise is not None
     told = dict(zip(session.channels, noise.sigma, strict=True))

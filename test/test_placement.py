@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.calibration import plausible
 from longarm_comp.core.calibration.calibrate import ladder, stages
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.placement import placed
+from longarm_comp.core.calibration.placement import place_bases
+from longarm_comp.core.calibration.plausible import RISES, WORSE, WORST, find_rise
 from longarm_comp.core.calibration.standing import frames
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
@@ -106,7 +108,7 @@ def test_a_group_of_two_rows_stands_like_the_others(rng: np.random.Generator) ->
     group = np.repeat(["a", "b"], [40, 2])
     truth = Model(SMALL, (BasePose("a", *FAR, rz=2.0), BasePose("b", *FAR, rz=2.0)))
     session = measured(truth, box(SMALL, 42, rng), rng, group=group)
-    start = placed(Model(SMALL, frames(SMALL, session)), session)
+    start = place_bases(Model(SMALL, frames(SMALL, session)), session)
     assert np.linalg.norm(errors(start, session), axis=1).max() < 0.02
 
 
@@ -144,7 +146,7 @@ def test_several_bases_and_markers_metres_off(rng: np.random.Generator) -> None:
     away = BasePose("b", 3.0, -20.0, 1.0, 0.5, -1.0, 2.0)
     truth = Model(arm, (BasePose("a"), away, TipOffset("elbow", x=0.3, y=-0.1)))
     session = measured(truth, box(arm, n, rng), rng, **labels)
-    found = fit(placed(Model(arm, frames(arm, session)), session), session).model
+    found = fit(place_bases(Model(arm, frames(arm, session)), session), session).model
     assert np.median(np.linalg.norm(errors(found, session), axis=1)) < 5e-4
     elbow = next(e for e in found.effects if isinstance(e, TipOffset) and e.marker == "elbow")
     assert (elbow.x, elbow.y) == pytest.approx((0.3, -0.1), abs=1e-3)
@@ -192,10 +194,10 @@ def test_a_tolerance_is_a_prior(rng: np.random.Generator) -> None:
     assert min(p.width for p in BasePose().parameters(SMALL)) > 20.0  # metres, radians: flat
     near = measured(Model(SMALL, (BasePose(x=4e-3),)), box(SMALL, 40, rng), rng)
     start = Model(arm, frames(arm, near))
-    assert placed(start, near) == start  # what is known is not solved
+    assert place_bases(start, near) == start  # what is known is not solved
     assert arm.hash != SMALL.hash
     with pytest.raises(InputError, match=r"base.*off.*within tolerance\.base"):
-        placed(start, moved(near, TURNS[0]))
+        place_bases(start, moved(near, TURNS[0]))
 
 
 def test_nothing_is_learned_from_an_arm_that_is_not_placed(rng: np.random.Generator) -> None:
@@ -212,7 +214,7 @@ def test_a_tolerance_of_an_unknown_marker_is_refused() -> None:
 
 def test_a_placement_that_is_right_stays(rng: np.random.Generator) -> None:
     model = Model(SMALL, (BasePose(), TipOffset()))
-    assert placed(model, measured(Model(SMALL), box(SMALL, 40, rng), rng)) == model
+    assert place_bases(model, measured(Model(SMALL), box(SMALL, 40, rng), rng)) == model
 
 
 # ------------------------------------------------------------------ commands and files
@@ -274,13 +276,11 @@ def test_a_tip_mass_that_no_arm_carries_is_refused(demo: Arm, rng: np.random.Gen
 def test_gates() -> None:
     rng = np.random.default_rng(0)
     error = 1e-3 * rng.standard_normal((40, 3))
-    plausible.check_worth(1.4 * error, error, "rows")
-    plausible.check_carries_over(error, 3.5 * error, "rows")
-    with pytest.raises(JobError, match=r"worse on held-out rows.*1\.\d+ -> 2\.\d+ mm"):
-        plausible.check_worth(1.6 * error, error, "rows")
-    with pytest.raises(JobError, match="fails at held-out"):
-        plausible.check_carries_over(error, 4.5 * error, "rows")
-    plausible.check_worth(9 * error[:5], error[:5], "rows")  # too few to tell
+    assert not find_rise(error, 1.4 * error, WORSE, WORST)
+    assert not find_rise(error, 3.5 * error, RISES)
+    assert re.fullmatch(r"mean 1\.\d+ -> 2\.\d+", find_rise(error, 1.6 * error, WORSE, WORST))
+    assert find_rise(error, 4.5 * error, RISES)
+    assert not find_rise(error[:5], 9 * error[:5], WORSE, WORST)  # too few to tell
     rows = Session.record(np.zeros((40, 1)), 1e3 * error)
     plausible.check_noise(np.full(3, 0.02), rows)
     with pytest.raises(JobError, match="more than noise"):
@@ -289,10 +289,9 @@ def test_gates() -> None:
     with pytest.raises(JobError, match=r"9.8 mm is left along x beside 0.3 mm, which is no"):
         plausible.check_noise(np.array([9.8e-3, 3e-4, 3e-4]), rows)
     late = np.r_[error[:36], 5 * error[36:]]  # a tenth of the rows
-    with pytest.raises(JobError, match=r"of the worst 10% \d\S+ -> \d\S+ mm"):
-        plausible.check_worth(np.r_[0.5 * error[:36], 2 * late[36:]], late, "rows")
-    with pytest.raises(JobError, match=r"held-out rows: mean \d"):
-        plausible.check_carries_over(error, 9 * late, "rows")
+    rise = find_rise(late, np.r_[0.5 * error[:36], 2 * late[36:]], WORSE, WORST)
+    assert re.fullmatch(r"mean of the worst 10% \d\S+ -> \d\S+", rise)
+    assert find_rise(error, 9 * late, RISES).startswith("mean ")
 
 
 def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
@@ -304,7 +303,11 @@ def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generat
     with pytest.raises(JobError, match="not credible"):
         la.calibrate(SMALL, session, effects=["joint_gain"])
     monkeypatch.setattr(plausible, "WORSE", 0.0)
-    with pytest.raises(JobError, match="worse on held-out rows"):
+    with pytest.raises(JobError, match=r"worse on held-out rows.* \d\S+ -> \d\S+ mm"):
+        la.calibrate(SMALL, session)
+    monkeypatch.setattr(plausible, "WORSE", 9.0)
+    monkeypatch.setattr(plausible, "RISES", 0.0)
+    with pytest.raises(JobError, match=r"fails at held-out rows: mean \d\S+ -> \d\S+ mm"):
         la.calibrate(SMALL, session)
 
 

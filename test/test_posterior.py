@@ -214,7 +214,7 @@ def test_of_names_that_rounding_alone_distinguishes_the_first_is_named() -> None
     offers = [single(name, 0) for name in "abc"]
     q = np.array([1.0 / 3.0, 1.0 / 3.0 + 1e-12, 1.0 / 3.0 - 1e-12])
     assert SingleEffect(offers, q, np.zeros(1)).best == 0
-    assert SingleEffect(offers, q + [0.0, 1e-3, 0.0], np.zeros(1)).best == 1
+    assert SingleEffect(offers, q + np.array([0.0, 1e-3, 0.0]), np.zeros(1)).best == 1
 
 
 def test_a_restart_leaves_a_local_optimum() -> None:

@@ -14,7 +14,7 @@ from small_arm import measured
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry, stages
-from longarm_comp.core.calibration.lasting import check_lasting, moved
+from longarm_comp.core.calibration.lasting import check_lasting
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.errors import InputError, JobError
@@ -211,7 +211,7 @@ def test_a_reflector_that_was_moved_is_told_with_its_row(made: Model) -> None:
 
 def test_an_arm_that_stayed_was_not_moved(made: Model) -> None:
     *_, (_, fitted) = stages(Model(PALLETISER), anywhere(made))
-    assert moved(fitted) is None
+    check_lasting(fitted)
 
 
 def test_both_commands_name_the_rows_that_they_set_aside(

@@ -26,8 +26,8 @@ from longarm_comp.core.arm.parts import Tolerance
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.noise import from_repeats
-from longarm_comp.core.calibration.placement import started
-from longarm_comp.core.calibration.standing import untold
+from longarm_comp.core.calibration.placement import place_sensors
+from longarm_comp.core.calibration.standing import list_undetermined
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, errors, posture, spreads
@@ -92,7 +92,7 @@ def joined(one: Session, other: Session, xyz: np.ndarray | None = None) -> Sessi
 
 def test_columns_are_derivatives_of_touches_and_planes(session: Session) -> None:
     both = joined(session.take(slice(0, 30)), tabled(10, (0.3, -0.2, 1.0), 0.2))
-    base = started(Model(ARM).plus(*geometry(ARM, both)), both)
+    base = place_sensors(Model(ARM).plus(*geometry(ARM, both)), both)
     base = base.with_values(base.values + 1e-3 * np.sin(np.arange(len(base.values))))
     at = posture(base, both)
     found = equations(base, both, at)
@@ -127,8 +127,8 @@ def test_without_a_known_distance_the_size_is_not_told(session: Session) -> None
 def test_a_distance_that_is_hardly_known_does_not_tell_the_size(session: Session) -> None:
     rough = tuple((one, other, length, 0.01) for one, other, length, _ in DISTANCES)
     rows = dataclasses.replace(session, touch_distances=rough)
-    found = fit(started(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
-    assert untold(found) == ("the size of the arm",)
+    found = fit(place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
+    assert list_undetermined(found) == ("the size of the arm",)
 
 
 def test_one_touch_beside_another_at_a_known_distance_tells_something(session: Session) -> None:
@@ -155,7 +155,7 @@ def test_a_known_distance_sets_the_size(session: Session) -> None:
 
     def fitted(distances: tuple[tuple[str, str, float, float], ...]) -> Model:
         rows = dataclasses.replace(session, touch_distances=distances)
-        return fit(started(Model(wide).plus(*geometry(wide, rows)), rows), rows).model
+        return fit(place_sensors(Model(wide).plus(*geometry(wide, rows)), rows), rows).model
 
     q = np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (200, ARM.n))
     sizes = [np.linalg.norm(np.ptp(m.tip(q), axis=0)) for m in map(fitted, (DISTANCES, longer))]
@@ -168,7 +168,7 @@ def test_a_distance_is_believed_to_its_tolerance(session: Session) -> None:
     def fitted(tolerance: float) -> Model:
         known = (DISTANCES[0], (*DISTANCES[1][:2], GAP + 1e-3, tolerance), DISTANCES[2])
         rows = dataclasses.replace(session, touch_distances=known)
-        return fit(started(Model(ARM).plus(*geometry(ARM, rows)), rows), rows).model
+        return fit(place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows), rows).model
 
     rough, sure = fitted(1e-2), fitted(1e-5)
     stretch = {t.touch: t.stretch for t in rough.biases if isinstance(t, TouchBeside)}
@@ -182,7 +182,7 @@ def test_a_chain_of_distances_holds_every_one() -> None:
            for k, name in enumerate(("b", "c", "a"))}  # fmt: skip
     known = (("b", "c", GAP, 1e-6), ("c", "a", GAP, 1e-6))
     rows = touching(HIDDEN, 45, sockets=row, distances=known)
-    found = fit(started(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
+    found = fit(place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
     tips = {n: found.model.tip(rows.q[rows.labels["touch"] == n]).mean(axis=0) for n in row}
     for one, other, length, _ in known:
         assert np.linalg.norm(tips[one] - tips[other]) == pytest.approx(length, abs=2e-4)
@@ -193,7 +193,7 @@ def test_a_chain_of_distances_holds_every_one() -> None:
 def test_no_direction_between_two_sockets_is_special(way: tuple[float, float, float]) -> None:
     pair = {f"s_{k}": np.array([0.45, 0.1, 0.3]) + k * GAP * np.array(way) for k in (0, 1)}
     rows = touching(HIDDEN, 40, sockets=pair, distances=(("s_0", "s_1", GAP, 1e-6),))
-    found = fit(started(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
+    found = fit(place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
     assert found.converged
     assert np.abs(found.residual).max() < 6 * SIGMA
 
@@ -203,7 +203,7 @@ def test_a_plane_helps_where_there_is_one_socket() -> None:
     table = tabled(60, (0.1, -0.2, 1.0), 0.15)
     models = []
     for rows in (few, joined(few, table)):
-        base = started(Model(ARM).plus(*geometry(ARM, rows)), rows)
+        base = place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows)
         models.append(fit(base, rows).model)
     assert miss(models[1], HIDDEN) < 0.8 * miss(models[0], HIDDEN)
     plane = next(t for t in models[1].biases if isinstance(t, PlanePlace))
@@ -335,9 +335,9 @@ def test_rows_of_another_arm_are_refused(session: Session) -> None:
 
 
 def test_a_base_that_touches_cannot_show_is_not_fitted(session: Session) -> None:
-    found = fit(started(Model(ARM).plus(*geometry(ARM, session)), session), session)
+    found = fit(place_sensors(Model(ARM).plus(*geometry(ARM, session)), session), session)
     assert not any(term.name == "base_pose" for term in found.model.terms)
-    assert untold(found) == ()
+    assert list_undetermined(found) == ()
 
 
 def test_a_name_in_one_row_counts_for_nothing(session: Session) -> None:

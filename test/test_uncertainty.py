@@ -41,10 +41,10 @@ from longarm_comp.core.model.model_file import load_model, save_model, store
 from longarm_comp.core.model.uncertainty import (
     LEVEL,
     ModelUncertainty,
-    read,
+    decode_triangle,
+    encode_triangle,
     sizes,
     triangular,
-    written,
 )
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import JointGain
@@ -138,7 +138,7 @@ def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
     error[:20] *= 30.0
     small = LeftOut(error, 1e-9 * unit, count)
     noise = 1e-9 * np.eye(3)
-    radius = sizes(small.covariance + small.rest(noise) + noise)[1]
+    radius = sizes(small.covariance + small.structure(noise) + noise)[1]
     assert 0.9 <= np.mean(np.linalg.norm(error, axis=1) <= radius) <= 0.91
 
 
@@ -262,7 +262,7 @@ def test_a_triangle_is_written_and_read(rng: np.random.Generator) -> None:
     made = triangular(factor)
     assert np.allclose(made, np.tril(made))
     np.testing.assert_allclose(made @ made.T, factor @ factor.T, rtol=1e-9)
-    np.testing.assert_allclose(read(written(made)), made, rtol=1e-6)
+    np.testing.assert_allclose(decode_triangle(encode_triangle(made)), made, rtol=1e-6)
 
 
 def test_another_fit_forgets_what_was_known() -> None:

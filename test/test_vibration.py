@@ -19,7 +19,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import along, ring_after, ring_of_moves, straight
-from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
+from longarm_comp.core.vibration.seen import SeenWave, as_tips, correct_modes, steps, waves
 from longarm_comp.core.vibration.shaper import shaper_of, shaping, way_modes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.cameras import CameraPair, tag_plate
@@ -254,7 +254,7 @@ def test_encoders_at_the_joints_see_the_ring_and_those_at_motors_or_too_coarse_d
     np.testing.assert_allclose(steps(fine)[SOFT > 0.0], 2e-5)
     model, other = declared_model(ARM), ARM.lower
     tips = as_tips(found, modes(model, end))
-    told = corrected(modes(model, other), modes(model, end), tips).hz[0]
+    told = correct_modes(modes(model, other), modes(model, end), tips).hz[0]
     stiff, soft = modes(model, other).hz[0], modes(SOFT_ARM, other).hz[0]
     assert abs(told - soft) < 0.5 * abs(stiff - soft)  # its frequency is carried to other postures
     assert not after(TrueArm(ARM), way, took).turned(since).any()  # what bends is behind them
@@ -287,9 +287,9 @@ def test_a_ring_tells_what_weight_does_not() -> None:
             zip(modes(soft, q).hz[:2], modes(soft, q).tip[:2], strict=True)]  # fmt: skip
     true = modes(soft, other).hz[:2]
     assert np.abs(np.sort(there.hz[:2]) / true - 1.0).max() > 0.1
-    found = np.sort(corrected(there, here, seen).hz[:2])
+    found = np.sort(correct_modes(there, here, seen).hz[:2])
     np.testing.assert_allclose(found, true, rtol=0.06)
-    assert corrected(there, here, []) is there
+    assert correct_modes(there, here, []) is there
 
 
 def test_the_running_simulation_rings_and_comes_to_rest(

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.standing import frames, with_frames
+from longarm_comp.core.calibration.standing import frames, place_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.read import read_session
@@ -95,7 +95,7 @@ def touch_postures(figure: Figure) -> None:
     """Rows of a real arm that all touched one socket."""
     arm = Arm.load(EXAMPLE / "arm.yaml")
     session = read_session(EXAMPLE / "panda_3.csv", arm)
-    start = with_frames(declared_model(arm).plus(*frames(arm, session)), session)
+    start = place_frames(declared_model(arm).plus(*frames(arm, session)), session)
     known = fit(start, session).model
     names, counts = np.unique(session.labels["touch"], return_counts=True)
     rows = np.flatnonzero(session.labels["touch"] == names[np.argmax(counts)])

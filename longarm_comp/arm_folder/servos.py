@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from longarm_comp.arm_folder.parameter_file import edit_text, own_parameters
-from longarm_comp.core.arm.arm import Arm, Joint
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml

@@ -51,7 +51,7 @@ def command(
       longarm modes arm.yaml --model model.yaml --at poses.csv --ring tip.csv
     """
     from longarm_comp.core.vibration.ring import ring_of_moves
-    from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
+    from longarm_comp.core.vibration.seen import SeenWave, as_tips, correct_modes, steps, waves
     from longarm_comp.core.vibration.shaper import USUAL_DAMPING
     from longarm_comp.sessions.poses import read_poses
     from longarm_comp.sessions.read import read_ring
@@ -69,7 +69,7 @@ def command(
     if heard is not None:
         seen, here = waves(heard.times, heard.seen), found[0][0]
         tips = as_tips(seen, here) if heard.of_joints and len(here.omega) else seen
-        found = [(corrected(each, here, tips), left) for each, left in found]
+        found = [(correct_modes(each, here, tips), left) for each, left in found]
         if not seen:
             note(f"{ring}: nothing rings above the noise")
         if heard.of_joints:

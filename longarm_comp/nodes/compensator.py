@@ -192,8 +192,6 @@ class Readiness:
     def __init__(self, state: ArmState, compute: Compensator) -> None:
         self._worker, self._compute, self._predictor = state.worker, compute, state.predictor
         self._compiled = state.p["compiled"]
-        if self._compiled:
-            ik.warm_up()
         self._prepared: Hashable = None
         self._probed = False
         steady_timer(state.node, 0.25, self.look)
@@ -217,7 +215,8 @@ class Readiness:
             self._predictor.probe()
             self._probed = True
             if needed != self._prepared and self._compiled:
-                self._compute.rehearse()
+                with ik.compile_at_once():
+                    self._compute.rehearse()
         finally:
             self._prepared = needed  # also after a fault, which every target would repeat
 

@@ -198,7 +198,8 @@ class _TrajectoryCompensator(ArmNode):
                 position_only=self.p["position_only"], max_turn_rad=self.p["max_turn_rad"],
                 max_longer=self._longer(request), options=CompensationOptions(self._method),
             )  # fmt: skip
-            found, *_ = self._state.predictor.tried(self._method, compensate)
+            with ik.compile_at_once():
+                found, *_ = self._state.predictor.tried(self._method, compensate)
         except (PathRefused, StaleContext, InputError) as error:
             return None, str(error)
         for note in found.notes:

@@ -99,7 +99,7 @@ class Rows:
         if len(given.approach) not in (0, n):
             raise InputError(buffer.where, "session_row approach", given.approach, f"{n} sides")
         sides = np.array(given.approach or [0] * n, float)
-        self._history = self._history.after(points, self._at).told(sides)
+        self._history = self._history.after(points, self._at).with_sides(sides)
         self._at = points[-1]
         self._passed = passed
         if sighting is not None:

@@ -296,7 +296,7 @@ def put_to_work(
         trained.save(_kept(predictor, new))
     else:
         _kept(predictor, new).unlink(missing_ok=True)  # of an earlier time that was taken back
-    file_versions.put(model, content)
+    file_versions.write_version(model, content)
     finish(model, predictor)
     if aside is not None and trained is None:
         os.replace(predictor, aside)

@@ -15,9 +15,9 @@ from longarm_comp.core.calibration import plausible
 from longarm_comp.core.calibration.calibrate import Rung, ladder, stages
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import Place, places, untold
+from longarm_comp.core.calibration.standing import Place, list_undetermined, places
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
@@ -121,7 +121,7 @@ class Calibration:
     @property
     def untold(self) -> tuple[str, ...]:
         """What of the placement the rows do not tell; it was left as declared."""
-        return untold(self.fit)
+        return list_undetermined(self.fit)
 
     @property
     def places(self) -> tuple[Place, ...]:
@@ -242,12 +242,12 @@ def calibrate(
         if chosen:
             terms = [term for _, each in chosen for term in each]
             final = fit(final.model.plus(*terms), whole, usual=kind.noise)
-        final = folded(final)
-    left_out = held_out.take(plausible.believed(final, held_out))
+        final = fold_directions(final)
+    left_out = held_out.take(plausible.believed_rows(final, held_out))
     plainer = {"placed frames alone": rungs[1].model, "the declared arm": rungs[0].model}
     aside = plausible.refuse(
         final,
-        size(last, train.take(plausible.believed(final, train))),
+        size(last, train.take(plausible.believed_rows(final, train))),
         size(last, left_out),
         {than: size(model, left_out) for than, model in plainer.items()},
         unit,

@@ -11,8 +11,8 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.calibration.plausible import displaced
-from longarm_comp.core.calibration.standing import standing
+from longarm_comp.core.calibration.plausible import describe_offset
+from longarm_comp.core.calibration.standing import place_as_seen
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.html_table import html_table
@@ -138,12 +138,12 @@ def evaluate(
     """
     calibrated = None if model is None else inputs.physics(arm, model)
     session = inputs.admitted(test, arm, calibrated, min_poses=1, note=note, judge=True)
-    rigid = standing(inputs.physics(arm, None, False), session)
+    rigid = place_as_seen(inputs.physics(arm, None, False), session)
     models, elsewhere = {"rigid": rigid.model}, rigid.elsewhere and not rigid.placed
     if arm.links:
-        models["deflection"] = standing(inputs.physics(arm, None), session).model
+        models["deflection"] = place_as_seen(inputs.physics(arm, None), session).model
     if calibrated is not None:
-        if far := displaced(calibrated, session):
+        if far := describe_offset(calibrated, session):
             note(far)
         models["calibrated"] = calibrated
     taken_off = {name: np.zeros(3) for name in models}
@@ -161,7 +161,7 @@ def evaluate(
         refused = int((~inside).sum()) - outside
         inside = inside & session.located[session.placed]
         beneath = inputs.physics(arm, model, beside)
-        models["network"] = beneath if model is not None else standing(beneath, session).model
+        models["network"] = beneath if model is not None else place_as_seen(beneath, session).model
         taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)
     numbers = session.index[session.placed]

@@ -11,7 +11,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.calibration.plausible import displaced
+from longarm_comp.core.calibration.plausible import describe_offset
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
@@ -112,7 +112,7 @@ def train(
     whole = given.admitted(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
     located = whole.take(whole.located)
-    if far := displaced(base, located):
+    if far := describe_offset(base, located):
         raise JobError(far, session=located.source)
     if partly := int((whole.seen & ~whole.located).sum()):
         note(f"{whole.source}: {partly} rows hold no whole position: the network leaves them out")

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.arm.measuring import (
     Anchor,
     CameraPlacement,
@@ -27,21 +28,7 @@ from longarm_comp.core.arm.measuring import (
     Sensors,
     TouchDistances,
 )
-from longarm_comp.core.arm.parts import (
-    Beam,
-    Box,
-    Coupling,
-    Cylinder,
-    Mimic,
-    Payload,
-    PointMass,
-    Pose,
-    Positive,
-    Tip,
-    Tolerance,
-    Vec3,
-    link_places,
-)
+from longarm_comp.core.arm.parts import Beam, Box, Payload, PointMass, Pose, Tip, Vec3, link_places
 from longarm_comp.core.arm.spatial import IDENTITY
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
@@ -49,131 +36,6 @@ from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, r
 
 STILL = 1e-4
 """Share of a joint's range that is none: 0.04 degrees of a turn, less than drives come back to."""
-
-
-class Joint(Declared):
-    """One row of the chain."""
-
-    id: int = Field(ge=1)
-    name: str | None = None
-    type: Literal["revolute", "prismatic", "fixed"]
-    a_m: float = 0.0
-    alpha_deg: float = 0.0
-    d_m: float = 0.0
-    theta_offset_deg: float = 0.0
-    limits_deg: tuple[float, float] | None = None
-    limits_m: tuple[float, float] | None = None
-    endless: bool = Field(
-        default=False,
-        description="a revolute joint that turns on and on: poses are planned within limits_deg, "
-        "+-180 by default, and paths may leave them",
-    )
-    step_deg: Positive | None = Field(
-        default=None, description="the servo's step, at a revolute joint; absent: continuous"
-    )
-    step_m: Positive | None = Field(
-        default=None, description="the servo's step, at a prismatic joint; absent: continuous"
-    )
-    encoder: Literal["motor", "joint"] = Field(
-        default="motor",
-        description="where a commanded joint is read: a motor's encoder sees neither play nor gear",
-    )
-    mimic: Mimic | list[Mimic] | None = Field(
-        default=None, description="a passive joint; several terms are summed"
-    )
-    coupling: Coupling | None = Field(
-        default=None, description="a commanded joint that counts with another one"
-    )
-    moves: bool = Field(
-        default=True,
-        description="false: a commanded joint beside the chain, which other rows mimic",
-    )
-    pose: Pose | None = Field(default=None, description="fixed rows: the whole transform")
-    tolerance: Tolerance = Tolerance()
-    drive: Literal["servo", "motor", "hydraulic", "cable"] = Field(
-        default="servo", description="what moves the joint: decides what a report advises"
-    )
-    cylinder: Cylinder | None = Field(
-        default=None, description="the pins of the cylinder that turns a revolute joint"
-    )
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Joint:
-        given = {"limits_deg": self.limits_deg, "limits_m": self.limits_m}
-        key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
-        if self.type == "fixed" and self.mimic:
-            raise Misdeclared("mimic", self.mimic, "none in a fixed row")
-        if self.coupling and not (self.commanded and self.moves):
-            raise Misdeclared("coupling", "given", "in the row of a commanded joint that moves")
-        if not self.moves and not self.commanded:
-            raise Misdeclared("moves", False, "true, but in the row of a commanded joint")
-        if self.pose is not None and self.type != "fixed":
-            allowed = "in fixed rows only; use a_m, alpha_deg, d_m, theta_offset_deg"
-            raise Misdeclared("pose", f"given in a {self.type} row", allowed)
-        if self.endless and (self.cylinder or self.type != "revolute" or not self.commanded):
-            raise Misdeclared("endless", True, "at commanded revolute joints without a cylinder")
-        for name, limits in given.items():
-            if limits is None:
-                continue
-            if name != key:
-                allowed = f"{key} for a {self.type} joint" if key else "none in a fixed row"
-                raise Misdeclared(name, list(limits), allowed)
-            if not limits[0] < limits[1]:
-                raise Misdeclared(name, list(limits), "[lower, upper] with lower < upper")
-        if key is not None and not self.mimic and given[key] is None and not self.endless:
-            raise Misdeclared(key, "missing", f"[lower, upper] of a commanded {self.type} joint")
-        self._check_step(key)
-        self._check_cylinder()
-        return self
-
-    def _check_cylinder(self) -> None:
-        if self.cylinder is None:
-            return
-        if self.type != "revolute" or not self.commanded:
-            raise Misdeclared("cylinder", "given", "at commanded revolute joints only")
-        ends = [math.degrees(self.cylinder.angle(q)) for q in self.limits]
-        if not 0 < min(ends) < max(ends) < 180:
-            said = " to ".join(f"{end:.1f}" for end in sorted(ends))
-            allowed = "over the joint's limits within 0 to 180 (there the pins are in line)"
-            raise Misdeclared("cylinder.angle_deg", said, allowed)
-
-    def _check_step(self, key: str | None) -> None:
-        mine = key.replace("limits", "step") if key and not self.mimic else None
-        for name, step in (("step_deg", self.step_deg), ("step_m", self.step_m)):
-            if step is not None and name != mine:
-                driven = "a passive" if self.mimic else "a fixed"
-                allowed = f"{mine} for a {self.type} joint" if mine else f"none in {driven} row"
-                raise Misdeclared(name, step, allowed)
-            if step is not None and self.limits[1] - self.limits[0] < self.step:
-                raise Misdeclared(name, step, "at most the joint's range, upper less lower limit")
-
-    @property
-    def commanded(self) -> bool:
-        """Whether a motor drives this row."""
-        return self.type != "fixed" and not self.mimic
-
-    @property
-    def mimics(self) -> list[Mimic]:
-        """The joints that it moves with: of a commanded joint the one that it counts with."""
-        if self.coupling is not None:
-            return [Mimic(joint=self.coupling.joint, multiplier=self.coupling.factor)]
-        if self.mimic is None:
-            return []
-        return self.mimic if isinstance(self.mimic, list) else [self.mimic]
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Lower and upper limit in rad or m."""
-        if self.limits_deg is not None:
-            return math.radians(self.limits_deg[0]), math.radians(self.limits_deg[1])
-        if self.endless:
-            return -math.pi, math.pi
-        return self.limits_m if self.limits_m is not None else (-math.inf, math.inf)
-
-    @property
-    def step(self) -> float:
-        """The servo's step in rad or m; 0 where the joint is continuous."""
-        return math.radians(self.step_deg) if self.step_deg is not None else self.step_m or 0.0
 
 
 class Arm(Declared):
@@ -186,9 +48,11 @@ class Arm(Declared):
     gravity_mps2: Vec3 = (0.0, 0.0, -9.80665)
     reference_temperature_c: float = 20.0
     damping: float | None = Field(
-        default=None, gt=0.0, lt=1.0,
+        default=None,
+        gt=0.0,
+        lt=1.0,
         description="share of critical damping with which the arm rings after a move",
-    )  # fmt: skip
+    )
     payload: Payload | None = None
     joints: tuple[Joint, ...] = Field(min_length=1)
     links: tuple[Beam, ...] = ()
@@ -271,19 +135,19 @@ class Arm(Declared):
 
     @property
     def weighed(self) -> bool:
-        """Whether the weight of any part is declared."""
+        """True if the weight of any part is declared."""
         return bool(self.links or self.point_masses or self.payload)
 
     @cached_property
     def usual_masses(self) -> tuple[tuple[int, Vec3, float], ...]:
-        """A kilogram a metre: row of the frame, middle of the length there (m), mass (kg)."""
+        """Masses of a kilogram a metre: row of the frame, middle of the length there (m), kg."""
         x, y, z = self.tip.position_m
-        made = [(self.tip.frame, (x / 2, y / 2, z / 2), math.hypot(x, y, z))]
+        masses = [(self.tip.frame, (x / 2, y / 2, z / 2), math.hypot(x, y, z))]
         for row, role, size in link_places(self.joints):
             first = role == "a"  # along the x axis of the row before
             at = (size / 2, 0.0, 0.0) if first else (0.0, 0.0, -size / 2)
-            made.append((row - 1 if first else row, at, abs(size)))
-        return tuple(made)
+            masses.append((row - 1 if first else row, at, abs(size)))
+        return tuple(masses)
 
     @cached_property
     def commanded(self) -> tuple[int, ...]:
@@ -301,7 +165,7 @@ class Arm(Declared):
         return tuple(self.joints[i - 1].name or f"joint{i}" for i in self.commanded)
 
     def order(self, names: list[str], where: str) -> list[int]:
-        """Place of every joint among names. Raises `InputError`, of a source, where one lacks."""
+        """Return the place of every joint among names. Raises `InputError` where one lacks."""
         for name in self.joint_names:
             if name not in names:
                 raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
@@ -309,19 +173,19 @@ class Arm(Declared):
 
     @cached_property
     def called(self) -> dict[str, str]:
-        """What people read for a place that is a row of arm.yaml, where they have another name:
-        ``luff (q2)`` for ``joint 4``, ``frame luff`` for ``frame 4``."""
-        made: dict[str, str] = {}
+        """Names that people have for rows of arm.yaml, where they differ: ``luff (q2)`` for
+        ``joint 4``, ``frame luff`` for ``frame 4``."""
+        names: dict[str, str] = {}
         numbers = {row: f"q{k}" for k, row in enumerate(self.commanded, 1)}
         for joint in self.joints:
             row, number = joint.id, numbers.get(joint.id)
             own = joint.name not in (None, f"joint{row}", f"joint_{row}", number)
             if own:
-                made |= {f"{kind} {row}": f"{kind} {joint.name}" for kind in ("row", "frame")}
-                made[f"joint {row}"] = f"{joint.name} ({number})" if number else str(joint.name)
+                names |= {f"{kind} {row}": f"{kind} {joint.name}" for kind in ("row", "frame")}
+                names[f"joint {row}"] = f"{joint.name} ({number})" if number else str(joint.name)
             elif number and number != f"q{row}":
-                made[f"joint {row}"] = f"joint {number}"
-        return made
+                names[f"joint {row}"] = f"joint {number}"
+        return names
 
     @cached_property
     def lower(self) -> np.ndarray:
@@ -340,8 +204,8 @@ class Arm(Declared):
         return np.where(endless, -np.inf, self.lower), np.where(endless, np.inf, self.upper)
 
     def box_about(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Limits (..., n) for what begins at joints q (..., n): half a turn to either side of an
-        endless one."""
+        """Return limits (..., n) for what begins at joints q (..., n): half a turn to either side
+        of an endless one."""
         endless = np.isinf(self.bounds[1])
         low = np.where(endless, q - np.pi, self.lower)
         return low, np.where(endless, q + np.pi, self.upper)
@@ -386,9 +250,9 @@ class Arm(Declared):
         return np.asarray(((moved == 0) | (turning[:, None] & (moved % 1 == 0))).all(axis=0))
 
     def anchor(self, name: str) -> Vec3:
-        """Declared place of an anchor (m); the origin if it is to be solved."""
-        held = self.anchors.get(name)
-        return held.xyz_m if held is not None and held.xyz_m is not None else (0.0, 0.0, 0.0)
+        """Return the declared place of an anchor (m); the origin if it is to be solved."""
+        anchor = self.anchors.get(name)
+        return (anchor and anchor.xyz_m) or (0.0, 0.0, 0.0)
 
     @property
     def inclinometers(self) -> tuple[str, ...]:
@@ -397,10 +261,9 @@ class Arm(Declared):
         return (*(str(row) for row in range(len(self.joints) + 1)), *named)
 
     def camera_frame(self, name: str) -> np.ndarray:
-        """Pose (3, 4) of a declared camera in the base frame; the base frame itself if none is
-        declared."""
-        held = self.sensors.get(name)
-        return (held.frame() if isinstance(held, CameraSensor) else IDENTITY).matrix()[:3]
+        """Return the pose (3, 4) of a declared camera in the base frame; else that frame itself."""
+        sensor = self.sensors.get(name)
+        return (sensor.frame() if isinstance(sensor, CameraSensor) else IDENTITY).matrix()[:3]
 
     def __repr__(self) -> str:
         bends = f"{len(self.links)} beams" if self.links else "rigid"
@@ -410,20 +273,26 @@ class Arm(Declared):
 
     def _repr_html_(self) -> str:
         rows = [
-            {"row": j.id, "name": j.name or "", "type": j.type, "a, m": j.a_m,
-             "alpha, deg": j.alpha_deg, "d, m": j.d_m, "theta, deg": j.theta_offset_deg,
-             "limits": " to ".join(f"{v:g}" for v in j.limits_deg or j.limits_m or ())}
+            {
+                "row": j.id,
+                "name": j.name or "",
+                "type": j.type,
+                "a, m": j.a_m,
+                "alpha, deg": j.alpha_deg,
+                "d, m": j.d_m,
+                "theta, deg": j.theta_offset_deg,
+                "limits": " to ".join(f"{v:g}" for v in j.limits_deg or j.limits_m or ()),
+            }
             for j in self.joints
-        ]  # fmt: skip
+        ]
         return html_table(repr(self), rows)
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of what a model depends on, not the layout."""
+        """The SHA-256 of what a model depends on, not of the layout."""
         beside: Any = {"damping": True, "payload": {"most_kg"}}
-        held = self.model_dump(mode="json", exclude_defaults=True, exclude=beside)
-        text = json.dumps(held, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        declared = self.model_dump(mode="json", exclude_defaults=True, exclude=beside)
+        return hashlib.sha256(json.dumps(declared, sort_keys=True).encode()).hexdigest()
 
     @classmethod
     def load(cls, path: str | Path) -> Arm:
@@ -434,5 +303,5 @@ class Arm(Declared):
 
     @classmethod
     def parse(cls, data: Any, where: str) -> Arm:
-        """From parsed YAML; `where` names the source in errors."""
+        """Check parsed YAML and return the arm; `where` names the source in errors."""
         return parse_declared(cls, data, where)

@@ -1,4 +1,4 @@
-"""What circumstances an arm may be in: the one range of each, from arm.yaml where it says one."""
+"""The allowed range of each circumstance, from arm.yaml where it says one."""
 
 from __future__ import annotations
 

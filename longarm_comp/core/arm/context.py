@@ -32,7 +32,7 @@ NEVER_TOLD = "(a circumstance that no command knows)"
 
 
 def is_told(name: str) -> bool:
-    """Whether a command is told a circumstance, by a topic or by its target."""
+    """Tell whether a command knows a circumstance, by a topic or by its target."""
     return name in _TOLD or INCLINATION.match(name) is not None
 
 
@@ -63,7 +63,7 @@ class Context:
     legs: tuple[Scalar, ...] = ()
 
     def has(self, name: str) -> bool:
-        """Whether an input was recorded: a per-joint field or a column."""
+        """Tell whether an input was recorded: a per-joint field or a column."""
         return bool(getattr(self, name)) if name in PER_JOINT else name in {ORDER, *self.columns}
 
     def column(self, name: str, default: float | None = None) -> Scalar:
@@ -77,7 +77,7 @@ class Context:
         return default
 
     def as_left(self, ended_s: float | None) -> Context:
-        """The circumstances of a command: for it a session's clock and order stand at their end.
+        """Return the circumstances of a command: a session's clock and order stand at their end.
 
         What a session's clock tells (a base that settles, a belt that jumped) is of that session;
         afterwards no clock goes on where it stopped.  ``ended_s``: where; None: nobody knows.
@@ -88,7 +88,7 @@ class Context:
         return dataclasses.replace(self, columns=columns)
 
     def payload_kg(self, declared: float) -> Scalar:
-        """Recorded, else as declared."""
+        """Return the recorded payload (kg), else the declared one."""
         return self.column("payload_kg", declared)
 
     def of_joint(self, name: str, joint: int) -> tuple[Scalar, ...]:
@@ -111,7 +111,7 @@ class Context:
         return (np.asarray(held) == value).astype(float)
 
     def take(self, rows: np.ndarray | slice | int) -> Context:
-        """The context of some of N postures; a scalar that holds for all stays a scalar."""
+        """Return the context of some of N postures; a scalar that holds for all stays a scalar."""
 
         def of(value: Any) -> Any:
             return np.asarray(value)[rows] if _of_each(value) else value
@@ -124,7 +124,7 @@ class Context:
         return Context(**history, columns=columns, labels=labels)
 
     def each(self, count: int) -> list[Context]:
-        """The contexts of all of N postures, as `take` gives them one by one.
+        """Return the contexts of all of N postures, as `take` gives them one by one.
 
         Raises `InputError` where a quantity has values of more or fewer postures.
         """
@@ -159,8 +159,8 @@ class Context:
         return Layout(joints, tuple(sorted(self.columns)), tuple(sorted(self.labels.items())))
 
 
-def stacked(contexts: Sequence[Context]) -> Context:
-    """The circumstances of M postures from one each, alike but for the history of the joints."""
+def stack_contexts(contexts: Sequence[Context]) -> Context:
+    """Stack the circumstances of M postures, alike but for the history of the joints."""
     history: dict[str, Any] = {
         name: tuple(np.array([getattr(each, name) for each in contexts], dtype=float).T)
         for name in PER_JOINT
@@ -169,7 +169,7 @@ def stacked(contexts: Sequence[Context]) -> Context:
 
 
 def _of_each(value: Any) -> bool:
-    """Whether a quantity has a value for each of N postures; not one for all."""
+    """Tell whether a quantity has a value for each of N postures; not one for all."""
     return not isinstance(value, (float, str)) and np.ndim(value) > 0
 
 
@@ -189,7 +189,7 @@ class Layout:
 
     @property
     def traceable(self) -> bool:
-        """Whether one kernel serves all rows: no text column changes from row to row."""
+        """True if one kernel serves all rows: no text column changes from row to row."""
         return all(isinstance(value, str) for _, value in self.labels)
 
     @property
@@ -198,7 +198,7 @@ class Layout:
         return sum(self.joints) + len(self.columns)
 
     def unpack(self, values: Sequence[Any]) -> Context:
-        """The context whose `count` numbers are these, in the order of `pack`."""
+        """Return the context whose `count` numbers are these, in the order of `pack`."""
         fields: dict[str, Any] = {}
         first = 0
         for name, count in zip(PER_JOINT, self.joints, strict=True):

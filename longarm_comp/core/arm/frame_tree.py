@@ -16,16 +16,16 @@ from longarm_comp.core.errors import InputError, LongarmError
 
 
 class UnknownPlace(LongarmError):  # noqa: N818
-    """Where a frame is in another one is not known at that time; the message says why."""
+    """A frame's place in another one is not known at that time; the message says why."""
 
 
 class NotYet(UnknownPlace):
-    """What was last published is older than the time asked for."""
+    """The last published place is older than the time asked for."""
 
 
 @dataclass
 class _Child:
-    """Where a frame was in its parent: times (ns, rising), positions (m) and x, y, z, w."""
+    """The places of a frame in its parent: times (ns, rising), positions (m) and x, y, z, w."""
 
     parent: str
     static: bool
@@ -43,7 +43,7 @@ class _Child:
         del self.times[:old], self.places[:old]
 
     def at(self, name: str, t_ns: int) -> np.ndarray:
-        """(4, 4) in the parent."""
+        """Return the pose (4, 4) in the parent at a time (ns)."""
         if self.static:
             return quaternion.pose(*self.places[0])
         if t_ns > self.times[-1]:
@@ -73,9 +73,15 @@ class FrameTree:
         return sorted(parents | set(self._children))
 
     def hear(
-        self, parent: str, child: str, position: np.ndarray, turn: np.ndarray, t_ns: int,
-        *, static: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        parent: str,
+        child: str,
+        position: np.ndarray,
+        turn: np.ndarray,
+        t_ns: int,
+        *,
+        static: bool = False,
+    ) -> None:
         """Take in where a frame is in its parent: (3,) m and x, y, z, w. Static: at all times."""
         if not np.isfinite(position).all():
             raise InputError("tf", f"position of {child}", position.tolist(), "finite numbers, m")
@@ -108,7 +114,7 @@ class FrameTree:
         return np.asarray(np.linalg.inv(down) @ up)
 
     def _line(self, name: str) -> list[str]:
-        """A frame, its parent, and so on to the root."""
+        """Return a frame, its parent, and so on to the root."""
         line = [name]
         while (child := self._children.get(line[-1])) is not None:
             line.append(child.parent)
@@ -122,7 +128,7 @@ class FrameTree:
 
 
 def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """The covariance (6, 6) of a place and turn in a frame, along the axes that its pose has."""
+    """Return a frame's covariance (6, 6) of place and turn along the axes that its pose is in."""
     turn = np.kron(np.eye(2), pose[:3, :3])
     return np.asarray(turn @ covariance @ turn.T)
 

@@ -1,4 +1,4 @@
-"""How the joints came to where they stand: the per-joint fields of the record of circumstances.
+"""The way of the joints to where they stand: the per-joint fields of the circumstances.
 
 A joint's way is kept as its *legs*, from turn to turn, as far as friction and play of any size can
 remember them: a leg as long as the one before swallows the loop that it closes (the wiping-out
@@ -37,7 +37,7 @@ def onward(legs: Sequence[float], way: float) -> list[float]:
     return made[: LEGS - 1]
 
 
-def moved(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
+def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
     """Side of arrival and legs of a joint after some ways (rad, m), one after the other."""
     for way in ways:
         if abs(way) >= SAME_POSE:
@@ -46,8 +46,8 @@ def moved(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float,
     return side, legs
 
 
-def _walked(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Side (k,) and legs (k, LEGS) of a joint after each of k ways: `moved`, run by run."""
+def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Side (k,) and legs (k, LEGS) of a joint after each of k ways: `move_joint`, run by run."""
     moves = np.abs(ways) >= SAME_POSE
     done = ways[moves]
     sides = np.append(np.sign(done), side)  # the last: before the first move
@@ -88,7 +88,7 @@ def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What every joint did last. Its fields are the per-joint fields of `Context`.
+    """The last moves of every joint. Its fields are the per-joint fields of `Context`.
 
     Attributes:
         approach: (n,) or (N, n) of -1, 0 (unknown), +1: the side each joint arrived from.
@@ -101,11 +101,11 @@ class History:
 
     @classmethod
     def unknown(cls, n: int) -> History:
-        """Of an arm of n joints that nobody has watched."""
+        """Return the history of an arm of n joints that nobody has watched."""
         return cls(np.zeros(n), np.zeros((n, LEGS)))
 
     def after(self, points: np.ndarray, start: np.ndarray | None) -> History:
-        """After a move from rest to rest.
+        """Return the history after a move from rest to rest.
 
         Args:
             points: (k, n) way-points; the joints come to rest at the last.
@@ -116,39 +116,39 @@ class History:
         legs = np.zeros_like(self.legs) if start is None else self.legs
         sides, made = self.approach.astype(float), np.zeros_like(self.legs)
         for joint, held in enumerate(legs.tolist()):
-            side, after = moved(float(sides[joint]), [leg for leg in held if leg], ways[joint])
+            side, after = move_joint(float(sides[joint]), [leg for leg in held if leg], ways[joint])
             sides[joint], made[joint, : len(after)] = side, after
         return History(sides, made)
 
     def along(self, points: np.ndarray, start: np.ndarray | None) -> History:
-        """After each of the way-points (k, n) of one motion without a stop; as `after`."""
+        """Return `after` for each way-point (k, n) of one motion without a stop."""
         first = points[0] if start is None else start
         ways = np.diff(points, axis=0, prepend=first[None])
         legs = np.zeros_like(self.legs) if start is None else self.legs
         sides, made = np.zeros(ways.shape), np.zeros((*ways.shape, LEGS))
         for joint, side in enumerate(self.approach.tolist()):
             held = [leg for leg in legs[joint].tolist() if leg]
-            sides[:, joint], made[:, joint] = _walked(side, held, ways[:, joint])
+            sides[:, joint], made[:, joint] = _walk(side, held, ways[:, joint])
         return History(sides, made)
 
-    def told(self, sides: np.ndarray) -> History:
-        """Where a side (n,) of +-1 is told but not from how far: the legs are not known."""
+    def with_sides(self, sides: np.ndarray) -> History:
+        """Return the history with given sides (n,) of +-1, of unknown legs; 0: as it is."""
         mine = sides != 0
         legs = np.where(mine[:, None], 0.0, self.legs)
         return History(np.where(mine, sides, self.approach), legs)
 
     def agrees(self, other: History) -> bool:
-        """Whether every joint came the same way, to 10 microradians or micrometres."""
+        """Tell whether every joint came the same way, to 10 microradians or micrometres."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in PER_JOINT)
         return all(np.allclose(*pair, rtol=0.0, atol=1e-5) for pair in pairs)  # rad, m
 
-    def agreed(self, other: History) -> History:
-        """What both say; unknown, 0, for a joint that turned to opposite sides."""
+    def common_with(self, other: History) -> History:
+        """Return what both say; unknown, 0, for a joint that turned to opposite sides."""
         same = np.sign(self.approach) == np.sign(other.approach)
         return History(np.where(same, self.approach, 0), np.where(same[:, None], self.legs, 0.0))
 
     def fields(self) -> dict[str, Any]:
-        """The per-joint fields of a `Context` at one posture or N, 0 where they are unknown."""
+        """Return the per-joint fields of a `Context` at one posture or N, 0 where unknown."""
         held = {name: getattr(self, name) for name in PER_JOINT}
         if self.approach.ndim == 1:
             return {name: tuple(values.ravel().tolist()) for name, values in held.items()}
@@ -189,9 +189,9 @@ def recorded(
         rows = zip(*(a[:, joint].tolist() for a in (q, via, told)), gap.tolist(), strict=True)
         for i, (here, turn, mark, unknown) in enumerate(rows):
             if unknown:
-                side, now = moved(0.0, [], [here - turn])
+                side, now = move_joint(0.0, [], [here - turn])
             else:
-                side, now = moved(side, now, [turn - before, here - turn])
+                side, now = move_joint(side, now, [turn - before, here - turn])
             if mark:
                 side, now = mark, []
             before = here

@@ -1,4 +1,4 @@
-"""What measures the arm, as `arm.yaml` declares it: cameras, markers, anchors, sensors."""
+"""The declared means of measuring of `arm.yaml`: cameras, markers, anchors, sensors."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ TouchDistances = tuple[tuple[str, str, _Length] | tuple[str, str, _Length, _Leng
 
 
 def known_distances(declared: TouchDistances) -> tuple[KnownDistance, ...]:
-    """Declared distances, all with a tolerance."""
+    """Return declared distances, all with a tolerance."""
     return tuple((d[0], d[1], d[2], d[3] if len(d) == 4 else PRINTED) for d in declared)
 
 
@@ -94,13 +94,13 @@ _Spread = Positive | tuple[Positive, Positive, Positive]
 
 
 class _PointTolerance(Declared):
-    """How well a point is known: standard deviation of its position (m)."""
+    """The tolerance of a point: standard deviation of its position (m)."""
 
     xyz_m: _Spread
 
 
 class _PoseTolerance(_PointTolerance):
-    """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
+    """The tolerance of a placement: standard deviations of position (m) and rotation (deg)."""
 
     rpy_deg: _Spread
 
@@ -114,5 +114,5 @@ class Placements(Declared):
 
 
 def three(spread: _Spread) -> Vec3:
-    """A standard deviation of each component."""
+    """Return a standard deviation of each component."""
     return spread if isinstance(spread, tuple) else (spread, spread, spread)

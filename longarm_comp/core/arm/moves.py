@@ -12,7 +12,7 @@ from longarm_comp.core.arm.history import SAME_POSE
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """How the joints come to rest at a command.
+    """The way in which the joints come to rest at a command.
 
     Attributes:
         q: (n,) where they rest (rad, m).
@@ -40,7 +40,7 @@ def run_up_lengths(arm: Arm) -> np.ndarray:
 
 
 def plan_move(arm: Arm, start: np.ndarray | None, q: np.ndarray, wanted: np.ndarray) -> Move:
-    """The shortest move that arrives at q from the wanted sides, inside the limits.
+    """Return the shortest move that arrives at q from the wanted sides, inside the limits.
 
     A joint whose direct way comes from its side and is as long as a run-up needs none.  One that
     has no room for a run-up goes directly and is marked.  Joints that need no run-up are put on

@@ -1,4 +1,4 @@
-"""What `arm.yaml` declares beside rows: placements, masses, beams, cylinders, boxes."""
+"""Declarations of `arm.yaml` beside rows: placements, masses, beams, cylinders, boxes."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class PointMass(Declared):
 
 
 class Payload(Declared):
-    """What the arm carries; a session's `payload_kg` column overrides the mass."""
+    """The load that the arm carries; a session's `payload_kg` column overrides the mass."""
 
     mass_kg: NonNegative = 0.0
     most_kg: NonNegative | None = Field(default=None, description="largest mass it may carry")
@@ -199,7 +199,7 @@ class Beam(Declared):
 
 
 class Cylinder(Declared):
-    """Where the pins of a revolute joint's cylinder are.
+    """The places of the pins of a revolute joint's cylinder.
 
     ``length^2 = near^2 + far^2 - 2 near far cos(angle)``, the law of cosines; the angle at the
     joint's axis is ``angle_deg`` at joint value 0 and grows (``grows: 1``) or falls (-1) with it.
@@ -213,16 +213,16 @@ class Cylinder(Declared):
     grows: Literal[1, -1] = 1
 
     def angle(self, q: Scalar) -> Scalar:
-        """Angle at the joint's axis, rad, at joint value q (rad)."""
+        """Return the angle at the joint's axis, rad, at joint value q (rad)."""
         return math.radians(self.angle_deg) + self.grows * q
 
     def length(self, q: Scalar) -> Scalar:
-        """From pin to pin, m."""
+        """Return the length from pin to pin, m, at joint value q (rad)."""
         squares = self.near_m**2 + self.far_m**2
         return spatial.sqrt(squares - 2 * self.near_m * self.far_m * spatial.cos(self.angle(q)))
 
     def lever(self, q: Scalar) -> Scalar:
-        """Lengthening per turn, m/rad: the distance from the axis, with the sign of `grows`."""
+        """Return lengthening per turn, m/rad: distance from the axis, with the sign of `grows`."""
         area = self.grows * self.near_m * self.far_m * spatial.sin(self.angle(q))
         return area / self.length(q)
 
@@ -260,8 +260,8 @@ class Box(Declared):
 
 
 def link_places(joints: Sequence[Any]) -> list[tuple[int, str, float]]:
-    """Where links can lie along `Arm.joints`: row, role, length (m, at joint value 0), longest
+    """List where links can lie along `Arm.joints`: row, role, length (m, joint value 0), longest
     first."""
-    held = [(j.id, role, size) for j in joints if j.type != "fixed"
-            for role, size in (("a", j.a_m), ("d", j.d_m)) if size]  # fmt: skip
-    return sorted(held, key=lambda place: -abs(place[2]))
+    movable = [j for j in joints if j.type != "fixed"]
+    sizes = [(j.id, role, s) for j in movable for role, s in (("a", j.a_m), ("d", j.d_m)) if s]
+    return sorted(sizes, key=lambda place: -abs(place[2]))

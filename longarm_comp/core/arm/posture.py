@@ -64,7 +64,7 @@ class Chain:
     """The order of an arm's stations, each beam cut in a number of elements."""
 
     def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
-        self.arm = arm
+        self.arm, self.cuts = arm, elements_per_beam
         self.rows: list[_ChainRow] = []
         count = 2
         for joint in arm.joints:
@@ -119,7 +119,7 @@ class Chain:
 
     @cached_property
     def own_axes(self) -> list[tuple[int, int, int, float]]:
-        """Of each commanded joint: its row, the station that turns or slides about its axis, the
+        """The axes of the commanded joints: row, station that turns or slides about the axis,
         place of this motion in a twist, and how much of it a unit of the joint is."""
         made = []
         for row in self.arm.commanded:
@@ -225,8 +225,8 @@ class Posture:
     gravity: Vec
     twists: Twists = field(default_factory=dict)
     extra: tuple[Lumped, ...] = ()
-    _cache: dict[tuple[object, ...], object] = field(
-        default_factory=dict, repr=False, compare=False
+    _made: dict[tuple[object, ...], object] = field(
+        default_factory=dict, init=False, repr=False, compare=False
     )
 
     @property
@@ -259,7 +259,7 @@ class Posture:
 
     @cached_property
     def line_loads(self) -> LineLoads:
-        """By element station: (mass per length kg/m, loaded length m back from its far end).
+        """Loads by element station: (mass per length kg/m, loaded length m back from its far end).
 
         A sliding body lies in its own beam and, for the rest of its length, inside the
         beams before it.
@@ -279,7 +279,7 @@ class Posture:
         return loads
 
     def _overhangs(self) -> Iterator[Lumped]:
-        """What of bodies reaches back behind their row's first beam."""
+        """Yield the parts of bodies that reach back behind their row's first beam."""
         for number, row in enumerate(self.chain.rows):
             before = self.chain.frame_station(number)
             for elements, station in ((row.elements_a, before), (row.elements_d, row.bearing)):
@@ -334,10 +334,10 @@ class Posture:
         return masses, moments
 
     def once(self, key: tuple[object, ...], make: Callable[[], _Made]) -> _Made:
-        """What `make` returns, made once for this posture."""
-        if key not in self._cache:
-            self._cache[key] = make()
-        return cast(_Made, self._cache[key])
+        """Return what `make` returns, made once for this posture."""
+        if key not in self._made:
+            self._made[key] = make()
+        return cast(_Made, self._made[key])
 
     def gravity_in(self, station: int) -> Vec:
         """Gravity seen in a station's axes (m/s^2)."""

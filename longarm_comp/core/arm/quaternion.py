@@ -15,7 +15,7 @@ LENGTH_TOLERANCE = 1e-3
 
 
 def is_unit(quaternion: np.ndarray) -> bool:
-    """Whether x, y, z, w are finite and of length 1 within `LENGTH_TOLERANCE`."""
+    """Tell whether x, y, z, w are finite and of length 1 within `LENGTH_TOLERANCE`."""
     length = float(np.linalg.norm(quaternion))
     return math.isfinite(length) and abs(length - 1.0) <= LENGTH_TOLERANCE
 
@@ -66,7 +66,7 @@ def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 def between(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
-    """The orientation at a share of the shortest way from one to the other (slerp), x, y, z, w.
+    """Return x, y, z, w at a share of the shortest way from one to the other (slerp).
 
     Source: Shoemake, Animating Rotation with Quaternion Curves (1985).
     """

@@ -23,7 +23,7 @@ ZERO_TWIST: Twist = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def _of_any(of_float: Callable[[float], float], ufunc: np.ufunc) -> Callable[[Scalar], Scalar]:
-    """A function of a float or of anything that NumPy's ufunc accepts."""
+    """Return a function of a float or of anything that NumPy's ufunc accepts."""
     return lambda x: of_float(x) if type(x) is float else ufunc(x)
 
 
@@ -35,7 +35,7 @@ floor = _of_any(lambda x: float(math.floor(x)), np.floor)
 
 
 def _of_two(of_floats: Callable[..., float], ufunc: np.ufunc) -> Callable[..., Scalar]:
-    """A function of two floats or of any two that NumPy's ufunc accepts."""
+    """Return a function of two floats or of any two that NumPy's ufunc accepts."""
     return lambda a, b: of_floats(a, b) if type(a) is float and type(b) is float else ufunc(a, b)
 
 
@@ -99,11 +99,11 @@ class Frame(NamedTuple):
         return add(self.rotate(v), self.p)
 
     def along(self, axis: int, length: Scalar) -> Frame:
-        """This frame moved by `length` (m) along its own axis 0, 1 or 2."""
+        """Return this frame moved by `length` (m) along its own axis 0, 1 or 2."""
         return self._replace(p=add(self.p, scale(length, self[axis])))
 
     def turned_x(self, angle: float) -> Frame:
-        """This frame turned by `angle` (rad) about its own x axis."""
+        """Return this frame turned by `angle` (rad) about its own x axis."""
         if angle == 0.0:
             return self
         c, s = _exact_cos_sin(angle)
@@ -111,7 +111,7 @@ class Frame(NamedTuple):
         return self._replace(o=o, a=sub(scale(c, self.a), scale(s, self.o)))
 
     def turned_z(self, angle: Scalar) -> Frame:
-        """This frame turned by `angle` (rad) about its own z axis."""
+        """Return this frame turned by `angle` (rad) about its own z axis."""
         if type(angle) is float and angle == 0.0:
             return self
         c, s = _exact_cos_sin(angle) if type(angle) is float else (cos(angle), sin(angle))
@@ -143,7 +143,7 @@ def _exact_cos_sin(angle: float) -> tuple[float, float]:
 
 
 def exp(twist: Twist) -> Frame:
-    """The finite motion exp(twist) of a small twist: a series, below 1e-12 up to 0.3 rad."""
+    """Return the finite motion exp(twist) of a small twist: a series, below 1e-12 up to 0.3 rad."""
     d, w = twist[:3], twist[3:]
     t = dot(w, w)
     a = 1.0 - t * (1 / 6 - t * (1 / 120 - t * (1 / 5040 - t / 362880)))
@@ -151,7 +151,7 @@ def exp(twist: Twist) -> Frame:
 
 
 def exp_large(twist: Twist) -> Frame:
-    """The finite motion exp(twist) of a twist of any size."""
+    """Return the finite motion exp(twist) of a twist of any size."""
     d, w = twist[:3], twist[3:]
     t = dot(w, w) + 1e-24
     return _exp(d, w, *_any(t), t)
@@ -165,7 +165,7 @@ def _small(t: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """``a = sin x / x``, and b and c as in `_small`, of any angle but 0, ``t = x^2``."""
+    """Return ``a = sin x / x``, and b, c as in `_small`, of any angle but 0, ``t = x^2``."""
     angle = sqrt(t)
     a = sin(angle) / angle
     half = sin(0.5 * angle) / angle
@@ -174,7 +174,7 @@ def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def tangent(twist: Twist, at: Vec, large: bool = False) -> tuple[list[Vec], list[Vec]]:
-    """How ``exp(twist)`` moves what it carries, per unit of each component of the twist.
+    """Return how ``exp(twist)`` moves what it carries, per unit of each component of the twist.
 
     The right Jacobian of the motion, ``exp(x + c) = exp(x) exp(J c)``.  With ``-x`` for x its
     blocks are ``A = 1 + b w^ + c w^w^`` and the derivative of ``p = A d`` by w, less the turn of p.
@@ -232,7 +232,7 @@ def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
     )
 
 
-def turned(a: Frame, b: Frame) -> Vec:
+def small_rotation(a: Frame, b: Frame) -> Vec:
     """Small rotation (rad) from the axes of b to those of a, in their parent; to second order.
 
     With ``a = (1 + w^) b`` the cross products of the axes, b's with a's, sum up to ``2 w``.
@@ -243,7 +243,7 @@ def turned(a: Frame, b: Frame) -> Vec:
     return scale(0.5, total)
 
 
-def summed(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
+def sum_twists(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
     """Sum of twists by station."""
     total: dict[int, Twist] = {}
     for part in parts:

@@ -11,7 +11,7 @@ from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, exp
 
 
 def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], tuple]]:
-    """Items of the same kind, stacked, so that one computation serves all of them.
+    """Yield items of the same kind, stacked, so that one computation serves all of them.
 
     Items of arrays (N,) come together where the same scalars are 0: every scalar is then (k, N),
     (k, 1) or 0.  Others come alone, as they are.
@@ -29,7 +29,7 @@ def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], 
 
 
 def together(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
-    """The scalars of some items: each (k, N), (k, 1), or 0 where it is that of all of them."""
+    """Stack the scalars of some items: each to (k, N), (k, 1), or 0 where all of them are 0."""
     return tuple(
         [0.0 if all(map(_zero, each)) else _stacked(each) for each in zip(*items, strict=True)]
     )
@@ -40,7 +40,7 @@ def _zero(x: Scalar) -> bool:
 
 
 def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
-    """Keys of items of a size, as many at a time as one array may hold."""
+    """Yield keys of items of a size, as many at a time as one array may hold."""
     each, count = list(keys), max(1, _NEAR // size)
     return (each[n : n + count] for n in range(0, len(each), count))
 
@@ -50,23 +50,27 @@ _NEAR = 32768
 
 
 def _stacked(scalars: Sequence[Scalar]) -> np.ndarray:
-    """(k, N) or (k, 1) of k floats or arrays (N,)."""
-    made = np.empty((len(scalars), max(np.size(x) for x in scalars)))
-    for row, x in zip(made, scalars, strict=True):
+    """Stack k floats or arrays (N,) to (k, N) or (k, 1)."""
+    rows = np.empty((len(scalars), max(np.size(x) for x in scalars)))
+    for row, x in zip(rows, scalars, strict=True):
         row[:] = x
-    return made
+    return rows
 
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
-    """The scalars of one of several items that `alike` stacked, or of one that came alone."""
-    return tuple([
-        x if not isinstance(x, np.ndarray) or x.ndim < 2 else x[row] if x.shape[1] > 1
-        else float(x[row, 0])
-        for x in scalars
-    ])  # fmt: skip
+    """Return the scalars of one of the items that `alike` stacked, or of one that came alone."""
+    return tuple(
+        [
+            (x[row] if x.shape[1] > 1 else float(x[row, 0]))
+            if isinstance(x, np.ndarray) and x.ndim == 2
+            else x
+            for x in scalars
+        ]
+    )
 
 
 def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
+    """Return `exp` of every twist by station, those of the same kind at once."""
     made = {}
     for keys, twist in alike(twists):
         n, o, a, p = exp(twist)

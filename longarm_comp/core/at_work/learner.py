@@ -181,9 +181,7 @@ class Learner:
         active, covariance = known.covariance()
         slots = tuple(known.space.slots[k].identity for k in active)
         record = dataclasses.replace(self.record, slots=slots, factor=factor_of(covariance))
-        made = dataclasses.replace(model, uncertainty=record)
-        made.__dict__["chain"] = model.chain
-        return made
+        return dataclasses.replace(model, uncertainty=record)
 
     def asked(self, context: Context) -> Asked | None:
         """The pose where the likeliest explanation and a rival disagree most, in circumstances.

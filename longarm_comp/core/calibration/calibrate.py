@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, sized
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import frames, standing, with_frames
+from longarm_comp.core.calibration.standing import frames, place_as_seen, place_frames
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
@@ -31,7 +31,7 @@ WORST = 5
 
 @dataclass(frozen=True)
 class Errors:
-    """Position errors over a set of poses, in m (and m^2), and of orientations, in rad.
+    """The position errors over a set of poses, in m (and m^2), and of orientations, in rad.
 
     `mean`, `rms`, `p95`, `max` are of the 3-D length; `mean_abs_z` and `variance` (average of
     the three axes') are the columns of the paper's Table I.  They are NaN where no row says where
@@ -55,14 +55,14 @@ class Errors:
 
     @property
     def mm(self) -> dict[str, float]:
-        """Its figures in mm (mm^2), by the names of report.json."""
+        """Return its figures in mm (mm^2), by the names of report.json."""
         names = ("mean", "median", "rms", "p95", "max", "mean_abs_z")
         lengths = {f"{name}_mm": 1e3 * getattr(self, name) for name in names}
         return lengths | {"variance_mm2": 1e6 * self.variance}
 
     @property
     def said(self) -> str:
-        """The mean with its unit: mm, or mrad where only orientations were measured."""
+        """Return the mean with its unit: mm, or mrad where only orientations were measured."""
         if self.n or self.angle is None:
             return f"{1e3 * self.mean:.2f} mm"
         return f"{1e3 * self.angle:.2f} mrad"
@@ -76,7 +76,7 @@ class Errors:
         numbers: np.ndarray | None = None,
         spread: np.ndarray | None = None,
     ) -> Errors:
-        """From (N, 3) errors in m, (M, 3) turns in rad, the (N,) numbers of the rows, and (K,)
+        """Summarise (N, 3) errors in m, (M, 3) turns in rad, the (N,) numbers of the rows, and (K,)
         distances from touched points in m.
         """
         mean_turn = None
@@ -118,7 +118,7 @@ class Rung:
 
 
 def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
-    """What is always fitted: base placements, markers, every joint zero, DH row and cylinder."""
+    """Return what is always fitted: base placements, markers, joint zeros, DH rows, cylinders."""
     own = (*JointZero.for_arm(arm), *DhError.for_arm(arm), *CylinderPins.for_arm(arm))
     return (*frames(arm, session), *own)
 
@@ -129,7 +129,7 @@ def stages(
     progress: Callable[[str], None] | None = None,
     kind: KindOfArm | None = None,
 ) -> Iterator[tuple[str, ModelFit]]:
-    """Frames only, joint zeros, full geometry on top of a model, each started from the last.
+    """Fit frames only, joint zeros, full geometry on top of a model, each started from the last.
 
     The frames are placed in closed form first.  The last fit is what every command calls
     calibrated.  Errors are those of `fit`.
@@ -139,7 +139,7 @@ def stages(
         kind: what other arms of the kind say of the full geometry.
     """
     base = frames(model.arm, session)
-    start = placed = with_frames(model, session)
+    start = placed = place_frames(model, session)
     borne = through_others(model.arm) if any(e.loaded for e in model.effects) else ()
     for name, terms in (
         ("frames_only", base),
@@ -151,34 +151,28 @@ def stages(
         whole, usual = model.with_missing(terms), None
         if kind is not None and name == "geometry":
             whole, usual, start = kind.applied(whole), kind.noise, placed
-        fitted = fit(warm(whole, start), session, usual=usual)
+        fitted = fit(start_from(start, whole), session, usual=usual)
         if name == "geometry":
-            fitted = _as_made(fitted, session, usual)
+            tried = [fitted.model.beyond]
+            while (beyond := _find_beyond(fitted.model)) not in tried:
+                tried.append(beyond)
+                fitted = fit(dataclasses.replace(fitted.model, beyond=beyond), session, usual=usual)
         start = fitted.model
         yield name, fitted
 
 
-def _as_made(fitted: ModelFit, session: Session, usual: Mapping[str, float] | None) -> ModelFit:
-    """Fitted with the tolerances that hold: some parts are beyond what their drawing allows.
+def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
+    """Return `Model.beyond` by the model's values: the parts beyond what their drawing allows.
 
     What lies far beyond pays for that once.  Else any effect that moves the tip as the part does
     would be worth what the part's prior costs.  Tolerances are judged by what is fitted with them,
     until they come again.
     """
-    known = [fitted.model.beyond]
-    while (beyond := _beyond(fitted.model)) not in known:
-        known.append(beyond)
-        fitted = fit(dataclasses.replace(fitted.model, beyond=beyond), session, usual=usual)
-    return fitted
-
-
-def _beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
-    """As `Model.beyond`, by the model's values."""
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]
-    told = np.array([s.value / s.parameter.width for s in slots])
+    shares = np.array([s.value / s.parameter.width for s in slots])
     every = np.ones((len(slots), 1))
-    sizes = sized(told, every * SIZES, every * CHANCES)[0].tolist()
+    sizes = sized(shares, every * SIZES, every * CHANCES)[0].tolist()
     return tuple((s.identity, f) for s, f in zip(slots, sizes, strict=True) if f != 1.0)
 
 
@@ -192,9 +186,9 @@ def ladder(
     progress: Callable[[str], None] | None = None,
     kind: KindOfArm | None = None,
 ) -> list[Rung]:
-    """Nominal, frames only, joint zeros, full geometry, then each effect on top of the last.
+    """Fit the nominal arm, frames only, joint zeros, full geometry, then each effect on the last.
 
-    The nominal arm is placed first where the rows see it somewhere else (`standing`).
+    The nominal arm is placed first where the rows see it somewhere else (`place_as_seen`).
 
     Args:
         train, held_out: rows to fit, and rows to judge by, which are never fitted.
@@ -217,7 +211,7 @@ def ladder(
         return Rung(name, model, fitted, fit_to, left_out, commanded)
 
     base = declared_model(arm, deflection=deflection)
-    rungs = [rung("nominal", standing(base, train).model, None)]
+    rungs = [rung("nominal", place_as_seen(base, train).model, None)]
     for name, fitted in stages(base, train, progress, kind):
         rungs.append(rung(name, fitted.model, fitted))
     for name, terms in effects:
@@ -228,7 +222,7 @@ def ladder(
     return rungs
 
 
-def warm(model: Model, known: Model) -> Model:
-    """A model started from another's values, where they share a parameter."""
-    held = {s.identity: s.value for s in known.slots}
-    return model.with_values(np.array([held.get(s.identity, s.value) for s in model.slots]))
+def start_from(known: Model, model: Model) -> Model:
+    """Return a model with the values of a known one, where they share a parameter."""
+    values = {s.identity: s.value for s in known.slots}
+    return model.with_values(np.array([values.get(s.identity, s.value) for s in model.slots]))

@@ -1,4 +1,4 @@
-"""What a diagnosis may try: every effect of the library, alone and as a family, in every form."""
+"""The candidates of a diagnosis: every effect of the library, alone and as a family, any form."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NO_PLACE = "the declared arm has no place for it"
 
 @dataclass(frozen=True)
 class Candidate:
-    """One hypothesis: some terms of one effect, in one form.
+    """A possible cause: some terms of one effect, in one form.
 
     Attributes:
         scanned: its form was found by looking at the residual, not listed by its class.
@@ -42,7 +42,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """For people: ``backlash (joint 2, gate=0.15, blend=0.167)``."""
+        """A text for people: ``backlash (joint 2, gate=0.15, blend=0.167)``."""
         form = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in self.form)
         return f"{self.name} ({', '.join(self.where)}{', ' + form if form else ''})"
 
@@ -55,7 +55,7 @@ class Library:
     """The candidates that the data can speak of, and those that they cannot.
 
     Attributes:
-        testable: hypotheses whose inputs were recorded and varied.
+        testable: candidates whose inputs were recorded and varied.
         not_testable: (effect, why).
         stepped: effects whose steps may be scanned.
     """
@@ -71,7 +71,7 @@ def library(
     kinds: Sequence[type[Effect] | type[Bias]] | None = None,
     declared: Sequence[Term] = (),
 ) -> Library:
-    """Every form of every effect, singly and as a whole family.
+    """List every form of every effect, singly and as a whole family.
 
     An effect whose input was not recorded, or never changed, is not testable.
 
@@ -80,7 +80,7 @@ def library(
         kinds: the effects to try; all of the catalogue where None.
         declared: terms that the model holds already; they are never added twice.
     """
-    held = {(t.name, t.where) for t in declared}
+    known = {(t.name, t.where) for t in declared}
     testable: list[Candidate] = []
     missing: list[tuple[str, str]] = []
     tried = searched() if kinds is None else kinds
@@ -95,12 +95,17 @@ def library(
         why = ""
         usable: list[Candidate] = []
         for group in groups:
-            if any((t.name, t.where) in held for t in group):
+            if any((t.name, t.where) in known for t in group):
                 why = why or "already in the model"
                 continue
             try:
                 for term in group:
-                    _require(term, context)
+                    term.require(context)
+                    for name in term.inputs:
+                        column = context.columns.get(name)
+                        if column is not None and np.ptp(np.asarray(column)) == 0.0:
+                            value = f"{np.ravel(column)[0]:g} in all rows"
+                            raise InputError(term.name, name, value, "a column that changes")
             except InputError as error:
                 why = f"{error.field} is {error.value}; needed: {error.allowed}"
                 continue
@@ -115,7 +120,7 @@ def library(
 def distinct(
     candidates: Iterable[Candidate], but: Container[tuple[str, str]] = ()
 ) -> tuple[Term, ...]:
-    """Each instance once, those at some places left out."""
+    """Return each instance once, those at some places left out."""
     made: dict[tuple[object, ...], Term] = {}
     for candidate in candidates:
         for term in candidate.terms:
@@ -124,27 +129,15 @@ def distinct(
     return tuple(made.values())
 
 
-def _require(term: Term, context: Context) -> None:
-    """Raise `InputError` where an input that a term needs was not recorded, or never changed."""
-    term.require(context)
-    for name in term.inputs:
-        if name in context.columns and np.ptp(np.asarray(context.columns[name])) == 0.0:
-            value = f"{np.ravel(context.columns[name])[0]:g} in all rows"
-            raise InputError(term.name, name, value, "a column that changes")
-
-
 def _families(singles: list[Candidate]) -> list[Candidate]:
-    """Per form, all places together (where an effect has several places)."""
-    by_form: dict[tuple[tuple[str, object], ...], list[Candidate]] = {}
+    """Return, for each form, all places together (where an effect has several places)."""
+    by_form: dict[tuple[tuple[str, object], ...], list[Term]] = {}
     for c in singles:
         if len(c.terms) == 1:
-            by_form.setdefault(c.form, []).append(c)
-    whole = [c for c in singles if len(c.terms) > 1]
-    made = []
-    for group in by_form.values():
-        terms = tuple(t for c in group for t in c.terms)
-        if len(terms) > 1 and not any(
-            len(w.terms) == len(terms) and w.form == group[0].form for w in whole
-        ):
-            made.append(Candidate(group[0].name, terms))
-    return made
+            by_form.setdefault(c.form, []).append(c.terms[0])
+    known = {(len(c.terms), c.form) for c in singles}
+    return [
+        Candidate(terms[0].name, tuple(terms))
+        for form, terms in by_form.items()
+        if len(terms) > 1 and (len(terms), form) not in known
+    ]

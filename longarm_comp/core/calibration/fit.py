@@ -73,22 +73,15 @@ def fit(
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
-    part = SessionProblem(model, session, sigma, weights, robust, rho, usual)
-    if begun is not None:
-        part.residual, part.columns = begun.residual, begun.columns
-        part.posture = part.near = begun.posture
-    elif near is not None:
-        part.near = near.posture
+    part = SessionProblem(model, session, sigma, weights, robust, rho, usual, begun, near)
     return _fit_parts([part], close)[0]
 
 
 def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
-    """A model held against a session as it is: residual and design; `near` as in `fit`."""
-    part = SessionProblem(model, session, robust=False)
-    part.near = None if near is None else near.posture
-    part.look()
+    """Compare a model with a session as it is: residual and design; `near` as in `fit`."""
+    part = SessionProblem(model, session, robust=False, near=near)
     part.weigh(1)
-    return part.fitted(np.diag(priors(model.slots) ** 2))
+    return part.finish(np.diag(priors(model.slots) ** 2))
 
 
 def fit_together(
@@ -107,45 +100,28 @@ def fit_together(
 def _fit_parts(
     parts: list[SessionProblem], close: float, own: Callable[[Slot], bool] = lambda slot: False
 ) -> list[ModelFit]:
-    """Gauss-Newton on the posterior mode of all parts at once."""
-    place: dict[tuple[object, ...], int] = {}
-    chosen = []
-    for number, part in enumerate(parts):
-        places = []
-        for slot in part.model.slots:
-            key = (*slot.identity, number if own(slot) else -1)
-            if key not in place:
-                place[key] = len(place)
-                chosen.append(slot)
-            places.append(place[key])
-        part.mine = np.array(places, dtype=int)
-    scale = priors(tuple(chosen))
-    now = np.array([s.value for s in chosen], dtype=float)
-    centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
-    limits = np.array([[s.parameter.lower, s.parameter.upper] for s in chosen]).reshape(-1, 2).T
-    lower, upper = (limits - centre) / scale
+    """Find the posterior mode of all parts at once by Gauss-Newton."""
+    problem = _JointProblem(parts, own)
+    scale, centre, now = problem.scale, problem.centre, problem.start
     converged, step = False, 0
     adapting = any(part.sigma is None or part.fixed is None for part in parts)
-    for part in parts:
-        part.look()
     cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, GAUSS_NEWTON_STEPS + 1):
         for part in parts:
             part.weigh(step)
         try:
-            gram, moment, square = _normal(parts, scale, centre)
-            posterior = linear.solved(gram, moment, lower, upper)
+            gram, moment, square = problem.normal_equations()
+            posterior = linear.solved(gram, moment, *problem.bounds)
         except np.linalg.LinAlgError:
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
         goal = centre + posterior.u * scale
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
-        said = square + posterior.u @ (gram @ posterior.u + posterior.u - 2.0 * moment)
+        expected = square + posterior.u @ (gram @ posterior.u + posterior.u - 2.0 * moment)
         near = bool((step_size <= 1.0).all())
-        equations = gram, moment, lower, upper
-        now, cost = _stepped(parts, now, goal, limits, equations, centre, scale, near)
-        holds = near and cost <= said + AMISS
+        now, cost = problem.step_towards(goal, now, gram, moment, near)
+        holds = near and cost <= expected + AMISS
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
             if not holds:
@@ -164,79 +140,101 @@ def _fit_parts(
     if back or close <= CLOSE:
         for part in parts:
             if back:
-                part.moved(best[part.mine], close=False)
+                part.move(best[part.mine], close=False)
             part.differentiate()
-        posterior = linear.solved(*_normal(parts, scale, centre)[:2])
+        posterior = linear.solved(*problem.normal_equations()[:2])
     covariance = posterior.covariance * np.outer(scale, scale)
     for part in parts:
         if part.sigma is None:
-            part.noise = part.spread()
-    return [p.fitted(covariance[np.ix_(p.mine, p.mine)], step, converged) for p in parts]
+            part.noise = part.estimate_noise()
+    return [p.finish(covariance[np.ix_(p.mine, p.mine)], step, converged) for p in parts]
 
 
-def _normal(
-    parts: list[SessionProblem], scale: np.ndarray, centre: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """The normal equations of all parts, in units of the priors: (p, p), (p,), and the data's
-    square."""
-    gram, moment, square = np.zeros((len(scale), len(scale))), np.zeros(len(scale)), 0.0
-    for part in parts:
-        a, y = part.whitened(scale[part.mine], centre[part.mine])
-        gram[np.ix_(part.mine, part.mine)] += a.T @ a
-        moment[part.mine] += a.T @ y
-        square += float(y @ y)
-    return gram, moment, square
+class _JointProblem:
+    """Sessions that are fitted together, and their p parameters.
 
-
-def _stepped(
-    parts: list[SessionProblem],
-    now: np.ndarray,
-    goal: np.ndarray,
-    limits: np.ndarray,
-    equations: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    centre: np.ndarray,
-    scale: np.ndarray,
-    near: bool,
-) -> tuple[np.ndarray, float]:
-    """Go towards a goal as far as does not raise the cost: values and their cost.
-
-    Straight all the way, or along the parabola that the model bends the way to.  Near ones need
-    fewer load passes.  `JobError` where it is not finite however short the step.
-
-    Args:
+    Attributes:
+        start, scale, centre: (p,) values to begin with, and mean and width of their priors.
         limits: (2, p) of the values. Rounding leaves them, and no file holds such a value.
-        equations: products and bounds that the goal solves.
+        bounds: the same in units of the priors.
     """
 
-    def cost(values: np.ndarray) -> float:
-        return sum(p.cost() for p in parts) + float((((values - centre) / scale) ** 2).sum())
+    def __init__(self, parts: Sequence[SessionProblem], own: Callable[[Slot], bool]) -> None:
+        self.parts = parts
+        place: dict[tuple[object, ...], int] = {}
+        slots: list[Slot] = []
+        for number, part in enumerate(parts):
+            places = []
+            for slot in part.model.slots:
+                key = (*slot.identity, number if own(slot) else -1)
+                if key not in place:
+                    place[key] = len(place)
+                    slots.append(slot)
+                places.append(place[key])
+            part.mine = np.array(places, dtype=int)
+        self.start = np.array([s.value for s in slots], dtype=float)
+        self.scale = priors(tuple(slots))
+        self.centre = np.where([s.parameter.unknown for s in slots], self.start, 0.0)
+        ends = [[s.parameter.lower, s.parameter.upper] for s in slots]
+        self.limits = np.array(ends).reshape(-1, 2).T
+        self.bounds = (self.limits - self.centre) / self.scale
 
-    def move(values: np.ndarray) -> None:
-        for part in parts:
-            part.moved(values[part.mine], near)
+    def normal_equations(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return (p, p) and (p,) in units of the priors, and the data's square."""
+        p = len(self.scale)
+        gram, moment, square = np.zeros((p, p)), np.zeros(p), 0.0
+        for part in self.parts:
+            a, y = part.linearise(self.scale[part.mine], self.centre[part.mine])
+            gram[np.ix_(part.mine, part.mine)] += a.T @ a
+            moment[part.mine] += a.T @ y
+            square += float(y @ y)
+        return gram, moment, square
 
-    before, failed = cost(now), None
-    share, aside = 1.0, None
-    while share > SHORTEST:
-        values = now + share * (goal - now) + (0.0 if aside is None else share**2 * aside)
-        values = np.clip(values, *limits)
-        try:
-            move(values)
-            after = cost(values)
-            if after <= before + AMISS:
-                return values, after
-            if aside is None:
-                move(now)
-                gram, moment, *bounds = equations
-                bend = np.zeros(len(now))
-                for p in parts:
-                    bend[p.mine] += p.bend((goal - now)[p.mine], scale[p.mine], near)
-                aside = centre + linear.solved(gram, moment - bend, *bounds).u * scale - goal
-                continue
-        except JobError as error:
-            failed = error
-        share *= 0.5
-    if failed is not None:
-        raise failed
-    move(now)
-    return now, before
+    def _cost(self, values: np.ndarray) -> float:
+        prior = (((values - self.centre) / self.scale) ** 2).sum()
+        return sum(part.cost() for part in self.parts) + float(prior)
+
+    def _move(self, values: np.ndarray, near: bool) -> None:
+        for part in self.parts:
+            part.move(values[part.mine], near)
+
+    def step_towards(
+        self, goal: np.ndarray, now: np.ndarray, gram: np.ndarray, moment: np.ndarray, near: bool
+    ) -> tuple[np.ndarray, float]:
+        """Go towards a goal (p,) as far as does not raise the cost: values (p,) and their cost.
+
+        Straight all the way, or along the parabola that the model bends the way to.  Near goals
+        need fewer load passes.
+
+        Args:
+            gram, moment: the normal equations that the goal solves.
+
+        Raises:
+            JobError: the fit is not finite however short the step.
+        """
+        before, failed = self._cost(now), None
+        share, aside = 1.0, None
+        while share > SHORTEST:
+            values = now + share * (goal - now) + (0.0 if aside is None else share**2 * aside)
+            values = np.clip(values, *self.limits)
+            try:
+                self._move(values, near)
+                after = self._cost(values)
+                if after <= before + AMISS:
+                    return values, after
+                if aside is None:
+                    self._move(now, near)
+                    bend = np.zeros(len(now))
+                    for part in self.parts:
+                        step = (goal - now)[part.mine]
+                        bend[part.mine] += part.bend(step, self.scale[part.mine], near)
+                    bent = linear.solved(gram, moment - bend, *self.bounds).u
+                    aside = self.centre + bent * self.scale - goal
+                    continue
+            except JobError as error:
+                failed = error
+            share *= 0.5
+        if failed is not None:
+            raise failed
+        self._move(now, near)
+        return now, before

@@ -1,4 +1,4 @@
-"""Columns of candidates at a fit, and the evidence on top of it or of a part of it."""
+"""The columns of candidates at a fit, and the evidence on top of it or of a part of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from longarm_comp.core.model.model import slots_of
 
 
 class FitColumns:
-    """Columns of any candidate at the rows and the solution of a fit, each computed once.
+    """The columns of any candidate at the rows and the solution of a fit, each computed once.
 
     They are kept with the fit and go with it.
     """
@@ -24,7 +24,7 @@ class FitColumns:
         self._known, self._shifts, self._white = fitted.known_columns
 
     def of(self, terms: Sequence[Term]) -> np.ndarray:
-        """(N, d, k) columns of some terms, each times its prior standard deviation."""
+        """Return (N, d, k) columns of some terms, each times its prior standard deviation."""
         slots = slots_of(self.model.arm, terms)
         keys = [(*s.owner.variant, s.parameter.name) for s in slots]
         new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
@@ -37,7 +37,7 @@ class FitColumns:
         return np.stack([self._known[key] for key in keys], axis=-1)
 
     def shift(self, terms: Sequence[Term]) -> np.ndarray:
-        """(N, d) what terms without parameters add together, m or rad."""
+        """Return (N, d) what terms without parameters add together, m or rad."""
         keys = [t.variant for t in terms]
         new = {k: t for k, t in zip(keys, terms, strict=True) if k not in self._shifts}
         if new:
@@ -47,7 +47,7 @@ class FitColumns:
         return np.sum([self._shifts[key] for key in keys], axis=0)
 
     def without(self, places: Container[tuple[str, str]], instead: Sequence[Term] = ()) -> Marginal:
-        """Evidence on top of the fit, the terms at some places taken out of it.
+        """Return the evidence on top of the fit, the terms at some places taken out of it.
 
         A term with parameters leaves with its columns; one without gives its shift back to the
         data.  One that acts through others stays as it is: what these are not says nothing of it.
@@ -69,15 +69,15 @@ class FitColumns:
         return Marginal(np.concatenate([fitted.design[:, kept], self.white(instead)], axis=1), data)
 
     def white(self, terms: Sequence[Term]) -> np.ndarray:
-        """(m, k) columns of some terms side by side, in units of the noise."""
-        known = tuple(term.variant for term in terms)
-        if known not in self._white:
-            self._white[known] = self._fitted.whitened(self.of(terms))
-        return self._white[known]
+        """Return (m, k) columns of some terms side by side, in units of the noise."""
+        key = tuple(term.variant for term in terms)
+        if key not in self._white:
+            self._white[key] = self._fitted.whitened(self.of(terms))
+        return self._white[key]
 
 
 def shift_of(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np.ndarray:
-    """(N, d) what fitted terms add to the rows, m or rad."""
+    """Return (N, d) what fitted terms add to the rows, m or rad."""
     slots = slots_of(fitted.model.arm, terms)
     values = np.array([s.value for s in slots]) / priors(slots)
     moved = columns.of(terms) @ values
@@ -86,6 +86,6 @@ def shift_of(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np
 
 
 def rms_shift(fitted: ModelFit, shift: np.ndarray) -> float:
-    """RMS over the rows of a change (N, d, ...) as a length at the tip, m."""
+    """Return the RMS over the rows of a change (N, d, ...) as a length at the tip, m."""
     scale = fitted.metres.reshape(-1, *(1,) * (shift.ndim - 2))
     return float(np.sqrt(((shift * scale) ** 2).reshape(len(shift), -1).sum(-1).mean()))

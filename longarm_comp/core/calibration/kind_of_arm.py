@@ -1,4 +1,4 @@
-"""What calibrated arms of one kind say of a further one, before it is measured.
+"""The prior that calibrated arms of one kind give a further one, before it is measured.
 
 Errors of arms of one kind come together: parts are made on the same machines and zeros are set by
 the same hands.  Their second moment, shrunk towards the drawing's tolerances as Ledoit and Wolf
@@ -49,7 +49,7 @@ class KindOfArm:
         sources: Sequence[str],
         noise: Mapping[str, float] | None = None,
     ) -> KindOfArm:
-        """From calibrated models of arms of the kind.
+        """Find the prior from calibrated models of arms of the kind.
 
         Args:
             arm: the further one, as declared.
@@ -63,26 +63,37 @@ class KindOfArm:
             raise InputError("kind of arm", "models", len(models), f"at least {LEAST}, of one kind")
         for model, source in zip(models, sources, strict=True):
             _check_table(arm, model.arm, source)
-        drawn = [dataclasses.replace(m, tolerances=1.0, beyond=()) for m in models]
-        held = [[s for s in m.slots if _shared(s)] for m in drawn]
-        every = {s.identity: s for slots in held for s in slots}
-        told = [{s.identity: s.value / s.parameter.width for s in slots} for slots in held]
-        shares, rest = _shrunk(np.array([[each.get(key, 0.0) for key in every] for each in told]))
-        directions = tuple(
-            KindDirection(number, _terms(list(every.values()), share))
-            for number, share in enumerate(shares, 1)
-        )
-        return cls(directions, rest, noise or {})
+        slots: dict[tuple[object, ...], Slot] = {}
+        values = []  # in tolerances, of what arms share: not where one, or its tool, was put
+        for model in models:
+            drawn = dataclasses.replace(model, tolerances=1.0, beyond=())
+            shared = [
+                s
+                for s in drawn.slots
+                if isinstance(s.owner, Effect) and not s.parameter.unknown and not s.owner.passing
+            ]
+            slots |= {s.identity: s for s in shared}
+            values.append({s.identity: s.value / s.parameter.width for s in shared})
+        shares, rest = _shrink(np.array([[each.get(key, 0.0) for key in slots] for each in values]))
+        directions = []
+        for number, share in enumerate(shares, 1):
+            terms: dict[tuple[object, ...], Effect] = {}
+            for slot, value in zip(slots.values(), share, strict=True):
+                key = (slot.owner.name, *slot.owner.placement.items())
+                term = terms.get(key) or _at_zero(slot.owner)  # type: ignore[arg-type]
+                terms[key] = term.with_values({slot.parameter.name: value * slot.parameter.width})
+            directions.append(KindDirection(number, tuple(terms.values())))
+        return cls(tuple(directions), rest, noise or {})
 
     def applied(self, model: Model) -> Model:
-        """A model of the further arm whose geometry has this prior."""
+        """Return a model of the further arm whose geometry has this prior."""
         parts = {t.key: _at_zero(t) for d in self.directions for t in d.terms if not t.geometry}
         whole = model.with_missing(parts.values()).with_missing(self.directions)
         return dataclasses.replace(whole, tolerances=self.rest)
 
 
-def folded(fit: ModelFit) -> ModelFit:
-    """A fit whose shared directions are part of the errors that they are made of."""
+def fold_directions(fit: ModelFit) -> ModelFit:
+    """Return a fit whose shared directions are part of the errors that they are made of."""
     kept = tuple(e for e in fit.model.effects if not isinstance(e, KindDirection))
     if kept == fit.model.effects:
         return fit
@@ -97,12 +108,18 @@ def folded(fit: ModelFit) -> ModelFit:
             ways[place[slot.identity], k] = 1.0
     model = model.with_values(ways @ fit.model.values)
     covariance = ways @ fit.covariance @ ways.T
-    columns = equations(model, fit.session, posture(model, fit.session)).columns
-    return dataclasses.replace(fit, model=model, columns=columns, covariance=covariance)
+    at = posture(model, fit.session)
+    return dataclasses.replace(
+        fit,
+        model=model,
+        posture=at,
+        columns=equations(model, fit.session, at).columns,
+        covariance=covariance,
+    )
 
 
 def table(arm: Arm) -> tuple[tuple[object, ...], ...]:
-    """The rows that arms of one kind have in common."""
+    """Return the rows that arms of one kind have in common."""
     return tuple(tuple(repr(getattr(j, name)) for name in _TABLE) for j in arm.joints)
 
 
@@ -114,18 +131,14 @@ def _check_table(arm: Arm, other: Arm, source: str) -> None:
     for mine, its in zip(arm.joints, other.joints, strict=True):
         for name in _TABLE:
             if getattr(mine, name) != getattr(its, name):
-                field = f"joints.{mine.id - 1}.{name}"
-                raise InputError(source, field, getattr(its, name), f"{getattr(mine, name)}, "
-                                 f"as {arm.name}: arms of one kind have one table")  # fmt: skip
+                allowed = f"{getattr(mine, name)}, as {arm.name}: arms of one kind have one table"
+                raise InputError(
+                    source, f"joints.{mine.id - 1}.{name}", getattr(its, name), allowed
+                )
 
 
-def _shared(slot: Slot) -> bool:
-    """Whether arms of a kind may share a parameter: not where an arm, or its tool, was put."""
-    return isinstance(slot.owner, Effect) and not slot.parameter.unknown and not slot.owner.passing
-
-
-def _shrunk(values: np.ndarray) -> tuple[np.ndarray, float]:
-    """Directions (k, p) and standard deviation of the rest, of (n, p) errors in tolerances.
+def _shrink(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return directions (k, p) and standard deviation of the rest, of (n, p) errors in tolerances.
 
     The second moment S of the arms is shrunk to ``(1 - w) S + w m I``, with m the mean of its
     diagonal and w the share that is expected to be closest to the truth.
@@ -137,19 +150,9 @@ def _shrunk(values: np.ndarray) -> tuple[np.ndarray, float]:
     scatter = sum(float(((np.outer(z, z) - moment) ** 2).sum()) for z in values) / n**2
     weight = min(scatter / off, 1.0) if off > 0 else 1.0
     size, way = np.linalg.eigh(moment)
-    held = size > 1e-9 * max(size.max(), 1e-300)
-    ways = way[:, held].T * np.sqrt((1.0 - weight) * size[held])[:, None]
+    large = size > 1e-9 * max(size.max(), 1e-300)
+    ways = way[:, large].T * np.sqrt((1.0 - weight) * size[large])[:, None]
     return ways, float(np.sqrt(weight * mean))
-
-
-def _terms(slots: Sequence[Slot], share: np.ndarray) -> tuple[Effect, ...]:
-    """The errors of one direction: each effect at its place with its share of every parameter."""
-    made: dict[tuple[object, ...], Effect] = {}
-    for slot, value in zip(slots, share, strict=True):
-        key = (slot.owner.name, *slot.owner.placement.items())
-        term = made.get(key) or _at_zero(slot.owner)  # type: ignore[arg-type]
-        made[key] = term.with_values({slot.parameter.name: value * slot.parameter.width})
-    return tuple(made.values())
 
 
 def _at_zero(term: Effect) -> Effect:

@@ -1,4 +1,4 @@
-"""Whether the arm and its markers stayed where they were while the rows were recorded.
+"""Checks that the arm and its markers stayed where they were while the rows were recorded.
 
 Behind every row in turn a base, or a marker, may stand elsewhere: how much of the residual that
 takes is computed from the design, with everything fitted anew (no fit is repeated).
@@ -7,7 +7,6 @@ takes is computed from the design, with everything fitted anew (no fit is repeat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import f
@@ -22,24 +21,26 @@ MOST_TAKEN = 0.5
 """Share of the squared residual that a move may take: beyond it, it is what is wrong."""
 
 
-@dataclass(frozen=True)
-class Moved:
-    """What stood elsewhere from a row on: its name, the row's index, RMS errors (m)."""
+def check_lasting(fit: ModelFit) -> None:
+    """Refuse rows during which a base or a marker moved.
 
-    what: str
-    index: int
-    before: float
-    after: float
-
-
-def moved(fit: ModelFit) -> Moved | None:
-    """The base or marker whose move explains most of what a fit leaves; None where none does."""
-    rows = fit.session.take(fit.weights > 0)
-    a, residual = _even(fit)
+    Raises:
+        JobError: a move explains most of what the fit leaves; it names the base or marker, and the
+            row from which on it stood elsewhere.
+    """
+    kept = fit.weights > 0
+    rows = fit.session.take(kept)
+    # One noise in all lengths: a move along one axis looks like noise of that axis
+    lengths = fit.noise_m > 0
+    common = np.sqrt((fit.noise_m[lengths] ** 2).mean()) if lengths.any() else 1.0
+    sigma = np.where(lengths, common / np.where(lengths, fit.metres, 1.0), fit.sigma)
+    both = np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1)
+    white = whiten(both, fit.weights, sigma, 0.0, fit.session.measured)
+    a, residual = white[:, :-1], white[:, -1].copy()
     fitted = np.linalg.qr(np.vstack([a, np.eye(a.shape[1])]))[0][: len(a)]
     residual -= fitted @ (fitted.T @ residual)
     square, equations = float(residual @ residual), int(rows.measured.sum())
-    best, least = None, 0.0
+    found, least = None, 0.0
     terms = [k for k, t in enumerate(fit.model.terms) if isinstance(t, BasePose | TipOffset)]
     for k in terms:
         mine = [i for i, slot in enumerate(fit.slots) if slot.term == k]
@@ -47,34 +48,30 @@ def moved(fit: ModelFit) -> Moved | None:
         if not mine or free < 1:
             continue
         each = (part.reshape(len(rows), fit.width, -1) for part in (fitted, a[:, mine], residual))
-        taken = _taken(*each)
-        at = int(np.argmax(taken))
-        left = max(square - float(taken[at]), 1e-12 * square)
+        falls = _falls_by_row(*each)
+        at = int(np.argmax(falls))
+        left = max(square - float(falls[at]), 1e-12 * square)
         chance = f.sf((square - left) / len(mine) / (left / free), len(mine), free)
         worth = free * math.log(left / square) + len(mine) * math.log(equations)
-        if worth < least and chance * len(taken) * len(terms) < SIGNIFICANT:
+        if worth < least and chance * len(falls) * len(terms) < SIGNIFICANT:
             least = worth
-            size = np.linalg.norm(fit.residual[fit.weights > 0] * fit.metres, axis=1)
-            before = float(np.sqrt((size**2).mean()))
-            what, after = fit.model.terms[k].where, before * math.sqrt(left / square)
-            best = Moved(what, int(rows.index[at]), before, after)
-    told = best is not None and best.after**2 < (1.0 - MOST_TAKEN) * best.before**2
-    return best if told else None
+            found = fit.model.terms[k].where, int(rows.index[at]), math.sqrt(left / square)
+    if found is None:
+        return
+    where, index, share = found
+    size = np.linalg.norm(fit.residual[kept] * fit.metres, axis=1)
+    before = float(np.sqrt((size**2).mean()))
+    if (share * before) ** 2 < (1.0 - MOST_TAKEN) * before**2:
+        raise JobError(
+            f"the rows fall into two groups in order: from row {index} on the {where} "
+            f"looks moved ({1e3 * before:.3g} -> {1e3 * share * before:.3g} mm); tell the "
+            "groups by a column group (the base), or by another marker from there on",
+            session=fit.session.source,
+        )
 
 
-def _even(fit: ModelFit) -> tuple[np.ndarray, np.ndarray]:
-    """Prior-scaled design (dM, p) and residual (dM,) of the inliers, in units of a noise that is
-    one in all lengths: a move along one axis looks like noise of that axis."""
-    lengths = fit.noise_m > 0
-    common = np.sqrt((fit.noise_m[lengths] ** 2).mean()) if lengths.any() else 1.0
-    sigma = np.where(lengths, common / np.where(lengths, fit.metres, 1.0), fit.sigma)
-    both = np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1)
-    white = whiten(both, fit.weights, sigma, 0.0, fit.session.measured)
-    return white[:, :-1], white[:, -1].copy()
-
-
-def _taken(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """(M,) fall of the squared residual where some parameters are others from a row on.
+def _falls_by_row(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Return (M,) fall of the squared residual where some parameters are others from a row on.
 
     Args:
         fitted: (M, d, p) orthonormal: what the parameters of the fit take.
@@ -91,15 +88,3 @@ def _taken(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) -> np.n
     size, ways = np.linalg.eigh(own - np.swapaxes(across, 1, 2) @ across)
     parts = np.einsum("nkl,nk->nl", ways, along) ** 2 / (np.maximum(size, 0.0) + 1.0)
     return np.asarray(parts.sum(axis=1))
-
-
-def check_lasting(fit: ModelFit) -> None:
-    """Base and markers must have stayed where they were: else `JobError`."""
-    found = moved(fit)
-    if found is not None:
-        raise JobError(
-            f"the rows fall into two groups in order: from row {found.index} on the {found.what} "
-            f"looks moved ({1e3 * found.before:.3g} -> {1e3 * found.after:.3g} mm); tell the "
-            "groups by a column group (the base), or by another marker from there on",
-            session=fit.session.source,
-        )

@@ -20,7 +20,7 @@ from longarm_comp.core.effects.parameters import ALIKE
 
 @dataclass(frozen=True)
 class Posterior:
-    """Solution of ``min |y - A u|^2 + |u|^2`` within bounds.
+    """The solution of ``min |y - A u|^2 + |u|^2`` within bounds.
 
     Attributes:
         u: (p,) scaled parameters.
@@ -36,7 +36,7 @@ class Posterior:
 def solve(
     a: np.ndarray, y: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
 ) -> Posterior:
-    """MAP estimate of ``y = A u + e``, e and u unit normal, u within bounds (p,), none by default.
+    """Return the MAP estimate of ``y = A u + e``, e and u unit normal, u within any bounds (p,).
 
     Args:
         a, y: (m, p) whitened, prior-scaled design, and (m,) whitened data.
@@ -50,7 +50,7 @@ def solved(
     lower: np.ndarray | None = None,
     upper: np.ndarray | None = None,
 ) -> Posterior:
-    """`solve` of the products ``A'A`` (p, p) and ``A'y`` (p,)."""
+    """Solve as `solve`, given the products ``A'A`` (p, p) and ``A'y`` (p,)."""
     p = len(gram)
     factor = np.linalg.cholesky(gram + np.eye(p))
     right = solve_triangular(factor, moment, lower=True)
@@ -62,7 +62,7 @@ def solved(
 
 
 class Marginal:
-    """Evidence of further columns, with the columns already there marginalised.
+    """The evidence of further columns, with the columns already there marginalised.
 
     With ``y = A u + B v + e`` and everything unit normal, the log Bayes factor of B against
     nothing is ``t'(I+S)^-1 t / 2 - ln|I+S| / 2``, ``S = B'PB``, ``t = B'Py``,
@@ -82,20 +82,20 @@ class Marginal:
 
     @property
     def evidence(self) -> float:
-        """Log evidence of the columns already there, up to what all share that have the data."""
+        """The log evidence of the columns already there, up to what all of the same data share."""
         return float(-0.5 * self.y @ self.py - np.log(np.diag(self._factor[0])).sum())
 
     @cached_property
     def py(self) -> np.ndarray:
-        """(m,) P y."""
+        """The (m,) projected data P y."""
         return self.y - self.a @ self._coefficients
 
     def project(self, b: np.ndarray) -> np.ndarray:
-        """P b: what the columns already there cannot (cheaply) take up."""
+        """Return P b: what the columns already there cannot (cheaply) take up."""
         return b - self.a @ self._solved(self.a.T @ b)
 
     def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
+        """Return ``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
         cross = self.a.T @ b
         s = b.T @ b - cross.T @ self._solved(cross)
         return (s + s.T) / 2, b.T @ self.py
@@ -107,7 +107,7 @@ class Marginal:
 def marginalised(
     gram: np.ndarray, along: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """The first k of some columns marginalised, in the products of all (`Marginal.normal`).
+    """Marginalise the first k of some columns, in the products of all (`Marginal.normal`).
 
     Args:
         gram, along: (K, K) and (K,) products of the columns with themselves and with the data.
@@ -128,7 +128,7 @@ def marginalised(
 
 
 def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Log of the unit normal's mass between bounds."""
+    """Return the log of the unit normal's mass between bounds."""
     flip = lower > -upper  # the smaller tail, where differences keep their digits
     low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
     mass = log_ndtr(high)
@@ -136,7 +136,7 @@ def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 
 
 def root_of(like: np.ndarray) -> np.ndarray:
-    """(..., k, k) R of coefficients R w with a unit normal w, of those of one number `ALIKE`.
+    """Return (..., k, k) R of coefficients R w, w unit normal, of those of one number `ALIKE`.
 
     Args:
         like: (..., k) numbers that coefficients share that are like each other.
@@ -145,7 +145,7 @@ def root_of(like: np.ndarray) -> np.ndarray:
 
 
 def log_prior_mass(lower: np.ndarray, upper: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """(...) log of the mass of such coefficients between bounds (..., k)."""
+    """Return (...) log of the mass between bounds (..., k) of coefficients as in `root_of`."""
     same = _same(like)
     mates = same.sum(-1)
     alone = log_mass(lower, upper)
@@ -172,7 +172,7 @@ CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
 def sized(
     mean: np.ndarray, sizes: np.ndarray, chances: np.ndarray, like: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(..., k) the most probable sizes of (..., k) coefficients, and (...) the log chance of these.
+    """Return (..., k) most probable sizes of (..., k) coefficients, (...) the log chance of these.
 
     One place may be far worse than the next, and a base that sinks need not tilt, so each
     coefficient has a size of its own, but for those that are like each other: they share one.
@@ -209,7 +209,7 @@ def whiten(
     rho: float,
     measured: np.ndarray,
 ) -> np.ndarray:
-    """(N, d, k) columns in m or rad -> (dM, k) of the M rows of weight > 0, with unit white noise.
+    """Map (N, d, k) columns in m or rad to (dM, k), with unit white noise; M rows have weight > 0.
 
     Noise that is correlated by `rho` from row to row is whitened as AR(1), each channel against
     the inlier before it.  What was not measured must be 0 in the columns and stays so.
@@ -229,8 +229,8 @@ def whiten(
     return rows.reshape(columns.shape[1] * len(rows), columns.shape[-1])
 
 
-def believed(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """(N,) how much each row counts: by the noise that it states, or all alike.
+def weigh_rows(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return (N,) how much each row counts: by the noise that it states, or all alike.
 
     What rows state counts where it makes the residual more probable: by Laplace's law, whose scale
     in each channel is estimated, so that outliers, and a factor that all share, do not matter.
@@ -252,7 +252,7 @@ def believed(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> 
 def inliers(
     residual: np.ndarray, measured: np.ndarray, sigma: np.ndarray | None = None
 ) -> np.ndarray:
-    """(N, d) residual -> (N,) 1, or 0 beyond `OUTLIER` robust standard deviations.
+    """Return (N,) 1, or 0 beyond `OUTLIER` robust standard deviations, of (N, d) residuals.
 
     A row is out by its largest channel, scaled by the larger of the robust spread and the
     known noise; only channels that were measured count.
@@ -269,7 +269,7 @@ def inliers(
 def spread(
     residual: np.ndarray, weights: np.ndarray, effective: float, measured: np.ndarray
 ) -> np.ndarray:
-    """(d,) noise per channel from weighted residuals; all share the degrees of freedom.
+    """Return (d,) noise per channel from weighted residuals; all share the degrees of freedom.
 
     Infinite where no row that counts holds a channel.
     """
@@ -279,7 +279,7 @@ def spread(
 
 
 def freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.ndarray:
-    """(d,) degrees of freedom: inliers of a channel less its share of the fitted parameters.
+    """Return (d,) degrees of freedom: a channel's inliers less its share of fitted parameters.
 
     At least 1, where there are so many rows.
 
@@ -294,7 +294,7 @@ def freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.n
 
 
 def median(values: np.ndarray) -> np.ndarray:
-    """(d,) medians of (N, d) over what is not NaN; 0 of nothing."""
+    """Return (d,) medians of (N, d) over what is not NaN; 0 of nothing."""
     if not np.isnan(values).any():
         return np.asarray(np.median(values, axis=0))
     columns = (column[~np.isnan(column)] for column in values.T)
@@ -302,6 +302,6 @@ def median(values: np.ndarray) -> np.ndarray:
 
 
 def mean(values: np.ndarray) -> np.ndarray:
-    """(d,) means of (N, d) over what is not NaN; 0 of nothing."""
+    """Return (d,) means of (N, d) over what is not NaN; 0 of nothing."""
     held = np.isfinite(values)
     return np.asarray(np.where(held, values, 0.0).sum(0) / np.maximum(held.sum(0), 1))

@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.calibration.linear import whiten
-from longarm_comp.core.data.measurement import metres, posture
+from longarm_comp.core.data.measurement import metres
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, Slot
 
@@ -24,11 +24,12 @@ class ModelFit:
     Attributes:
         model: at the posterior mode.
         session: the seen rows that were fitted.
+        posture: the arm at the rows.
         residual: (N, d) measured - predicted in the d channels of the session, m or rad; 0 where
             a row does not hold a channel.
         columns: (N, d, p) design at the solution.
         covariance: (p, p) of the parameters, Laplace approximation.
-        weights: (N,) 0 (outlier), or how much a row counts (`linear.believed`): mostly 1.
+        weights: (N,) 0 (outlier), or how much a row counts (`linear.weigh_rows`): mostly 1.
         sigma: (d,) noise per channel, m or rad; infinite where nothing was measured. Where the
             weights of inliers differ, that of a weight of 1.
         effective: number of parameters that the data determine.
@@ -38,6 +39,7 @@ class ModelFit:
 
     model: Model
     session: Session
+    posture: Posture
     residual: np.ndarray
     columns: np.ndarray
     covariance: np.ndarray
@@ -54,82 +56,77 @@ class ModelFit:
 
     @cached_property
     def standard_errors(self) -> np.ndarray:
-        """(p,) Laplace standard errors."""
+        """The (p,) Laplace standard errors."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def judged(self) -> dict[str, Any]:
-        """Noise and weights of the rows, as arguments of another `fit` of them."""
+        """The noise and weights of the rows, as arguments of another `fit` of them."""
         return {"sigma": self.sigma, "rho": self.rho, "weights": self.weights}
 
     @property
     def outliers(self) -> np.ndarray:
-        """Rows (positions in `session`) that got weight 0."""
+        """The rows (positions in `session`) that got weight 0."""
         return np.flatnonzero(self.weights == 0)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """(N, d, k) columns per unit -> (dM, k) of the M inliers, in units of the noise."""
+        """Map (N, d, k) columns per unit to (dM, k) of the M inliers, in units of the noise."""
         return whiten(columns, self.weights, self.sigma, self.rho, self.session.measured)
 
     def uneven(self, rows: Session) -> np.ndarray:
-        """(M,) stated noise of rows over the usual one; 1 where the fit did not believe it."""
+        """Return (M,) stated noise of rows over the usual one; 1 if the fit did not believe it."""
         believed = not np.isin(self.weights, (0.0, 1.0)).all()
         return rows.uneven(self.session.claimed) if believed else np.ones(len(rows))
 
     @cached_property
     def pointed(self) -> np.ndarray:
-        """(N,) rows that say where the tip is in three channels: a position, a touched point."""
+        """The (N,) rows that tell the tip in three channels: a position, a touched point."""
         if self.session.blocks[0].kind not in ("position", "touch"):
             return np.zeros(len(self.session), dtype=bool)
         return np.asarray(self.session.measured[:, :3].all(axis=1))
 
     @property
     def width(self) -> int:
-        """Number d of channels."""
+        """The number d of channels."""
         return self.residual.shape[1]
 
     @cached_property
-    def posture(self) -> Posture:
-        """The arm at the rows."""
-        return posture(self.model, self.session)
-
-    @cached_property
     def known_columns(self) -> tuple[Columns, Columns, Columns]:
-        """Columns of candidates at the rows, their shifts and white columns, as far as computed."""
+        """The columns of candidates at the rows, their shifts and white columns so far."""
         return {}, {}, {}
 
     @cached_property
     def metres(self) -> np.ndarray:
-        """(d,) length (m) that a unit of each channel stands for; 0 where it is none."""
+        """The (d,) length (m) that a unit of each channel stands for; 0 where it is none."""
         return metres(self.model, self.session)
 
     @cached_property
     def noise_m(self) -> np.ndarray:
-        """(d,) noise of the channels as lengths at the tip, m; 0 where one is none."""
+        """The (d,) noise of the channels as lengths at the tip, m; 0 where one is none."""
         return np.where(np.isfinite(self.sigma), self.sigma, 0.0) * self.metres
 
     def lengths(self, white: np.ndarray) -> np.ndarray:
-        """(dM,) of the M inliers in units of the noise -> (M, d) lengths at the tip, m."""
+        """Map (dM,) of the M inliers in units of the noise to (M, d) lengths at the tip, m."""
         count = self.weights[self.weights > 0][:, None]
         return white.reshape(-1, self.width) * self.noise_m / np.sqrt(count)
 
     @cached_property
     def design(self) -> np.ndarray:
-        """(dM, p) whitened, prior-scaled design."""
+        """The (dM, p) whitened, prior-scaled design."""
         return self.whitened(self.columns * priors(self.slots))
 
     @cached_property
     def gram(self) -> np.ndarray:
-        """(p, p) product of the design with itself."""
+        """The (p, p) product of the design with itself."""
         return np.asarray(self.design.T @ self.design)
 
     @cached_property
     def data(self) -> np.ndarray:
-        """(dM,) whitened linearised data: the residual with all parameters at their prior mean."""
-        taken = self.columns @ self.model.values
-        return self.whitened((self.residual + taken)[..., None])[:, 0]
+        """The (dM,) whitened linearised data: the residual at the prior mean of all parameters."""
+        data = self.residual + self.columns @ self.model.values
+        return self.whitened(data[..., None])[:, 0]
 
 
 def priors(slots: tuple[Slot, ...]) -> np.ndarray:
-    """(p,) prior standard deviations."""
+    """Return the (p,) prior standard deviations."""
     return np.array([s.parameter.width for s in slots], dtype=float)

@@ -1,4 +1,4 @@
-"""How noisy the measurements are: from repeats where there are enough, else from a rich fit."""
+"""Estimates the noise of the measurements: from enough repeats, else from a rich fit."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PLACES = ("group", "marker", *dict.fromkeys(k.label for k in KINDS.values() if k
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """Standard deviation per axis and correlation from row to row.
+    """The standard deviation per axis and the correlation from row to row.
 
     Attributes:
         sigma: (d,) of the session's channels, m or rad.
@@ -43,7 +43,7 @@ class NoiseEstimate:
 
 
 def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
-    """Pure error of repeated poses that were reached from the same side, if there are enough.
+    """Estimate the noise from repeats of a pose that was reached from the same side, if enough.
 
     What a model predicts for a pose is taken off, which leaves the same scatter whatever the model.
     Repeats from different sides differ by hysteresis too, so each side is a group of its own, as
@@ -61,7 +61,7 @@ def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
 
 
 def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray]:
-    """(d,) standard deviation of repeats, as `from_repeats` has it, and its degrees of freedom."""
+    """Return (d,) standard deviation of repeats, as in `from_repeats`, and degrees of freedom."""
     seen = session.take(session.seen)
     keys = np.column_stack([sightings(seen), seen.approach])
     _, group = np.unique(keys, axis=0, return_inverse=True)
@@ -69,7 +69,14 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
         values = seen.xyz
     else:
         residual = equations(model, seen, posture(model, seen), ()).residual
-        values = np.where(seen.measured & _told(seen), residual, np.nan)
+        # Where the reading is that the joints stand so, the same joints again are no second
+        # reading; nor is one of an encoder, which repeats its own error
+        again = np.ones(len(seen), dtype=bool)
+        again[np.unique(seen.q, axis=0, return_index=True)[1]] = False
+        kinds = [KINDS[b.kind] for b in seen.blocks for _ in b.channels]
+        stood = again[:, None] & np.array([not kind.cells for kind in kinds])
+        second = ~stood & ~np.array([kind.of_joint for kind in kinds])
+        values = np.where(seen.measured & second, residual, np.nan)
     scatter, share = _deviations(values, group.reshape(-1))
     robust = MAD * median(np.abs(scatter)) / np.sqrt(np.maximum(mean(share), 1e-9))
     kept = (np.nan_to_num(np.abs(scatter)) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
@@ -79,26 +86,13 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
 
 
 def sightings(rows: Session) -> np.ndarray:
-    """(N, k) numbers of each row's pose, of what it measures and from where; alike in repeats."""
+    """Return (N, k) numbers of each row's pose, target and standpoint, which repeats share."""
     texts = [np.unique(rows.labels[k], return_inverse=True)[1] for k in PLACES if k in rows.labels]
     return np.column_stack([rows.pose_id, *texts])
 
 
-def _told(rows: Session) -> np.ndarray:
-    """(N, d) which channels a repeat tells something in.
-
-    Where the reading is that the joints stand so, the same joints again are no second reading;
-    nor is one of an encoder, which repeats its own error.
-    """
-    again = np.ones(len(rows), dtype=bool)
-    again[np.unique(rows.q, axis=0, return_index=True)[1]] = False
-    kinds = [KINDS[b.kind] for b in rows.blocks for _ in b.channels]
-    stood = np.array([not kind.cells for kind in kinds])
-    return ~(again[:, None] & stood) & ~np.array([kind.of_joint for kind in kinds])
-
-
 def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, d) deviations from the middle of their group, and the degrees of freedom that each is.
+    """Return (N, d) deviations from the middle of their group, and each one's degrees of freedom.
 
     NaN where a channel was not measured, or once only.
     """
@@ -119,7 +113,7 @@ def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.n
 def from_residual(
     fit: ModelFit, extra: np.ndarray, steps: int = 12
 ) -> tuple[NoiseEstimate, np.ndarray]:
-    """Noise as what is left when everything in the library is fitted at once.
+    """Estimate the noise as what is left when everything in the library is fitted at once.
 
     It is where the evidence is highest: each channel counts its rows less what the fit takes of
     them (trace of the hat matrix; MacKay 1992, Neural Comput. 4).  Channels of one sensor are held
@@ -142,6 +136,7 @@ def from_residual(
     uneven, held = fit.session.uneven(fit.session.claimed), fit.session.measured
     sigma, size = fit.sigma, 1.0
     added = np.arange(columns.shape[-1]) >= fit.columns.shape[-1]
+    ends = np.cumsum([len(block.channels) for block in fit.session.blocks])[:-1]
     few = len(added) > (weights > 0).sum() * len(sigma)
     for _ in range(MOST_STEPS if few else steps):
         if not np.array_equal(weights, used):
@@ -152,7 +147,7 @@ def from_residual(
         gram = white[:, :-1, :-1] * np.outer(scale, scale)
         posterior = linear.solved(gram.sum(0), scale * white[:, :-1, -1].sum(0))
         residual = (y - columns @ (scale * posterior.u)[:, None])[..., 0]
-        count = linear.believed(residual, uneven, held)
+        count = linear.weigh_rows(residual, uneven, held)
         even = residual * np.sqrt(count)[:, None]
         kept = np.where(held, even, np.nan)
         robust = MAD * median(np.abs(kept[weights > 0]))
@@ -162,10 +157,15 @@ def from_residual(
         worst = np.abs(kept) / np.maximum(robust * np.sqrt(rows_held / degrees), 1e-9)
         weights = count * (np.nan_to_num(worst).max(axis=1) <= OUTLIER)
         square = (even[weights > 0] ** 2).sum(0)
-        alike = _usual(fit, square / degrees)
+        parts = np.split(square / degrees, ends)
+        alike = np.concatenate([np.full(len(part), np.median(part)) for part in parts])
         new = np.sqrt((square + BEFOREHAND * alike) / (degrees + BEFOREHAND))
         new = np.where(held[weights > 0].any(0), new, np.inf)
-        shrunk = _shrunk(posterior, added) if few else 1.0
+        shrunk = 1.0
+        if few:  # size of the library's effects in their priors' standard deviations
+            determined = added.sum() - np.trace(posterior.covariance[np.ix_(added, added)])
+            square_sum = (posterior.u[added] ** 2).sum()
+            shrunk = float(np.sqrt(square_sum / max(determined, 1e-9)))
         done = np.all((new == sigma) | (np.abs(new - sigma) < 0.01 * sigma))
         sigma, size = np.maximum(new, 1e-7), float(np.clip(size * shrunk, 1e-4, 1.0))
         if done and abs(shrunk - 1.0) < 0.05:
@@ -177,21 +177,8 @@ def from_residual(
     return NoiseEstimate(sigma, "residual", rho, float(np.max(degrees))), weights
 
 
-def _usual(fit: ModelFit, variance: np.ndarray) -> np.ndarray:
-    """(d,) medians of a (d,) variance over the channels of one kind and sensor."""
-    sizes = [len(block.channels) for block in fit.session.blocks]
-    parts = np.split(variance, np.cumsum(sizes)[:-1])
-    return np.concatenate([np.full(len(part), np.median(part)) for part in parts])
-
-
-def _shrunk(posterior: linear.Posterior, which: np.ndarray) -> float:
-    """Size of some parameters in their prior's standard deviation, by the evidence."""
-    determined = which.sum() - np.trace(posterior.covariance[np.ix_(which, which)])
-    return float(np.sqrt((posterior.u[which] ** 2).sum() / max(determined, 1e-9)))
-
-
-def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
-    """The residual's figure, but no more than the repeats allow.
+def limit_by_repeats(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
+    """Return the residual's figure, but no more than the repeats allow.
 
     A few dozen repeats give sigma to a factor of 1.5 only, too rough to weigh evidence with;
     the rich fit knows it to a few percent, unless it lacks something: then it is more than the
@@ -207,7 +194,7 @@ def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
 
 
 def lag_correlation(white: np.ndarray, weights: np.ndarray, measured: np.ndarray) -> float:
-    """Correlation of successive inlier rows, 0 unless it is beyond 4 standard errors."""
+    """Return the correlation of successive inlier rows, 0 unless beyond 4 standard errors."""
     kept = white[weights > 0]
     if len(kept) < 20:
         return 0.0

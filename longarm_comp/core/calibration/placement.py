@@ -1,4 +1,4 @@
-"""Placement: where bases, markers, sensors, anchors and points are, solved from the sightings.
+"""The placement: where bases, markers, sensors, anchors and points are, solved from the sightings.
 
 A placement is never a finding.  It is started in closed form here, and fitted jointly with all
 else by `fit`, with priors that do not pull (`Parameter.unknown`).
@@ -39,8 +39,8 @@ BEYOND, ROUGHLY = 10.0, 0.2
 """Standard deviations that a known base may be off, and m or rad for what registration misses."""
 
 
-def placed(model: Model, session: Session) -> Model:
-    """The model with its unknown bases and markers put where the sightings say.
+def place_bases(model: Model, session: Session) -> Model:
+    """Put the model's unknown bases and markers where the sightings say.
 
     Where hardly any row holds a full position, the bases are placed by what else was measured, and
     the markers are left as they are.
@@ -54,25 +54,34 @@ def placed(model: Model, session: Session) -> Model:
     seen = session.take(session.located)
     frames = [e for e in model.effects if isinstance(e, BasePose | TipOffset)]
     tips = any(isinstance(e, TipOffset) and _unknown(model, e) for e in frames)
-    held = [e for e in frames if isinstance(e, BasePose) or tips]
-    if not held:
+    frames = [e for e in frames if isinstance(e, BasePose) or tips]
+    if not frames:
         return model
     if len(seen) < ENOUGH:
-        return _lifted(model, session)
-    markers = sorted({e.marker for e in held if isinstance(e, TipOffset)}) or [""]
-    groups = sorted({e.group for e in held if isinstance(e, BasePose)}) or [""]
-    rows = Sightings.of(model.without({e.key for e in held}), seen, groups, markers)
+        return _lift_bases(model, session)
+    markers = sorted({e.marker for e in frames if isinstance(e, TipOffset)}) or [""]
+    groups = sorted({e.group for e in frames if isinstance(e, BasePose)}) or [""]
+    rows = Sightings.of(model.without({e.key for e in frames}), seen, groups, markers)
     found = register(rows, tips)
     now = np.linalg.norm(seen.xyz - model.measured(seen.q, seen.context()), axis=1)
     alike = [rows.group + len(groups) * rows.marker == k for k in range(len(groups) * len(markers))]
     if all(np.median(now[mine]) <= CLEARLY * found.misfit for mine in alike if mine.any()):
         return model
-    for effect in held:
+    for effect in frames:
         if isinstance(effect, BasePose):
             g = groups.index(effect.group)
             solved = _at(effect, found.rotation[g], found.offset[g], model)
             if not _unknown(model, effect):
-                _check_tolerance(model, effect, solved, session.source)
+                for p in effect.parameters(model.arm):
+                    away = abs(getattr(solved, p.name) - getattr(effect, p.name))
+                    if away > BEYOND * p.width + ROUGHLY:
+                        raise InputError(
+                            session.source,
+                            effect.where,
+                            f"{p.name} {away:.3g} {p.unit} off",
+                            f"within tolerance.base of arm.yaml, {p.name} {p.width:.3g} {p.unit}; "
+                            "leave no tolerance, if the base may stand anywhere",
+                        )
                 continue
         elif _unknown(model, effect):
             at = found.tip[markers.index(effect.marker)]
@@ -83,8 +92,8 @@ def placed(model: Model, session: Session) -> Model:
     return model
 
 
-def _lifted(model: Model, session: Session) -> Model:
-    """Unknown bases put where coordinates, distances, rays and axes say, where that fits better."""
+def _lift_bases(model: Model, session: Session) -> Model:
+    """Put unknown bases where coordinates, distances, rays and axes say, if that fits better."""
     for effect in model.effects:
         if not (isinstance(effect, BasePose) and _unknown(model, effect)):
             continue
@@ -111,22 +120,12 @@ def _misfit(model: Model, rows: Session) -> float:
     return float(np.median((body * body.mean().inv()).magnitude()))
 
 
-def _check_tolerance(model: Model, declared: Effect, solved: Effect, source: str) -> None:
-    """A base that is far from where a tolerance puts it is not fitted from there."""
-    for p in declared.parameters(model.arm):
-        away = abs(getattr(solved, p.name) - getattr(declared, p.name))
-        if away > BEYOND * p.width + ROUGHLY:
-            allowed = f"within tolerance.base of arm.yaml, {p.name} {p.width:.3g} {p.unit}; leave "
-            allowed += "no tolerance, if the base may stand anywhere"
-            raise InputError(source, declared.where, f"{p.name} {away:.3g} {p.unit} off", allowed)
-
-
 def _unknown(model: Model, effect: Effect) -> bool:
     return any(s.parameter.unknown for s in slots_of(model.arm, [effect]))
 
 
 def _at(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) -> Effect:
-    """The base that takes what stands at the declared one there."""
+    """Return the base that takes what stands at the declared one there."""
     home = model.arm.base.frame().matrix()
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = rotation, offset
@@ -135,7 +134,7 @@ def _at(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) 
 
 
 def _twist(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
-    """Twist of a finite motion, by the names of its parts: the inverse of `spatial.exp_large`."""
+    """Return the twist of a finite motion by its parts' names: `spatial.exp_large` inverted."""
     w = Rotation.from_matrix(rotation).as_rotvec()
     angle = np.linalg.norm(w)
     hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
@@ -147,48 +146,48 @@ def _twist(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
 
 
 def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
-    """The terms that a session's measurements need besides base and tip."""
-    made: list[Bias] = [TipOrientation(marker=m, sensor=s) for m, s in _bodies(arm, session)]
+    """Return the terms that a session's measurements need besides base and tip."""
+    nothing = np.full(len(session), "")
+    several = len({b.sensor for b in session.blocks if b.kind == "orientation"}) > 1
+    marker = session.labels.get("marker", nothing) if arm.markers else nothing
+    sensor = session.labels["sensor"] if several else nothing
+    seen = session.turned
+    bodies = {(str(m), str(s)) for m, s in zip(marker[seen], sensor[seen], strict=True)}
+    made: list[Bias] = [TipOrientation(marker=m, sensor=s) for m, s in sorted(bodies)]
     for name in session.named(KINDS["distance"]):
-        held = arm.anchors.get(name)
-        if held is None or held.xyz_m is None:
+        anchor = arm.anchors.get(name)
+        if anchor is None or anchor.xyz_m is None:
             made.append(AnchorPlace(anchor=name))
     made += [SensorPlace(sensor=name) for name in _sensors(session)[1:]]
     made += [Encoder(joint=arm.commanded[k]) for k in session.read_joints]
     return (*made, *touched.touched_terms(arm, session))
 
 
-def _bodies(arm: Arm, session: Session) -> list[tuple[str, str]]:
-    """Marker and sensor of every tracked body; empty where there is one."""
-    nothing = np.full(len(session), "")
-    several = len({b.sensor for b in session.blocks if b.kind == "orientation"}) > 1
-    marker = session.labels.get("marker", nothing) if arm.markers else nothing
-    sensor = session.labels["sensor"] if several else nothing
-    seen = session.turned
-    return sorted({(str(m), str(s)) for m, s in zip(marker[seen], sensor[seen], strict=True)})
-
-
-def reference(session: Session) -> Session:
-    """The rows in whose frame the base is placed: those of the first sensor of positions."""
+def reference_rows(session: Session) -> Session:
+    """Return the rows in whose frame the base is placed: the first sensor's of positions."""
     names = _sensors(session)
     return session if len(names) < 2 else session.where("sensor", names[0])
 
 
 def _sensors(session: Session) -> list[str]:
-    """Sensors of positions and poses, the one of most whole positions first."""
+    """List the sensors of positions and poses, the one of most whole positions first."""
     framed = {b.sensor for b in session.blocks if b.kind in ("position", "orientation")}
     names = sorted(name for name in framed if name is not None)
     labels = session.labels.get("sensor", np.array([]))
     return sorted(names, key=lambda name: -int((session.located & (labels == name)).sum()))
 
 
-def started(model: Model, session: Session) -> Model:
-    """The model with its sensor frames put where the rows say; others are left as they are.
+def place_sensors(model: Model, session: Session) -> Model:
+    """Put the model's sensor frames where the rows say; others are left as they are.
 
     Raises:
         InputError: fewer rows than an anchor's place has unknowns.
     """
-    puts = ((AnchorPlace, _placed), (SensorPlace, _moved), (TipOrientation, _turned))
+    puts = (
+        (AnchorPlace, _place_anchor),
+        (SensorPlace, _place_sensor),
+        (TipOrientation, _turn_axes),
+    )
     for kind, put in puts:
         made = [put(t, model, session) if isinstance(t, kind) else t for t in model.biases]  # type: ignore[arg-type]
         model = dataclasses.replace(model, biases=tuple(made))
@@ -198,8 +197,8 @@ def started(model: Model, session: Session) -> Model:
     return dataclasses.replace(model, biases=touched.place_touched(model.biases, tips, session))
 
 
-def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
-    """Rigid registration of the predicted tips to what the sensor sees."""
+def _place_sensor(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
+    """Register the predicted tips rigidly to what the sensor sees."""
     rows = session.take(session.located & (session.labels["sensor"] == term.sensor))
     if len(rows) < 4:
         return term
@@ -207,8 +206,8 @@ def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
     return term.with_values(_twist(*robust_kabsch(tips, rows.xyz)))
 
 
-def _turned(term: TipOrientation, model: Model, session: Session) -> TipOrientation:
-    """Mean rotation from the predicted to the measured axes, in the tip's frame."""
+def _turn_axes(term: TipOrientation, model: Model, session: Session) -> TipOrientation:
+    """Find the mean rotation from the predicted to the measured axes, in the tip's frame."""
     mine = session.turned.copy()
     for label, value in (("marker", term.marker), ("sensor", term.sensor)):
         if value:
@@ -225,8 +224,8 @@ def _turned(term: TipOrientation, model: Model, session: Session) -> TipOrientat
     return term.with_values(dict(zip(("rx", "ry", "rz"), mean.as_rotvec(), strict=True)))
 
 
-def _placed(term: AnchorPlace, model: Model, session: Session) -> AnchorPlace:
-    """Multilateration from the predicted tips."""
+def _place_anchor(term: AnchorPlace, model: Model, session: Session) -> AnchorPlace:
+    """Find an anchor's place by multilateration from the predicted tips."""
     measured = np.isfinite(session.readings["distance"][:, 0])
     rows = session.take(measured & (session.labels["anchor"] == term.anchor))
     if len(rows) < 4:

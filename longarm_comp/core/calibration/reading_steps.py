@@ -1,12 +1,10 @@
-"""What encoders tell of a fit: nothing, where it is within half a step of what they read.
+"""Encoders tell nothing of a fit that is within half a step of what they read.
 
 Over poses that are spaced regularly the rest of a rounded reading repeats, and looks like a
 function of the joint.
 """
 
 from __future__ import annotations
-
-from functools import reduce
 
 import numpy as np
 
@@ -17,28 +15,25 @@ SMALLEST = 1e-6
 
 
 def step_of(readings: np.ndarray) -> float:
-    """The largest step of which readings (M,) differ by whole numbers; 0 where there is none.
+    """Return the largest step of which readings (M,) differ by whole numbers; 0 without one.
 
-    The common divisor of the differences (Euclid); the whole span tells it closest.
+    It is the common divisor of the differences (Euclid); the whole span tells it closest.
     """
     apart = np.diff(np.unique(readings))
-    step = reduce(_divisor, apart.tolist(), 0.0)
+    step = 0.0
+    for rest in apart.tolist():
+        while rest > SMALLEST:
+            step, rest = rest, abs(step - round(step / rest) * rest)
     span = float(apart.sum())
     return span / round(span / step) if step > SMALLEST else 0.0
 
 
-def _divisor(a: float, b: float) -> float:
-    while b > SMALLEST:
-        a, b = b, abs(a - round(a / b) * b)
-    return a
-
-
 def read_exactly(fit: ModelFit) -> np.ndarray:
-    """(N, d) where a fit is within half a step of an encoder's reading."""
-    made = np.zeros(fit.residual.shape, dtype=bool)
+    """Return (N, d) whether a fit is within half a step of an encoder's reading."""
+    exact = np.zeros(fit.residual.shape, dtype=bool)
     for joint in fit.session.read_joints:
         name = f"read_q{joint + 1}"
         channel, read = fit.session.channels.index(name), fit.session.readings[name][:, 0]
         half = 0.5 * step_of(read[np.isfinite(read)]) + SMALLEST
-        made[:, channel] = np.abs(fit.residual[:, channel]) <= half
-    return made
+        exact[:, channel] = np.abs(fit.residual[:, channel]) <= half
+    return exact

@@ -1,20 +1,19 @@
-"""One session on its way through the Gauss-Newton steps of a fit."""
+"""The session of a fit on its way through the Gauss-Newton steps."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from functools import cached_property
 
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.calibration.linear import (
     BEFOREHAND,
-    believed,
     freedom,
     inliers,
     spread,
+    weigh_rows,
     whiten,
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -30,13 +29,11 @@ adds a tenth of itself, and rounding nothing."""
 
 
 class SessionProblem:
-    """One session on its way through the Gauss-Newton steps; arguments and errors as of `fit`.
+    """A session on its way through the Gauss-Newton steps; arguments and errors are those of `fit`.
 
     `mine` are the places of its parameters among those of all sessions that are fitted together.
     """
 
-    residual: np.ndarray
-    columns: np.ndarray
     mine: np.ndarray
 
     def __init__(
@@ -48,6 +45,8 @@ class SessionProblem:
         robust: bool = True,
         rho: float = 0.0,
         usual: Mapping[str, float] | None = None,
+        begun: ModelFit | None = None,
+        near: ModelFit | None = None,
     ) -> None:
         self.seen = seen = session.take(session.seen)
         if len(seen) < 4:
@@ -55,124 +54,125 @@ class SessionProblem:
         context = seen.context()
         for term in model.terms:
             term.require(context)
-        self.model = dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None)
+        self.model = model = dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None)
         self.sigma, self.fixed, self.robust, self.rho = sigma, weights, robust, rho
         self.usual = usual or {}
         self.weights = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
         self.noise = np.asarray(
             np.full(len(seen.channels), np.nan) if sigma is None else sigma, float
         )
+        self.uneven = seen.uneven(seen.claimed)
         self.effective = 0.0
-        self.posture: Posture | None = None
-        self.near: Posture | None = None
-
-    def look(self) -> None:
-        """Residual and design of the model as it is now."""
-        if self.posture is None:
-            self._predict()
+        if begun is not None:
+            self.residual, self.columns = begun.residual, begun.columns
+            self.posture = self.near = begun.posture
+        else:
+            at = posture(model, seen) if near is None else model.posture_near(near.posture)
+            self._predict(at)
             self.differentiate()
 
-    def _predict(self, close: bool = False) -> None:
-        """Residual of the model as it is now."""
-        if self.near is None:
-            self.posture = posture(self.model, self.seen)
-        else:
-            self.posture = self.model.posture_near(self.near, close)
-        self.residual = equations(self.model, self.seen, self.posture, ()).residual
-        self._finite(self.residual)
+    def _predict(self, at: Posture) -> None:
+        """Compute the residual of the model as it is now, with the arm at a posture."""
+        self.posture = at
+        self.residual = equations(self.model, self.seen, at, ()).residual
+        self._check_finite(self.residual)
 
     def differentiate(self) -> None:
-        """Design of the model as it is now; where it is next is taken to be near."""
-        assert self.posture is not None
+        """Compute the design of the model as it is now; where it is next is taken to be near."""
         self.columns = equations(self.model, self.seen, self.posture).columns
-        self._finite(self.columns)
+        self._check_finite(self.columns)
         self.near = self.posture
 
-    def _finite(self, values: np.ndarray) -> None:
+    def _check_finite(self, values: np.ndarray) -> None:
         if not np.isfinite(values).all():
             raise JobError("the fit did not stay finite", session=self.seen.source)
 
-    def fitted(
+    def finish(
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
     ) -> ModelFit:
-        """The model as it is now."""
+        """Return the model as it is now."""
         model = self.model
         if any(not b.geometry for b in model.biases):
             model = with_frame_shift(model, self.seen)
-        found = ModelFit(
-            model, self.seen, self.residual, self.columns, covariance, self.weights,
-            self.noise, self.effective, iterations, converged, self.rho,
-        )  # fmt: skip
-        found.__dict__["posture"] = self.posture
-        return found
+        return ModelFit(
+            model=model,
+            session=self.seen,
+            posture=self.posture,
+            residual=self.residual,
+            columns=self.columns,
+            covariance=covariance,
+            weights=self.weights,
+            sigma=self.noise,
+            effective=self.effective,
+            iterations=iterations,
+            converged=converged,
+            rho=self.rho,
+        )
 
-    def moved(self, values: np.ndarray, close: bool) -> None:
-        """Residual at other parameter values, close to where the design is of; that stays."""
+    def move(self, values: np.ndarray, close: bool) -> None:
+        """Compute the residual at other parameter values; the design stays.
+
+        `close`: whether they are close to those that the design is of.
+        """
         self.model = self.model.with_values(values)
-        self._predict(close)
+        self._predict(self.model.posture_near(self.near, close))
 
     def bend(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
-        """(p,) product of the prior-scaled design with half the second derivative of the rows along
-        a step (p,)."""
+        """Return (p,) the product of the prior-scaled design with half the second derivative of
+        the rows along a step (p,)."""
         values, residual = self.model.values, self.residual
-        self.moved(values + AHEAD * step, close)
+        self.move(values + AHEAD * step, close)
         half = (residual - self.residual - AHEAD * (self.columns @ step)) / AHEAD**2
         white = self._white(np.concatenate([self.columns * scale, half[..., None]], axis=-1))
         return np.asarray(white[:, :-1].T @ white[:, -1])
 
     def cost(self) -> float:
-        """Squared residual of the inliers in units of the noise."""
+        """Return the squared residual of the inliers in units of the noise."""
         return float((self._white(self.residual[..., None]) ** 2).sum())
 
     def weigh(self, step: int) -> None:
-        """Outliers and noise for the residual as it is now, at a step of the fit from 1.
+        """Find outliers and noise in the residual as it is now, at a step of the fit from 1.
 
         All rows are in at first, so that no start decides which of them are believed; with them in,
         a row is judged by what the whole session says.
         """
         if self.robust and self.fixed is None:
-            self.weights = believed(self.residual, self.uneven, self.seen.measured)
+            self.weights = weigh_rows(self.residual, self.uneven, self.seen.measured)
             if step > 1:
                 even = self.residual * np.sqrt(self.weights)[:, None]
                 known = self.noise if step > 2 else None
                 self.weights = self.weights * inliers(even, self.seen.measured, known)
         if self.sigma is None:
-            self.noise = self._common(self.spread())
+            self.noise = self._pool_noise(self.estimate_noise())
 
-    @cached_property
-    def uneven(self) -> np.ndarray:
-        """(N,) stated noise of the rows over the usual one."""
-        return self.seen.uneven(self.seen.claimed)
-
-    def spread(self) -> np.ndarray:
-        """(d,) noise of every channel in the residual as it is now."""
+    def estimate_noise(self) -> np.ndarray:
+        """Return (d,) the noise of every channel in the residual as it is now."""
         return spread(self.residual, self.weights, self.effective, self.seen.measured)
 
-    def _common(self, sigma: np.ndarray) -> np.ndarray:
-        """(d,) one figure for all channels of a kind and sensor.
+    def _pool_noise(self, sigma: np.ndarray) -> np.ndarray:
+        """Return (d,) one figure for all channels of a kind and sensor.
 
         Where the usual noise of the kind is known it counts as `BEFOREHAND` further equations.
         """
-        made, start = [], 0
+        pooled = np.full(len(sigma), np.inf)
         free = freedom(self.weights, self.effective, self.seen.measured)
+        start = 0
         for block in self.seen.blocks:
-            mine = sigma[start : start + len(block.channels)]
-            degrees = float(free[start : start + len(mine)][np.isfinite(mine)].sum())
-            start += len(mine)
-            held = mine[np.isfinite(mine)]
-            common = np.sqrt((held**2).mean()) if len(held) else np.inf
-            known = self.usual.get(block.kind)
-            if known is not None and len(held):
-                square = BEFOREHAND * known**2 + degrees * common**2
-                common = np.sqrt(square / (BEFOREHAND + degrees))
-            made.append(np.full(len(mine), common))
-        return np.concatenate(made)
+            mine = slice(start, start := start + len(block.channels))
+            found = np.isfinite(sigma[mine])
+            if not found.any():
+                continue
+            pooled[mine] = np.sqrt((sigma[mine][found] ** 2).mean())
+            if (known := self.usual.get(block.kind)) is not None:
+                degrees = float(free[mine][found].sum())
+                square = BEFOREHAND * known**2 + degrees * pooled[start - 1] ** 2
+                pooled[mine] = np.sqrt(square / (BEFOREHAND + degrees))
+        return pooled
 
-    def whitened(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(dN, p) prior-scaled design and (dN,) linearised data, in units of the noise."""
+    def linearise(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (dN, p) prior-scaled design, (dN,) linearised data, in units of the noise."""
         y = self.residual + self.columns @ (self.model.values - centre)
-        both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
-        white = self._white(both)
+        white = self._white(np.concatenate([self.columns * scale, y[..., None]], axis=-1))
         return white[:, :-1], white[:, -1]
 
     def _white(self, columns: np.ndarray) -> np.ndarray:

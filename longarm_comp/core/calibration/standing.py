@@ -1,4 +1,4 @@
-"""Where an arm stands before anything is fitted, and what its rows can never tell of that.
+"""Places an arm before anything is fitted, and tells what its rows can never say of its place.
 
 A tip that only ever touched unknown points looks the same on an arm twice as large.  The size is
 then that of the drawing.  It takes a known distance between two points, or a slide's travel.
@@ -16,7 +16,6 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import (
     ZERO,
     Frame,
-    Twist,
     exp_large,
     roll_pitch_yaw,
     scale,
@@ -24,7 +23,12 @@ from longarm_comp.core.arm.spatial import (
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import sightings
-from longarm_comp.core.calibration.placement import placed, reference, sensor_frames, started
+from longarm_comp.core.calibration.placement import (
+    place_bases,
+    place_sensors,
+    reference_rows,
+    sensor_frames,
+)
 from longarm_comp.core.data.measurement import equations, errors, posture, turns
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
@@ -32,8 +36,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import ELSEWHERE
 from longarm_comp.core.effects.placements import (
     BasePose,
-    CameraPose,
-    SensorPlace,
+    RigidMotion,
     TipOffset,
     TipOrientation,
 )
@@ -44,23 +47,25 @@ TWICE = 2
 """Numbers that rows hold, in those that place an arm, from which the rest says what it errs by."""
 UNTOLD = 0.1
 """Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
+STEP = 1e-4
+"""Share by which the arm is made larger, to see what changes."""
 
 
 def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
-    """Base placement(s), markers and what the sensors leave open: what any measurement needs."""
+    """Return base placements, markers and what sensors leave open: what any measurement needs."""
     groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
     placed = bases if session.framed(arm) else ()
     return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
 
 
-def with_frames(model: Model, session: Session) -> Model:
-    """The model with bases, markers and sensors where the rows say, in closed form."""
+def place_frames(model: Model, session: Session) -> Model:
+    """Return the model with bases, markers and sensors where the rows say, in closed form."""
     whole = model.with_missing(frames(model.arm, session))
-    return started(placed(whole, reference(session)), session)
+    return place_sensors(place_bases(whole, reference_rows(session)), session)
 
 
-class Standing(NamedTuple):
+class SeenModel(NamedTuple):
     """A model as its errors may be shown.
 
     `elsewhere`: the rows see it somewhere else; `placed`: they placed it, because they tell more.
@@ -71,41 +76,33 @@ class Standing(NamedTuple):
     placed: bool
 
 
-def standing(model: Model, session: Session) -> Standing:
-    """A model placed by the rows where they see it somewhere else, and tell more than a place.
+def place_as_seen(model: Model, session: Session) -> SeenModel:
+    """Place a model by the rows if they see it somewhere else, and tell more than a place.
 
     The axes of a tracked body are never declared, so how they sit on the tip is always solved.
+    Rows tell more if they hold `TWICE` the numbers that place the model, each sighting counted
+    once: with few more it fits them whatever the arm does.  What solves touched points is taken off
+    both.
     """
     bodies = [t for t in frames(model.arm, session) if isinstance(t, TipOrientation)]
     whole = model.with_missing(bodies)
-    axes = model if whole.terms == model.terms else started(whole, session)
+    axes = model if whole.terms == model.terms else place_sensors(whole, session)
     groups = (session.take(session.frames == name) for name in np.unique(session.frames))
-    if not any(misplaced(axes, rows) for rows in groups):
-        return Standing(axes, elsewhere=False, placed=False)
-    moved = with_frames(model, session)
-    if _tell_more(moved, session):
-        return Standing(moved, elsewhere=True, placed=True)
-    return Standing(axes, elsewhere=True, placed=False)
-
-
-def _tell_more(model: Model, session: Session) -> bool:
-    """Whether rows hold `TWICE` the numbers that place a model, each sighting counted once.
-
-    Where they hold few more it fits them whatever the arm does.  What solves touched points is
-    taken off both.
-    """
-    seen = session.take(session.seen)
+    if not any(is_misplaced(axes, rows) for rows in groups):
+        return SeenModel(axes, elsewhere=False, placed=False)
+    moved, seen = place_frames(model, session), session.take(session.seen)
     rows = seen.take(np.unique(sightings(seen), axis=0, return_index=True)[1])
-    slots = [slot for slot in model.slots if slot.parameter.unknown]
-    found = equations(model, rows, posture(model, rows), slots)
+    slots = [slot for slot in moved.slots if slot.parameter.unknown]
+    found = equations(moved, rows, posture(moved, rows), slots)
     columns = (found.columns * [slot.parameter.width for slot in slots]).reshape(-1, len(slots))
     passing = columns[:, [slot.owner.passing for slot in slots]]
-    taken, points = (int(np.linalg.matrix_rank(each, rtol=1e-6)) for each in (columns, passing))
-    return int(rows.measured.sum()) - points >= TWICE * (taken - points)
+    placing, points = (int(np.linalg.matrix_rank(each, rtol=1e-6)) for each in (columns, passing))
+    more = int(rows.measured.sum()) - points >= TWICE * (placing - points)
+    return SeenModel(moved if more else axes, elsewhere=True, placed=more)
 
 
-def misplaced(model: Model, session: Session) -> bool:
-    """Whether the rows see the arm somewhere else than a model puts it.
+def is_misplaced(model: Model, session: Session) -> bool:
+    """Ask whether the rows see the arm somewhere else than a model puts it.
 
     The median error is then `ELSEWHERE` of the way that its frames travel (or in rad).  A tip that
     touches a point does not travel; the arm behind it does.
@@ -119,8 +116,8 @@ def misplaced(model: Model, session: Session) -> bool:
     return median_distance(errors(model, rows)) > ELSEWHERE * travel
 
 
-def untold(fit: ModelFit) -> tuple[str, ...]:
-    """What of bases, markers and sensors the fitted rows do not tell: ``base: x, y, turn about z``.
+def list_undetermined(fit: ModelFit) -> tuple[str, ...]:
+    """Name what of bases, markers and sensors the rows do not tell: ``base: x, y, turn about z``.
 
     The size of the arm may be among it.  It was left where it was declared.  A base's directions
     are those of the measurements' frame.
@@ -137,21 +134,21 @@ def untold(fit: ModelFit) -> tuple[str, ...]:
             covariance = motion @ covariance @ motion.T
             names = ["x", "y", "z", "turn about x", "turn about y", "turn about z"]
         widths = np.array([fit.slots[i].parameter.width for i in mine])
-        open_ = np.sqrt(np.diag(covariance)) > UNTOLD * widths
-        if open_.any():
-            which = ", ".join(name for name, left in zip(names, open_, strict=True) if left)
+        wide = np.sqrt(np.diag(covariance)) > UNTOLD * widths
+        if wide.any():
+            which = ", ".join(name for name, left in zip(names, wide, strict=True) if left)
             found.append(f"{term.where}: {which}")
-    return (*found, *(() if size_told(fit) else ("the size of the arm",)))
+    return (*found, *(() if is_size_determined(fit) else ("the size of the arm",)))
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a base or a sensor is in the frame of the measurements, and one standard deviation.
+    """The place of a base or a sensor in the frame of the measurements, and its uncertainty.
 
     Attributes:
         where: its name.
         xyz_m, rpy_deg: (3,) its pose.
-        sd_mm, sd_deg: (3,) along and about the axes of that frame.
+        sd_mm, sd_deg: (3,) standard deviations along and about the axes of that frame.
     """
 
     where: str
@@ -162,13 +159,13 @@ class Place:
 
 
 def places(fit: ModelFit) -> tuple[Place, ...]:
-    """Where a fit puts bases, further sensors and a camera that is fitted."""
+    """Return where a fit puts bases, further sensors and a camera that is fitted."""
     made = []
     for k, term in enumerate(fit.model.terms):
-        if not isinstance(term, BasePose | SensorPlace | CameraPose):
+        if not isinstance(term, RigidMotion):
             continue
         mine = [i for i, slot in enumerate(fit.slots) if slot.term == k]
-        at = term.base(fit.model.arm) if isinstance(term, BasePose) else exp_large(_twist(term))
+        at = term.base(fit.model.arm) if isinstance(term, BasePose) else exp_large(term.twist)
         motion, pose = _motion(term, at), at.matrix()
         sd = np.sqrt(np.diag(motion @ fit.covariance[np.ix_(mine, mine)] @ motion.T))
         turn = np.degrees(roll_pitch_yaw(pose[:3, :3]))
@@ -177,55 +174,46 @@ def places(fit: ModelFit) -> tuple[Place, ...]:
     return tuple(made)
 
 
-def _twist(term: BasePose | SensorPlace | CameraPose) -> Twist:
-    return term.x, term.y, term.z, term.rx, term.ry, term.rz
-
-
-def _motion(term: BasePose | SensorPlace | CameraPose, at: Frame) -> np.ndarray:
-    """(6, 6) shift (m) and turn (rad) of what is at a pose, in its outer frame, by its values."""
-    turns, shifts = (np.array(each).T for each in tangent(_twist(term), ZERO, large=True))
+def _motion(term: RigidMotion, at: Frame) -> np.ndarray:
+    """Return (6, 6) shift (m) and turn (rad) of a pose in its outer frame, by its term's values."""
+    turns, shifts = (np.array(each).T for each in tangent(term.twist, ZERO, large=True))
     axes = at.matrix()[:3, :3]
     return np.block([[axes @ turns, axes @ shifts], [np.zeros((3, 3)), axes @ turns]])
 
 
-_STEP = 1e-4
-"""Share by which the arm is made larger, to see what changes."""
+def is_size_determined(fit: ModelFit) -> bool:
+    """Ask whether the rows say more of the arm's size than the tolerances of its drawing do.
 
-
-def size_told(fit: ModelFit) -> bool:
-    """Whether the rows say more of the arm's size than the tolerances of its drawing do."""
-    larger = _larger(fit.model, 1.0 + _STEP)
+    Both are informations (inverse variances) about the size: of the rows with touched points
+    solved anew, and of the drawing the sum of (length / tolerance)^2.
+    """
+    larger = _enlarge(fit.model, 1.0 + STEP)
     seen = equations(larger, fit.session, posture(larger, fit.session), ()).residual
-    change = fit.whitened((seen - fit.residual)[..., None] / _STEP)[:, 0]
+    change = fit.whitened((seen - fit.residual)[..., None] / STEP)[:, 0]
     passing = fit.design[:, [slot.owner.passing for slot in fit.slots]]
     gram = np.eye(passing.shape[1]) + passing.T @ passing
-    taken = passing.T @ change
-    told = float(change @ change - taken @ np.linalg.solve(gram, taken))
-    return told > _by_drawing(fit)
-
-
-def _by_drawing(fit: ModelFit) -> float:
-    """Information of the drawing's tolerances about the size: sum of (length / tolerance)^2."""
-    total = 0.0
+    along = passing.T @ change
+    by_rows = float(change @ change - along @ np.linalg.solve(gram, along))
+    by_drawing = 0.0
     for slot in fit.slots:
         if slot.owner.geometry and slot.parameter.unit == "m" and "row" in slot.owner.places:
             joint = fit.model.arm.joints[slot.owner.places["row"] - 1]
             length = getattr(joint, f"{slot.parameter.name}_m", 0.0)
-            total += (length / slot.parameter.width) ** 2
-    return total
+            by_drawing += (length / slot.parameter.width) ** 2
+    return by_rows > by_drawing
 
 
-def _larger(model: Model, times: float) -> Model:
-    """The model with every length of its geometry multiplied; known distances are not."""
+def _enlarge(model: Model, times: float) -> Model:
+    """Return the model with every length of its geometry multiplied; known distances are not."""
     values = model.values.copy()
     for k, slot in enumerate(model.slots):
         if slot.owner.geometry and slot.parameter.unit == "m" and slot.parameter.name != "stretch":
             values[k] *= times
     joints, arm = [], model.arm
     for joint in arm.joints:
-        pose = joint.pose and joint.pose.model_copy(
-            update={"xyz_m": scale(times, joint.pose.xyz_m)}
-        )
+        pose = joint.pose
+        if pose is not None:
+            pose = pose.model_copy(update={"xyz_m": scale(times, pose.xyz_m)})
         sizes = {"a_m": times * joint.a_m, "d_m": times * joint.d_m, "pose": pose}
         joints.append(joint.model_copy(update=sizes))
     tip = arm.tip.model_copy(update={"position_m": scale(times, arm.tip.position_m)})

@@ -1,4 +1,4 @@
-"""How good a fitted model is where it was not fitted: the record that every command reads.
+"""The record of how good a fitted model is where it was not fitted, which every command reads.
 
 The posterior of a fit is too sure where the model's form is not quite right: what it lacks is
 alike from row to row, so many rows count as few.  Therefore rows are left out, a part of one
@@ -17,13 +17,12 @@ repeats, however few.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.arm.context import CLOCK, ORDER, is_told
-from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.calibration.linear import whiten
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.noise import repeat_scatter
@@ -45,64 +44,61 @@ HALVINGS = 30
 
 
 def with_uncertainty(fit: ModelFit) -> Model:
-    """The fitted model with the record of how good it is, and of when its session ended."""
-    made = dataclasses.replace(fit.model, uncertainty=uncertainty(fit), ended_s=fit.session.ended_s)
-    made.__dict__["chain"] = fit.model.chain
-    return made
+    """Return the fitted model with the record of how good it is, and when its session ended."""
+    record = uncertainty(fit)
+    return dataclasses.replace(fit.model, uncertainty=record, ended_s=fit.session.ended_s)
 
 
 def uncertainty(fit: ModelFit) -> ModelUncertainty:
-    """What a fit does not know, judged at rows that are left out of it."""
-    left = LeftOut.of(fit)
-    if left is None:
+    """Judge what a fit does not know at rows that are left out of it."""
+    kept = fit.weights > 0
+    left_out = LeftOut.of(fit)
+    if left_out is None:
         lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))
     else:
-        spread = fit.residual[(fit.weights > 0) & fit.pointed][:, :3]
+        spread = fit.residual[kept & fit.pointed][:, :3]
         noise = (1.0 - arm_share(fit)) * np.diag((spread**2).mean(axis=0))
-        structure = left.rest(noise)
-    made = ModelUncertainty(
+        structure = left_out.structure(noise)
+    # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
+    # or that of the session's start, where that of any row may be meant; and that of the end, where
+    # the base moved, or seemed to
+    rows = fit.session.take(kept)
+    moved, since = moved_by_measuring(fit.model, rows), moved_with_time(fit.model, rows)
+    moved = moved - fit.model.frame_shift if len(moved) else moved
+    frames = (FRAME * each for each in (moved, since) if len(each))
+    frame = np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
+    # Lowest and highest of what a command is told, but of time
+    circumstances, payload = {}, fit.model.arm.payload
+    if payload is not None:  # as declared where the rows do not say it
+        circumstances["payload_kg"] = (payload.mass_kg, payload.mass_kg)
+    for name, column in fit.session.columns.items():
+        values = np.asarray(column, dtype=float)[kept]
+        if is_told(name) and name not in (CLOCK, ORDER) and np.isfinite(values).any():
+            circumstances[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
+    record = ModelUncertainty(
         tuple(slot.identity for slot in fit.slots),
         factor_of(fit.covariance),
         structure,
         noise,
         largest_m=0.0,
-        rows=int((fit.weights > 0).sum()),
-        frame=_frame(fit),
-        circumstances=_circumstances(fit),
+        rows=int(kept.sum()),
+        frame=frame,
+        circumstances=circumstances,
     )
-    return dataclasses.replace(made, largest_m=_largest(fit, made))
-
-
-def _frame(fit: ModelFit) -> np.ndarray:
-    """(3, 3) m^2 of the frame in which targets are taken.
-
-    It is the mean of what the measuring side moved the rows by, or that of the session's start,
-    where that of any row may be meant; and that of the end, where the base moved, or seemed to.
-    """
-    rows = fit.session.take(fit.weights > 0)
-    moved, since = moved_by_measuring(fit.model, rows), moved_with_time(fit.model, rows)
-    moved = moved - fit.model.frame_shift if len(moved) else moved
-    frames = (FRAME * each for each in (moved, since) if len(each))
-    return np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
-
-
-def _circumstances(fit: ModelFit) -> dict[str, tuple[float, float]]:
-    """Lowest and highest of what a command is told, but of time; a payload is as declared where
-    the rows do not say it."""
-    made, arm, rows = {}, fit.model.arm, fit.weights > 0
-    if arm.payload is not None:
-        made["payload_kg"] = (arm.payload.mass_kg, arm.payload.mass_kg)
-    for name, values in fit.session.columns.items():
-        told = np.asarray(values, dtype=float)[rows]
-        if is_told(name) and name not in (CLOCK, ORDER) and np.isfinite(told).any():
-            made[name] = (float(np.nanmin(told)), float(np.nanmax(told)))
-    return made
+    pointed = fit.pointed & kept
+    if not pointed.any():
+        return record
+    arm_side = [k for k, slot in enumerate(fit.slots) if isinstance(slot.owner, Effect)]
+    columns = fit.columns[pointed][:, :3, arm_side]
+    covariance = record.carried(columns, [fit.slots[k].identity for k in arm_side])
+    expected = sizes(covariance + record.structure)[0]
+    return dataclasses.replace(record, largest_m=float(expected.max()))
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """Rows that are left out of a fit, each several times.
+    """The rows that are left out of a fit, each several times.
 
     Attributes:
         error: (M, 3) m, measured - predicted without them.
@@ -116,7 +112,7 @@ class LeftOut:
 
     @classmethod
     def of(cls, fit: ModelFit) -> LeftOut | None:
-        """Of a fit to positions or touches; None where too few rows hold one.
+        """Leave rows out of a fit to positions or touches; None where too few rows hold one.
 
         A touched point is not known: rows of it are judged against their mean.
         """
@@ -124,17 +120,20 @@ class LeftOut:
         if len(kept) < SMALL:
             return None
         touched = fit.session.labels["touch"][kept] if not fit.session.located.any() else None
-        whole = whiten(
-            np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1),
-            fit.weights, fit.sigma, 0.0, fit.session.measured,
-        ).reshape((fit.weights > 0).sum(), fit.width, -1)  # fmt: skip
+        both = np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1)
+        white = whiten(both, fit.weights, fit.sigma, 0.0, fit.session.measured)
+        whole = white.reshape((fit.weights > 0).sum(), fit.width, -1)
         here = np.searchsorted(np.flatnonzero(fit.weights > 0), kept)
         gram = np.einsum("ncp,ncq->pq", whole[..., :-1], whole[..., :-1])
         gram += np.eye(len(gram))
         length = fit.sigma[:3] / np.sqrt(fit.weights[kept])[:, None]
         judged = np.unique(np.linspace(0, len(kept) - 1, MOST).round().astype(int))
         errors, covariances, counts = [], [], []
-        places = None if touched is None else _places(touched, fit.session.touch_distances)
+        places = None
+        if touched is not None:  # points of known distances are one tool's: one place
+            places = touched.copy()
+            for first, second, *_ in fit.session.touch_distances:
+                places[places == second] = first
         for division, share in _divisions(fit.session.q[kept], places):
             for part in np.unique(division):
                 out = division == part
@@ -153,8 +152,8 @@ class LeftOut:
                 counts.append(np.full(mine.sum(), share))
         return cls(*(np.concatenate(each) for each in (errors, covariances, counts)))
 
-    def rest(self, noise: np.ndarray) -> np.ndarray:
-        """What the arm does besides: the least (3, 3) m^2 that brings 90 % of the rows inside.
+    def structure(self, noise: np.ndarray) -> np.ndarray:
+        """Find what the arm does besides: the least (3, 3) m^2 that brings 90 % of the rows inside.
 
         It is shaped as the errors are.
 
@@ -174,7 +173,7 @@ class LeftOut:
 
 
 def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (N, ...) against the mean of those that touched the same point.
+    """Take from rows (N, ...) the mean of those that touched the same point.
 
     They are scaled so that independent noise keeps its variance.
 
@@ -189,18 +188,10 @@ def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, n
     return (rows - (sums / count[beside])[which]) / np.sqrt(kept), count[which] == 1
 
 
-def _places(touched: np.ndarray, known: Sequence[KnownDistance]) -> np.ndarray:
-    """Names (N,) of touched points, those of known distances alike: they are one tool's."""
-    places = touched.copy()
-    for first, second, *_ in known:
-        places[places == second] = first
-    return places
-
-
 def _divisions(
     q: np.ndarray, places: np.ndarray | None = None
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Parts (N,) that the rows are left out in, and the weight of a row in each division.
+    """Yield parts (N,) that the rows are left out in, and the weight of a row in each division.
 
     Half of the weight is with places, half with rows amid the others, as targets are.  Where
     points were touched, these are the places.
@@ -216,19 +207,9 @@ def _divisions(
     yield drawn * min(SMALL, len(q)) // len(q), 0.5 if moving else 1.0
 
 
-def _largest(fit: ModelFit, made: ModelUncertainty) -> float:
-    """Expected error of the tip, the largest over the fitted rows, m."""
-    mine = [k for k, slot in enumerate(fit.slots) if isinstance(slot.owner, Effect)]
-    rows = fit.pointed & (fit.weights > 0)
-    if not rows.any():
-        return 0.0
-    columns = fit.columns[rows][:, :3, mine]
-    covariance = made.carried(columns, [fit.slots[k].identity for k in mine]) + made.structure
-    return float(sizes(covariance)[0].max())
-
-
 ROWS = 200
-"""Rows that it is judged by, spread over the session: three axes make a matrix of 600."""
+"""Rows that the arm's share is judged by, spread over the session: three axes make a matrix of 600.
+"""
 WIDTHS = (0.25, 0.5, 1.0)
 """Over which part of an input's range the process is alike."""
 SHARES = np.linspace(0.0, 0.95, 20)
@@ -236,7 +217,10 @@ _NOTHING = 1e-8  # of the largest: rounding
 
 
 def arm_share(fit: ModelFit) -> float:
-    """Expected share of the residual's variance, 0 to 1; all shares alike beforehand."""
+    """Return the expected share of the arm in the residual's variance, 0 to 1.
+
+    All shares are alike beforehand.
+    """
     kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
     kept = kept[np.unique(np.linspace(0, len(kept) - 1, ROWS).round().astype(int))]
     residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
@@ -248,39 +232,29 @@ def arm_share(fit: ModelFit) -> float:
     flat = flat[:, moving] / length[moving]  # each may change with the joints alike
     u, s, _ = np.linalg.svd(flat)
     free = u[:, int((s > _NOTHING * s.max(initial=0.0)).sum()) :]
-    inputs = _inputs(fit)[kept]
-    if free.shape[1] < 2 or not inputs.shape[1]:
+    session = fit.session
+    inputs = [session.q, session.approach, *(v[:, None] for v in session.columns.values())]
+    x = np.concatenate([np.asarray(c, float) for c in inputs], axis=1)
+    span = np.ptp(x, axis=0)
+    x = (x[:, span > 0] / span[span > 0])[kept]
+    if free.shape[1] < 2 or not x.shape[1]:
         return 0.0
     y = free.T @ (residual / size).reshape(-1)
     alike = (flat @ flat.T).reshape(len(kept), 3, len(kept), 3)
-    kernels = (alike * kernel[:, None, :, None] for kernel in _kernels(inputs))
-    log = np.array([_evidence(free, y, kernel.reshape(len(flat), -1)) for kernel in kernels])
-    log += _by_repeats(fit, float((size**2).sum()))
+    apart = (x[:, None] - x[None]) ** 2
+    logs = []
+    for width in WIDTHS:
+        each = np.exp(-0.5 * apart / width**2)
+        for kernel in (each.mean(axis=2), each.prod(axis=2)):  # of one input at a time; of all
+            process = (alike * kernel[:, None, :, None]).reshape(len(flat), -1)
+            logs.append(_log_likelihood(free, y, process))
+    log = np.array(logs) + _log_likelihood_of_repeats(fit, float((size**2).sum()))
     weight = np.exp(log - log.max()).sum(axis=0)
     return float(weight @ SHARES / weight.sum())
 
 
-def _inputs(fit: ModelFit) -> np.ndarray:
-    """(N, k) joints, sides of arrival and recorded numbers, those that change, in their ranges."""
-    session = fit.session
-    columns = [session.q, session.approach, *(v[:, None] for v in session.columns.values())]
-    whole = np.concatenate([np.asarray(c, float) for c in columns], axis=1)
-    span = np.ptp(whole, axis=0)
-    return np.asarray(whole[:, span > 0] / span[span > 0])
-
-
-def _kernels(x: np.ndarray) -> list[np.ndarray]:
-    """(N, N) each: functions of one input at a time, and of all together."""
-    apart = (x[:, None] - x[None]) ** 2
-    made = []
-    for width in WIDTHS:
-        each = np.exp(-0.5 * apart / width**2)
-        made += [each.mean(axis=2), each.prod(axis=2)]
-    return made
-
-
-def _evidence(free: np.ndarray, y: np.ndarray, process: np.ndarray) -> np.ndarray:
-    """(shares,) log likelihood of the projected residual, its size maximised."""
+def _log_likelihood(free: np.ndarray, y: np.ndarray, process: np.ndarray) -> np.ndarray:
+    """Return (shares,) log likelihood of the projected residual, its size maximised."""
     values, vectors = np.linalg.eigh(free.T @ process @ free)
     values = np.maximum(values, 0.0)
     z = vectors.T @ y
@@ -289,8 +263,8 @@ def _evidence(free: np.ndarray, y: np.ndarray, process: np.ndarray) -> np.ndarra
     return np.asarray(-0.5 * (len(y) * np.log(size) + np.log(variance).sum(axis=1)))
 
 
-def _by_repeats(fit: ModelFit, whole: float) -> np.ndarray:
-    """(shares,) log likelihood of the scatter of repeats, m^2, where `whole` is arm and noise."""
+def _log_likelihood_of_repeats(fit: ModelFit, whole: float) -> np.ndarray:
+    """Return (shares,) log likelihood of the repeats' scatter; `whole` is arm and noise, m^2."""
     sigma, degrees = repeat_scatter(fit.model, fit.session)
     count = float(np.nansum(degrees[:3]))
     if not count or fit.session.blocks[0].kind != "position":

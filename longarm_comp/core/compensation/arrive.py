@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context, stacked
+from longarm_comp.core.arm.context import Context, stack_contexts
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
 from longarm_comp.core.compensation.compensate import (
@@ -75,7 +75,7 @@ def compensate_move(
 
     def context_at(q: np.ndarray) -> Context:
         """Circumstances (M,) of the joints (M, n), each after its own move."""
-        return stacked([context_after(history.after(move_to(x).points, start)) for x in q])
+        return stack_contexts([context_after(history.after(move_to(x).points, start)) for x in q])
 
     def solved(
         context: Context, doubtful: np.ndarray, realisable: bool | Lattice = False
@@ -108,7 +108,7 @@ def compensate_move(
         if not outcome.success or not matters or arrived.agrees(assumed):
             break
         if trials_left == 1:
-            arrived = arrived.agreed(assumed)
+            arrived = arrived.common_with(assumed)
     if outcome.success and lattice_of(model, options.realisable) is not None:
         outcome = solved(context, move.doubtful, options.realisable)
         move = move_to(outcome.command)

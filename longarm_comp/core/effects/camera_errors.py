@@ -1,4 +1,4 @@
-"""What a camera or tracker makes of the points that it sees."""
+"""Errors of a camera or tracker at the points that it sees."""
 
 from __future__ import annotations
 

@@ -105,18 +105,18 @@ def registered() -> dict[str, Kind]:
 
 
 def searched() -> tuple[Kind, ...]:
-    """The effects that a diagnosis tries."""
+    """Return the effects that a diagnosis tries."""
     return tuple(k for k in registered().values() if k.searched and not k.geometry)
 
 
 def through_others(arm: Arm) -> list[Effect]:
-    """What an arm has that acts through other effects only."""
+    """List what an arm has that acts through other effects only."""
     kinds = (kind for kind in registered().values() if issubclass(kind, Effect))
     return [term for kind in kinds if kind.through_others for term in kind.for_arm(arm)]
 
 
 def effect_class(name: str, where: str, known_from: str = "") -> Kind:
-    """The effect of a canonical name; `known_from`: its `origin` when the source was written."""
+    """Return the effect of a canonical name; `known_from`: its `origin` in the source."""
     found = BUILT_IN.get(name) or registered().get(name)
     if found is None:
         outside = f"a file (--effects FILE) or a package (entry points {GROUP})"
@@ -163,7 +163,7 @@ def _load_entry_points() -> None:
 
 
 def _file(kind: Kind) -> str:
-    """The file that defines a class. Only this file may define it again."""
+    """Return the file that defines a class. Only this file may define it again."""
     return getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__
 
 

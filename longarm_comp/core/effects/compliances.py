@@ -1,4 +1,4 @@
-"""What gives way under load: joints, bearings, links, the base."""
+"""Parts that give way under load: joints, bearings, links, the base."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm, Joint
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.effect import Effect, Parameter, Sites, form, parameter, place

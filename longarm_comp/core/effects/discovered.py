@@ -36,7 +36,7 @@ BASE_PLACE, TIP_PLACE = "base", "tip"
 
 
 def stations(arm: Arm) -> list[str]:
-    """Where something may act: the base, every joint's bearing, every row's end, the tip.
+    """List where something may act: the base, every joint's bearing, every row's end, the tip.
 
     The axes are those of what the joint carries: they turn with it.
     """
@@ -45,7 +45,7 @@ def stations(arm: Arm) -> list[str]:
 
 
 def _acting(posture: Posture, place: str) -> tuple[int, Frame]:
-    """The station that a twist acts at; the pose, in the base frame, that a wrench acts at."""
+    """Return the station that a twist acts at; the pose in the base frame of a wrench."""
     if place == TIP_PLACE:
         tip = posture.arm.tip
         station = posture.frame(tip.frame)
@@ -59,7 +59,7 @@ def _acting(posture: Posture, place: str) -> tuple[int, Frame]:
 
 @dataclass(frozen=True)
 class _Component(ABC):
-    """What acts at a place, along axis 0, 1, 2; None where the posture says which way."""
+    """A twist or load at a place, along axis 0, 1, 2; None where the posture says which way."""
 
     word: ClassVar[str]
     unit: ClassVar[str]
@@ -68,7 +68,7 @@ class _Component(ABC):
 
     @property
     def name(self) -> str:
-        """As it is stored: ``force y``, ``weight``."""
+        """Its name in a file: ``force y``, ``weight``."""
         return self.word if self.axis is None else f"{self.word} {AXES[self.axis]}"
 
     @abstractmethod
@@ -115,7 +115,7 @@ class Wrench(_Component):
         """Force (N) and moment (N m) in the base's axes."""
 
     def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
-        """To first order, every element as a cantilever under what the load makes of its end."""
+        """Bend every element as a cantilever under the load at its end, to first order."""
         pushed, turned = self.loads(posture, frame, amount)
         made: dict[int, Twist] = {}
         for element in elements(posture):
@@ -182,7 +182,7 @@ def views(arm: Arm) -> list[str]:
 
 
 class _OfFunction:
-    """What a term owes to its function alone; `kind`: of quantities that it may depend on."""
+    """The share of a term's function in it; `kind`: of quantities that it may depend on."""
 
     name: ClassVar[str]
     kind: ClassVar[type]
@@ -317,7 +317,7 @@ class DiscoveredView(_OfFunction, Bias):
         return self.axis
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """The amount, in m, or as a share of the distance, per unit of the function."""
+        """Return the amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
         unit = _quotient(unit, self.of.units(arm))
         return self.with_prior(self.scale, unit=unit)

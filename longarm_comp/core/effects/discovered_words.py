@@ -40,7 +40,7 @@ Found = Discovered | DiscoveredView
 
 @dataclass(frozen=True)
 class _Traits:
-    """What readings are chosen by."""
+    """The traits by which a reading is chosen."""
 
     terms: Sequence[Found]
 
@@ -54,15 +54,15 @@ class _Traits:
         return dict.fromkeys((t.at, t.component) for t in self.terms)
 
     def of(self, *kinds: type[Quantity]) -> bool:
-        """Whether it depends on a quantity of some kinds."""
+        """Tell whether it depends on a quantity of some kinds."""
         return any(isinstance(s.quantity, kinds) for s in self.shapes)
 
     def shape(self, *kinds: type[Shape], of: tuple[type[Quantity], ...] = (Quantity,)) -> bool:
-        """Whether it has a shape of some kinds, of a quantity of some."""
+        """Tell whether it has a shape of some kinds, of a quantity of some."""
         return any(isinstance(s, kinds) and isinstance(s.quantity, of) for s in self.shapes)
 
     def acts(self, kind: type) -> bool:
-        """Whether all its components are of a kind."""
+        """Tell whether all its components are of a kind."""
         return all(isinstance(COMPONENTS.get(t.component), kind) for t in self.terms)
 
     @property
@@ -114,7 +114,7 @@ _READINGS: tuple[tuple[str, Callable[[_Traits], bool]], ...] = (
 
 
 def reading(terms: Sequence[Found]) -> str:
-    """What terms behave like together; never what they are."""
+    """Say what terms behave like together; never what they are."""
     traits = _Traits(terms)
     words = (f"behaves like {words}" for words, fits in _READINGS if fits(traits))
     return next(words, "no known cause")
@@ -132,7 +132,7 @@ def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> 
 
 
 def seen_alike(terms: Sequence[Found]) -> list[str]:
-    """What the camera may see in its place: a shift of all points, wherever the arm stands."""
+    """List what the camera may see in its place: a shift of all points, wherever the arm stands."""
     traits = _Traits(terms)
     moved = all(t.at == BASE_PLACE and t.component.startswith(Move.word) for t in terms)
     recorded = all(isinstance(s.quantity, (Recorded, Warmth)) for s in traits.shapes)
@@ -149,11 +149,11 @@ def domain(terms: Sequence[Found]) -> list[str]:
 
 
 def _part(function: Function, value: float, error: float, unit: str) -> str:
-    size = f"({_rounded(value, error)}) {unit}".removesuffix(" 1")
+    size = f"({_round_to_error(value, error)}) {unit}".removesuffix(" 1")
     return f"{size} x {function.formula}" if function.factors else size
 
 
-def _rounded(value: float, error: float) -> str:
+def _round_to_error(value: float, error: float) -> str:
     """``24.2 +- 0.3``: the value to the digits that its error leaves."""
     if not error > 0:
         return f"{value:.3g}"

@@ -1,4 +1,4 @@
-"""How far a joint goes for its command: ratio, pitch, eccentric parts, guides, servos."""
+"""Errors of how far a joint goes for its command: ratio, pitch, eccentric parts, guides, servos."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class ServoQuantisation(JointTerm):
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:
-        """Of a step (rad or m) that nobody declared."""
+        """Return the instance of a step (rad or m) that nobody declared."""
         if arm.joints[row - 1].type == "prismatic":
             return cls(row, steps_per_turn=0, step_m=step)
         return cls(row, steps_per_turn=2 * math.pi / step)
@@ -185,7 +185,7 @@ class ServoQuantisation(JointTerm):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """The joints without a declared step, with one kind of servo, by its steps.
+        """Return the joints without a declared step, with one kind of servo, by its steps.
 
         All joints, where the arm declares every step: then the model holds them already.
         """

@@ -100,29 +100,29 @@ class _Term:
     @classmethod
     @cache
     def declared(cls) -> tuple[Parameter, ...]:
-        """The parameters of this kind of effect, in the order of its fields."""
+        """Return the parameters of this kind of effect, in the order of its fields."""
         each = metadata(cls, PARAMETER).items()  # type: ignore[arg-type]
         return tuple(dataclasses.replace(p, name=name) for name, p in each)
 
     @classmethod
     @lru_cache(maxsize=1024)
     def with_prior(cls, *priors: float, **changes: Any) -> tuple[Parameter, ...]:
-        """The same for an arm, with one prior for all or one for each, and other attributes."""
+        """Return `declared` with one prior for all or one for each, and other attributes."""
         priors = priors * len(cls.declared()) if len(priors) == 1 else priors
         each = zip(cls.declared(), priors, strict=True)
         return tuple(dataclasses.replace(p, prior=prior, **changes) for p, prior in each)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """The parameters of this instance; priors may come from the arm's tolerances."""
+        """Return the parameters of this instance; priors may come from the arm's tolerances."""
         return self.declared()
 
     def with_values(self, values: Mapping[str, float]) -> Self:
-        """A copy with other values of some parameters."""
+        """Return a copy with other values of some parameters."""
         return dataclasses.replace(self, **{name: float(v) for name, v in values.items()})
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
-        """By place field, its allowed values on an arm, without fields that allow any text."""
+        """Return allowed values on an arm by place field, without fields that allow any text."""
         return {name: known for name, known in metadata(cls, PLACE).items() if known}  # type: ignore[arg-type]
 
     @classmethod
@@ -153,12 +153,12 @@ class _Term:
         return ", ".join(told) or self.whole
 
     def advice(self, arm: Arm) -> str:
-        """What can be done about it at an arm."""
+        """Say what can be done about it at an arm."""
         return self.action
 
     @property
     def reading(self) -> str:
-        """What it says of itself besides its parameters: a form, a formula. Empty: nothing."""
+        """The text about itself besides its parameters: a form, a formula. Empty: nothing."""
         return ""
 
     @property
@@ -207,13 +207,13 @@ class _Term:
 
     @classmethod
     def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
-        """The instances to fit when the user declares this effect without a place."""
+        """Return the instances to fit when the user declares this effect without a place."""
         every = itertools.chain(*cls.candidates(arm))
         return tuple({term.variant: term for term in every}.values())
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:
-        """The instance at a joint with steps of a size (rad or m); of a `stepped` effect."""
+        """Return the instance at a joint with steps of a size (rad or m); of a `stepped` effect."""
         raise NotImplementedError(cls.name)
 
     def step(self, arm: Arm) -> float:
@@ -240,7 +240,7 @@ class _Term:
         """Raise `InputError` if its fields, read from `where`, mean nothing on an arm."""
 
     def missing(self, context: Context) -> str:
-        """The first recorded quantity that it reads and the context lacks, or ""."""
+        """Return the first recorded quantity that it reads and the context lacks, or ""."""
         read = (name for name in self.inputs if name not in PER_JOINT)
         return next((name for name in read if not context.has(name)), "")
 
@@ -260,11 +260,11 @@ class Effect(_Term, ABC):
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
     def outside(self, posture: Posture) -> Sequence[tuple[str, ...]]:
-        """What of each of N postures lies outside the data that it was found in, in words."""
+        """List, for N postures, what lies outside the data that it was found in, in words."""
         return [()] * posture.count
 
     def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
-        """By commanded joint (0-based), the side of arrival at which the effect is surest.
+        """Return the side of arrival at which the effect is surest, by commanded joint (0-based).
 
         +1 from below, -1 from above, 0: either.
         """
@@ -279,17 +279,17 @@ class Effect(_Term, ABC):
         return gravity
 
     def base(self, arm: Arm) -> Frame | None:
-        """Where the base stands in the frame of the measurements, for an effect that says so."""
+        """Return the base in the frame of the measurements, for an effect that places it."""
         return None
 
     @property
     def commandable(self) -> bool:
-        """Whether a command can compensate it: by what a command is told."""
+        """True if a command can compensate it: by what a command is told."""
         return all(name in PER_JOINT or is_told(name) for name in self.inputs)
 
     @property
     def changes_loads(self) -> bool:
-        """Whether the effect acts through the loads on other effects instead of by a twist."""
+        """True if the effect acts through the loads on other effects instead of by a twist."""
         kind = type(self)
         return kind.masses is not Effect.masses or kind.gravity is not Effect.gravity
 
@@ -311,7 +311,7 @@ class Bias(_Term, ABC):
 
     @classmethod
     def of_instrument(cls, arm: Arm) -> bool:
-        """Whether what measures the arm may have it; where nothing is declared, anything may."""
+        """Tell whether what measures the arm may have it; without a declaration it may."""
         return arm.measuring is None or not cls.instruments or arm.measuring in cls.instruments
 
     def advice(self, arm: Arm) -> str:
@@ -322,7 +322,7 @@ class Bias(_Term, ABC):
         """Point reported by the camera for a tip at `point` (m, base frame)."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """What a row's encoder reads where it sees its joint at a value (rad or m)."""
+        """Return the reading of a row's encoder that sees its joint at a value (rad or m)."""
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:

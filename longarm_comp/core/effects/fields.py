@@ -1,4 +1,4 @@
-"""How an effect declares its fields: a fitted parameter, a place on the arm, or a form."""
+"""Declarations of the fields of an effect: a fitted parameter, a place on the arm, or a form."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 
 @cache
 def metadata(kind: type[Any], role: str) -> dict[str, Any]:
-    """What the fields of one role declare, by name."""
+    """Return what the fields of one role declare, by name."""
     declared = dataclasses.fields(kind)
     return {f.name: f.metadata[role] for f in declared if role in f.metadata}
 

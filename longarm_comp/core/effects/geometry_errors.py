@@ -1,4 +1,4 @@
-"""How the arm is made and read: rows, zeros, pins and encoders."""
+"""Errors of how the arm is made and read: rows, zeros, pins and encoders."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class DhError(Effect):
                 raise InputError(where, f"{self.name}.{p.name} at {self.where}", value, allowed)
 
     def twists(self, posture: Posture) -> Twists:
-        """``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i.
+        """Return ``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i.
 
         The tilts are about the place of the axis there (`Chain.tilted_at`).
         """
@@ -182,7 +182,7 @@ class Encoder(Bias):
 
 @dataclass(frozen=True)
 class KindDirection(Effect):
-    """What other arms of the kind share: errors that come together, with one free amount.
+    """A difference that arms of the kind share: errors that come together, with one free amount.
 
     It is fitted in the place of a correlated prior (`core/calibration/kind_of_arm.py`) and then
     folded into the errors that it is made of.  No model.yaml holds it.
@@ -203,8 +203,8 @@ class KindDirection(Effect):
         return any(term.loaded for term in self.terms)
 
     def twists(self, posture: Posture) -> Twists:
-        """The twists of its parts, which are linear in their values, times the amount."""
-        return spatial.summed(
+        """Return the twists of its parts, which are linear in their values, times the amount."""
+        return spatial.sum_twists(
             {s: tuple(self.amount * v for v in t) for s, t in term.twists(posture).items()}  # type: ignore[misc]
             for term in self.terms
         )

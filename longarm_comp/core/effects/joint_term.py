@@ -39,7 +39,7 @@ class JointTerm(Effect):
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Whether the effect applies to a commanded row."""
+        """Tell whether the effect applies to a commanded row."""
         return arm.joints[row - 1].type in cls.types
 
     @classmethod
@@ -59,7 +59,7 @@ class JointTerm(Effect):
         return (arm.commanded.index(self.joint),) if reads else ()
 
     def motion(self, posture: Posture, amount: Scalar) -> Twists:
-        """The joint moved by `amount` (rad or m) along its own z axis, at its bearing.
+        """Return the joint moved by `amount` (rad or m) along its own z axis, at its bearing.
 
         Passive joints coupled to it (mimic) follow.
         """
@@ -77,7 +77,7 @@ class JointTerm(Effect):
         return posture.chain.coupled(self.joint)
 
     def slides(self, arm: Arm) -> bool:
-        """Whether its joint is a slide."""
+        """Tell whether its joint is a slide."""
         return arm.joints[self.joint - 1].type == "prismatic"
 
     def command(self, posture: Posture) -> Scalar:

@@ -39,8 +39,8 @@ class LinkDeflection(Effect):
 
 
 def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
-    """A share (one for all rows, or one per row) of the declared cantilever twist, at the end of
-    every element of one beam, or of all."""
+    """Return a share (one for all rows, or one each) of the declared cantilever twist, at the end
+    of every element of one beam, or of all."""
     return {
         e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
         for e in elements(posture)
@@ -71,7 +71,7 @@ def cantilever(posture: Posture, element: Element) -> Twist:
 
 
 def _cantilevers(posture: Posture) -> dict[int, Twist]:
-    """Of all elements, by station; those of one kind at once."""
+    """Compute the twists of all elements, by station; those of one kind at once."""
     kinds: dict[tuple, dict[tuple[int, int], tuple[Scalar, ...]]] = {}
     masses, firsts = posture.carried
     for e in elements(posture):
@@ -153,12 +153,12 @@ def _beam(posture: Posture, element: Element) -> tuple[Scalar, float, tuple[floa
 
 
 def _beam_axes(axis: int, of_frame: tuple[_T, _T, _T]) -> tuple[_T, _T, _T]:
-    """What belongs to a frame's x, y, z, by the beam's axes: the one along it, two across it."""
+    """Reorder what belongs to a frame's x, y, z: the axis along the beam, two across it."""
     return of_frame[axis:] + of_frame[:axis]  # type: ignore[return-value]
 
 
 def _frame_axes(axis: int, twist: Twist) -> Twist:
-    """A twist in the beam's axes, in the frame's."""
+    """Return a twist in the beam's axes, in the frame's."""
     d, theta = twist[:3], twist[3:]
     return (*d[3 - axis :], *d[: 3 - axis], *theta[3 - axis :], *theta[: 3 - axis])  # type: ignore[return-value]
 

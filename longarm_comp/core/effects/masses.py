@@ -107,7 +107,7 @@ class UndeclaredWeight(_Weight):
         guide weighs as much as its slide."""
         quarter = typical_loads(arm).force / 9.81 / 4
         shares = self.with_prior(quarter, quarter / len(moving_joints(arm)), 1.0)
-        return shares if _guided(arm) else shares[:2]
+        return shares if _guides(arm) else shares[:2]
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         arm = posture.arm
@@ -115,7 +115,7 @@ class UndeclaredWeight(_Weight):
         drives = (Lumped(posture.frame(row), self.drives, ZERO) for row in moving_joints(arm))
         guides = (
             Lumped(posture.bearing(row), self.guides * abs(size), (0.0, 0.0, size / 2))
-            for row, size in _guided(arm)
+            for row, size in _guides(arm)
         )
         usual = (
             Lumped(posture.frame(row), mass, position) for row, position, mass in arm.usual_masses
@@ -123,7 +123,7 @@ class UndeclaredWeight(_Weight):
         return (tip, *drives, *guides, *usual)
 
 
-def _guided(arm: Arm) -> list[tuple[int, float]]:
+def _guides(arm: Arm) -> list[tuple[int, float]]:
     """Row of every slide, and the length of its guide: that of the slide at joint value 0 (m)."""
     return [(j.id, j.d_m) for j in arm.joints if j.type == "prismatic" and j.d_m]
 

@@ -1,4 +1,4 @@
-"""Where base, tip, markers, sensors and anchors are: what every calibration solves for."""
+"""Places of base, tip, markers, sensors and anchors: what every calibration solves for."""
 
 from __future__ import annotations
 
@@ -15,8 +15,24 @@ from longarm_comp.core.effects.effect import Bias, Effect, Parameter, Sites, par
 from longarm_comp.core.effects.sites import markers
 
 
+class RigidMotion:
+    """A term with the six parameters of a finite motion."""
+
+    x: float
+    y: float
+    z: float
+    rx: float
+    ry: float
+    rz: float
+
+    @property
+    def twist(self) -> Twist:
+        """The twist of the motion (m, rad)."""
+        return self.x, self.y, self.z, self.rx, self.ry, self.rz
+
+
 @dataclass(frozen=True)
-class BasePose(Effect):
+class BasePose(RigidMotion, Effect):
     """Placement of the base beyond the declared one; one per `group` where the base was moved.
 
     It says where the tracker's frame lies, so gravity turns with it and keeps its declared
@@ -55,15 +71,13 @@ class BasePose(Effect):
         return self.with_prior(*three(known.xyz_m), *turn, unknown=False)
 
     def base(self, arm: Arm) -> Frame:
-        moved = exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
-        return arm.base.frame() @ moved
+        return arm.base.frame() @ exp_large(self.twist)
 
     def twists(self, posture: Posture) -> Twists:
-        twist: Twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
-        if self.group:
-            mine = posture.context.is_label("group", self.group)
-            twist = tuple(mine * t for t in twist)  # type: ignore[assignment]
-        return {PLACEMENT: twist}
+        if not self.group:
+            return {PLACEMENT: self.twist}
+        mine = posture.context.is_label("group", self.group)
+        return {PLACEMENT: tuple(mine * t for t in self.twist)}  # type: ignore[dict-item]
 
 
 @dataclass(frozen=True)
@@ -167,13 +181,13 @@ class AnchorPlace(Bias):
         return [{"anchor": k} for k, v in arm.anchors.items() if v.xyz_m is None]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The tip moved against the anchor, for the rows that measure to it."""
+        """Return the tip moved against the anchor, for the rows that measure to it."""
         mine = context.is_label("anchor", self.anchor)
         return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
 
 
 @dataclass(frozen=True)
-class SensorPlace(Bias):
+class SensorPlace(RigidMotion, Bias):
     """A further sensor reports in a frame of its own, anywhere against that of the first one."""
 
     name = "sensor_place"
@@ -191,12 +205,11 @@ class SensorPlace(Bias):
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         mine = context.is_label("sensor", self.sensor)
-        twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
-        return spatial.exp_large(tuple(mine * t for t in twist)).transform(point)  # type: ignore[arg-type]
+        return exp_large(tuple(mine * t for t in self.twist)).transform(point)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
-class CameraPose(Bias):
+class CameraPose(RigidMotion, Bias):
     """The camera's pose in the base frame is not what was declared.
 
     Position data cannot tell it from `base_pose`; a calibration fits one of the two.
@@ -215,5 +228,4 @@ class CameraPose(Bias):
     rz: float = parameter("rad", "turn of the seen points", prior=0.05)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        motion = spatial.exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
-        return motion.transform(point)
+        return exp_large(self.twist).transform(point)

@@ -1,4 +1,4 @@
-"""What has play or friction: it rests on the side that a load or a motion pushed it to."""
+"""Parts with play or friction: each rests on the side that a load or a motion pushed it to."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class ServoDeadband(Backlash):
 
 @dataclass(frozen=True)
 class CylinderPlay(RestingTerm):
-    """As `Backlash`, but worn pins shift the cylinder: the joint turns by play over lever."""
+    """Worn pins shift the cylinder by a play as `Backlash`; the joint turns by play over lever."""
 
     name = "cylinder_play"
     title = "play in the cylinder's pins"
@@ -180,7 +180,7 @@ class TelescopeClearance(JointTerm):
 
 
 def _slider(arm: Arm, row: int) -> Beam | None:
-    """The sliding beam of a row: of length rest, with a body long enough to overlap always."""
+    """Return the sliding beam of a row: of length rest, its body always overlaps."""
     beams = [b for b in arm.links if b.row == row and b.role == "d"]
     joint = arm.joints[row - 1]
     for beam in beams[1:]:

@@ -1,4 +1,4 @@
-"""What a function of a discovered effect may depend on: quantities of a posture, by name.
+"""Inputs of the function of a discovered effect: quantities of a posture, by name.
 
 | name | quantity | unit |
 |---|---|---|
@@ -35,7 +35,7 @@ AXES = ("x", "y", "z")
 
 
 class SeenPoint(NamedTuple):
-    """What a measuring-side function may depend on: the point and the circumstances."""
+    """The input of a measuring-side function: the point and the circumstances."""
 
     point: Vec
     context: Context
@@ -68,7 +68,7 @@ class Quantity(ABC):
         """Its value at a `Posture`; on the measuring side, at a `SeenPoint`."""
 
     def exists(self, arm: Arm) -> bool:
-        """Whether the arm has it."""
+        """Tell whether the arm has it."""
         return True
 
     def unit(self, arm: Arm) -> str:
@@ -226,7 +226,7 @@ _KINDS: tuple[type[Quantity], ...] = (
 
 @lru_cache(maxsize=4096)
 def quantity(name: str) -> Quantity | None:
-    """The quantity of a name; None where no quantity may have it."""
+    """Return the quantity of a name; None where no quantity may have it."""
     for kind in _KINDS:
         found = re.fullmatch(kind.pattern, name)
         if found:
@@ -237,7 +237,7 @@ def quantity(name: str) -> Quantity | None:
 
 
 def is_column(name: str) -> bool:
-    """Whether a recorded column of this name can be a quantity of its own."""
+    """Tell whether a recorded column of this name can be a quantity of its own."""
     return isinstance(quantity(name), Recorded)
 
 

@@ -10,7 +10,7 @@ from longarm_comp.core.effects.effect import form
 
 
 def slowing() -> float:
-    """A field of an effect: one over its time constant, 1/h; 0: it goes on at a constant rate.
+    """Declare a field: one over the time constant, 1/h; 0: it goes on at a constant rate.
 
     An instrument warms up in a quarter of an hour or more, ground settles in hours.
     """
@@ -18,7 +18,7 @@ def slowing() -> float:
 
 
 def settled(context: Context, slowing: float) -> Scalar:
-    """How far a change has gone by now, by how far it goes in the first hour:
+    """Return how far a change has gone by now, as a share of its first hour:
     ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, t in hours."""
     hours: Scalar = context.column(CLOCK, 0.0) / 3600.0
     return (1.0 - np.exp(-slowing * hours)) / (1.0 - np.exp(-slowing)) if slowing else hours

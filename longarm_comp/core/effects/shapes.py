@@ -201,7 +201,7 @@ class Switch(Threshold):
 
 
 class Above(Threshold):
-    """How far the quantity is above the threshold, else 0: a contact, a taut cable."""
+    """The excess of the quantity above the threshold, else 0: a contact, a taut cable."""
 
     word = "above"
     written = "max(0, {of} - {threshold:.4g})"
@@ -258,7 +258,7 @@ class Function:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """What it depends on."""
+        """The quantities that it depends on."""
         return tuple(dict.fromkeys(f.quantity for f in self.factors))
 
     def units(self, arm: Arm) -> list[str]:
@@ -274,7 +274,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 @lru_cache(maxsize=4096)
 def function(text: str, domain: str) -> Function:
-    """The function of a text over a domain.
+    """Return the function of a text over a domain.
 
     Raises:
         FunctionError: a part that is no shape, quantity, number or range; too many factors; a

@@ -15,7 +15,7 @@ GEARED = 2
 
 
 def near(joint: int, other: int) -> bool:
-    """Whether gears or rods may couple two commanded joints, by their numbers."""
+    """Tell whether gears or rods may couple two commanded joints, by their numbers."""
     return 0 < abs(joint - other) <= GEARED
 
 
@@ -25,7 +25,7 @@ def rows(arm: Arm) -> list[int]:
 
 
 def frames(arm: Arm) -> list[int]:
-    """The base (0) and the frame of every row."""
+    """Return the base (0) and the frame of every row."""
     return [0, *rows(arm)]
 
 

@@ -1,4 +1,4 @@
-"""What changes with time and temperature."""
+"""Changes with time and temperature."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.arm.spatial import Twist, summed
+from longarm_comp.core.arm.spatial import Twist, sum_twists
 from longarm_comp.core.effects.effect import Effect, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
 from longarm_comp.core.effects.settling import settled, slowing
@@ -25,7 +25,7 @@ class ThermalGrowth(Effect):
     expansion: float = parameter("1/K", "expansion coefficient of the links", prior=1e-4)
 
     def twists(self, posture: Posture) -> Twists:
-        """Translation along every row's a and d, in proportion to their length."""
+        """Return translations along every row's a and d, in proportion to their length."""
         warm = posture.context.column("temperature_c", posture.arm.reference_temperature_c)
         rise = self.expansion * (warm - posture.arm.reference_temperature_c)
         growth: list[dict[int, Twist]] = []
@@ -35,7 +35,7 @@ class ThermalGrowth(Effect):
                 {posture.frame(joint.id): (0.0, 0.0, rise * d, 0.0, 0.0, 0.0)},
                 {posture.frame(joint.id - 1): (rise * joint.a_m, 0.0, 0.0, 0.0, 0.0, 0.0)},
             ]
-        return summed(growth)
+        return sum_twists(growth)
 
 
 @dataclass(frozen=True)

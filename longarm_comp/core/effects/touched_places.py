@@ -1,4 +1,4 @@
-"""Where touched points and planes are: solved from the touches."""
+"""Places of touched points and planes: solved from the touches."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class TouchPlace(Bias):
     z: float = parameter("m", "place of the point", 0.05, unknown=True)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The tip less the point, for the rows that touched it or a point that it carries."""
+        """Return the tip less the point, for rows that touched it or a point that it carries."""
         mine = touched(context, self.touch, self.carries)
         return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
 
@@ -75,7 +75,7 @@ class TouchBeside(Bias):
         return (*turn, dataclasses.replace(stretch, prior=self.tolerance))
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The point, already less the other one, less the way between the two."""
+        """Return the point, already less the other one, less the way between the two."""
         turn = spatial.exp_large((0.0, 0.0, 0.0, self.rx, self.ry, self.rz))
         way = spatial.scale(self.distance + self.stretch, turn.rotate((1.0, 0.0, 0.0)))
         mine = touched(context, self.touch, self.carries)
@@ -102,7 +102,7 @@ class PlanePlace(Bias):
     ry: float = parameter("rad", "turn of the plane", 0.05, unknown=True)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The tip in axes of the plane, in which its height is z, for the rows that touched it."""
+        """Return the tip in axes of the plane, whose z is its height, for rows that touched it."""
         mine = context.is_label("plane", self.plane)
         turn = spatial.exp_large((0.0, 0.0, 0.0, mine * self.rx, mine * self.ry, 0.0))  # type: ignore[arg-type]
         x, y, z = turn.transform(point)

@@ -1,4 +1,4 @@
-"""How much an arm carries, in all and at each place: what priors of effects scale with."""
+"""The loads that an arm carries, in all and at each place: what priors of effects scale with."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST = 0.01
 
 
 class TypicalLoads(NamedTuple):
-    """Size of an arm's loads.
+    """The size of an arm's loads.
 
     Attributes:
         force: its weight, N.
@@ -39,7 +39,7 @@ class TypicalLoads(NamedTuple):
     shares: tuple[float, ...]
 
     def at(self, row: int) -> float:
-        """The torque by which the stiffness of what carries a row goes, N m.
+        """Return the torque by which the stiffness of what carries a row goes, N m.
 
         It lies halfway, by ratio, between the arm's and that of the place: parts of a kind are as
         stiff as they are strong, and an arm has few kinds. Real arms (`longarm study real`) err
@@ -52,16 +52,21 @@ _loads_of: dict[str, TypicalLoads] = {}
 
 
 def typical_loads(arm: Arm) -> TypicalLoads:
-    """Size of an arm's loads. One that declares no weight is taken to weigh a kilogram a metre."""
+    """Return the size of an arm's loads; without a declared weight, of a kilogram a metre."""
     if arm.hash not in _loads_of:
         mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
         mass += arm.payload.mass_kg if arm.payload else 0.0
         force = (mass if arm.weighed else reach(arm)) * float(np.linalg.norm(arm.gravity_mps2))
         torque = force * reach(arm) / 4
-        posture = _sampled(arm)
-        built = _PAYLOAD * force * _levers(posture)
+        # The declared arm at poses between its limits
+        poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSES, arm.n))
+        chain, q = Chain(arm, elements_per_beam=1), tuple(np.ascontiguousarray(poses.T))
+        posture = Posture(chain, q, Context(), *chain.place(q, {}), arm.gravity_mps2)
+        tip, bearings = posture.frames[posture.spot()].p, [row.bearing for row in chain.rows]
+        levers = [_rms(spatial.sub(tip, posture.frames[at].p)) for at in bearings]
+        built = _PAYLOAD * force * np.array(levers)
         if arm.weighed and not any(m.position_columns for m in arm.point_masses):
-            own = _moments(posture)
+            own = np.array([_rms(posture.moment(at)) for at in bearings])
             torque = min(torque, max(own[row - 1] for row in arm.commanded))
             built = built + own
         shares = np.maximum(built / max(built.max(), 1e-12), _LEAST)
@@ -70,30 +75,8 @@ def typical_loads(arm: Arm) -> TypicalLoads:
     return _loads_of[arm.hash]
 
 
-def _sampled(arm: Arm) -> Posture:
-    """The declared arm at poses between its limits."""
-    poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSES, arm.n))
-    chain = Chain(arm, elements_per_beam=1)
-    q = tuple(np.ascontiguousarray(poses.T))
-    frames, lengths = chain.place(q, {})
-    return Posture(chain, q, Context(), frames, lengths, arm.gravity_mps2)
-
-
-def _moments(posture: Posture) -> np.ndarray:
-    """(R,) RMS of the moment about each row's bearing, N m."""
-    rows = posture.arm.joints
-    return np.array([_rms(posture.moment(posture.bearing(row.id))) for row in rows])
-
-
-def _levers(posture: Posture) -> np.ndarray:
-    """(R,) RMS of the way from each row's bearing to the tip, m."""
-    tip = posture.frames[posture.spot()].p
-    starts = (posture.frames[posture.bearing(row.id)].p for row in posture.arm.joints)
-    return np.array([_rms(spatial.sub(tip, start)) for start in starts])
-
-
 def _rms(vector: Vec) -> float:
-    """Of the length of a vector at all poses."""
+    """Return the RMS length of a vector over all poses."""
     each = np.array([np.broadcast_to(part, _POSES) for part in vector])
     return math.sqrt((each**2).sum(axis=0).mean())
 

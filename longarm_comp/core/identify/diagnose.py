@@ -13,11 +13,11 @@ from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.calibration.calibrate import declared_model, stages
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import from_repeats
-from longarm_comp.core.calibration.plausible import believed, check_noise, refuse
-from longarm_comp.core.calibration.standing import standing
+from longarm_comp.core.calibration.plausible import believed_rows, check_noise, refuse
+from longarm_comp.core.calibration.standing import place_as_seen
 from longarm_comp.core.data.holdout import spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
@@ -114,9 +114,9 @@ def diagnose(
     say("structure")
     fits = _fits(calibrated, found)
     models = {
-        "nominal": standing(nominal, train)[0],
+        "nominal": place_as_seen(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
-        **{name: folded(fitted).model for name, fitted in fits.items()},
+        **{name: fold_directions(fitted).model for name, fitted in fits.items()},
     }
     say("every row held out once")
     if test is None:
@@ -132,7 +132,7 @@ def diagnose(
     structure = examine(found.fit, fits[CALIBRATED], beside)
     structure = with_left_out(structure, found.fit)
     structure = with_unseen(structure, [(list(f.fits.values())[-1], f.rows) for f in made])
-    final = folded(fits[written])
+    final = fold_directions(fits[written])
     named = findings(found.found)
     added = [t for f in found.found for t in f.terms if t.key in {s.key for s in final.model.terms}]
     network = None
@@ -164,7 +164,7 @@ def diagnose(
         search=found,
         findings=named,
         causes=without_name,
-        fits={name: folded(fitted) for name, fitted in fits.items()},
+        fits={name: fold_directions(fitted) for name, fitted in fits.items()},
         expected={name: float(each.mean()) for name, each in lengths.items()},
         written=written,
         failed=failed,
@@ -190,7 +190,7 @@ def diagnose(
 
 def _refused(final: ModelFit, proof: Proof, rows: Session, written: str) -> SetAside:
     """What `calibrate` refuses is refused: else the rows that the final fit set aside."""
-    at = {name: error[believed(final, rows)] for name, error in proof.errors.items()}
+    at = {name: error[believed_rows(final, rows)] for name, error in proof.errors.items()}
     plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}
     return refuse(final, None, at[written], plainer)
 

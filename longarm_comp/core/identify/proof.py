@@ -17,7 +17,7 @@ from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.plausible import WORST
-from longarm_comp.core.calibration.standing import standing
+from longarm_comp.core.calibration.standing import place_as_seen
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.holdout import folds_of
 from longarm_comp.core.data.measurement import errors, turns
@@ -139,7 +139,7 @@ def folds(
         kept = fold != number
         rows = session.take(kept)
         models = {
-            "nominal": standing(nominal, rows)[0],
+            "nominal": place_as_seen(nominal, rows)[0],
             "frames_only": fit(frames_only, rows, close=NEAR).model,
         }
         again = _fitted_again(fits, search, kept)

@@ -91,7 +91,7 @@ def run_up(
         """With the arm where it was fitted: run-ups change what joints remember, hardly more."""
         session = rows(length)
         seen = session.take(session.seen)
-        at = dataclasses.replace(fitted.posture, context=seen.context(), _cache={})
+        at = dataclasses.replace(fitted.posture, context=seen.context())
         found = equations(fitted.model, seen, at, slots).columns * priors(slots)
         products = marginal.normal(fitted.whitened(found))
         return marginalised(*products, np.ones(len(slots)))[0]

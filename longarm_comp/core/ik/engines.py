@@ -6,7 +6,9 @@ iterations, starts.  `tip_poses` and `posture_at` run the model alone by the sam
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from enum import Enum
 from functools import cache
 from typing import Any
@@ -16,7 +18,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context, Layout
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.kernel import Kernel, TwistRow, kernel_of, works
+from longarm_comp.core.ik.kernel import Kernel, TwistRow, kept_kernels, kernel_of, works
 from longarm_comp.core.model.model import Model, unstack
 
 _FEW = 6  # number of targets up to which floats are faster than arrays
@@ -25,29 +27,29 @@ NOTHING = Context().layout
 
 
 class Engine(Enum):
-    """How to run the search; they differ in speed only."""
+    """The ways to run the search; they differ in speed only."""
 
     AUTO = "machine code, for a model that is worth its compilation"
     COMPILED = "machine code"
     MODEL = "the model's own code: what machine code is checked against"
 
 
-class _LongLived:
-    """Whether `warm_up` was called."""
-
-    now = False
+_AT_ONCE: ContextVar[bool] = ContextVar("compile_at_once", default=False)
 
 
-def warm_up(model: Model | None = None, context: Context | None = None) -> None:
-    """Compile models on their first use from now on, which takes a second each; a given one now."""
-    _LongLived.now = True
-    if model is not None:
-        kernel_of(model, (context or Context()).layout).code  # noqa: B018 - is kept
+@contextmanager
+def compile_at_once() -> Iterator[None]:
+    """Compile, within this context, every model that is solved; which takes a second each."""
+    token = _AT_ONCE.set(True)
+    try:
+        yield
+    finally:
+        _AT_ONCE.reset(token)
 
 
-def is_compiled(kernel: Kernel, engine: Engine) -> bool:
-    """Whether one target would be solved by machine code."""
-    return engine is Engine.COMPILED or (engine is Engine.AUTO and "code" in kernel.__dict__)
+def warm_up(model: Model, context: Context | None = None) -> None:
+    """Compile a model now, for contexts of this layout."""
+    kernel_of(model, (context or Context()).layout).code  # noqa: B018 - is kept
 
 
 def run(
@@ -58,24 +60,23 @@ def run(
     targets: np.ndarray,
     starts: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
-    points: np.ndarray,
+    restarts: int,
     tol: float,
-    max_iterations: int,
     radian_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """N searches: from the starts, then from the restarts for the targets that failed.
+    """Run N searches: from the starts, then from restarts for the targets that failed.
 
     Args:
         m: 3 for position tasks, 6 for poses.
         targets: position (m) and axes n, o, a, (N, 12).
         starts, box: (N, n), and lower and upper limits alike; those of a locked joint are at its
             start.
-        points: restarts (S, n + 1): a point in the unit box and the share of the way to it.
+        restarts: their number (`restart_points`).
         tol: tolerance on position (m) and angle (rad); what fails `REACHED` too is restarted.
-        max_iterations: per start.
         radian_m: what a radian of the tool's angle weighs, in metres.
     """
     count, weights = len(targets), (1.0, radian_m)
+    points = restart_points(model.arm.n, restarts)
     q, report = np.empty_like(starts), np.zeros((count, 4))
     report[:, :2] = newton.UNKNOWN
     for first in range(0, count, _CHUNK):
@@ -98,9 +99,10 @@ def run(
                 "live": np.ones((ids.size, 1)),
                 "tol": np.array([tol]),
                 "length": np.array([radian_m]),
-                "permitted": np.array([max_iterations]),
+                "permitted": np.array([newton.MAX_ITERATIONS]),
             }
-            found, left, used = (_compiled if compiled else _own)(model, here, m, given, ids.size)
+            search = _search_compiled if compiled else _search_by_model
+            found, left, used = search(model, here, m, given, ids.size)
             report[ids, 2] += used
             report[ids, 3] += 1
             won = left @ weights < report[ids, :2] @ weights
@@ -112,13 +114,13 @@ def run(
 
 
 def _worth_compiling(model: Model, layout: Layout, count: int) -> bool:
-    """Whether machine code is there, or would soon have saved the time of its compilation."""
+    """Tell whether machine code is there, or would soon have saved the time of its compilation."""
     if not layout.traceable:
         return False
     kernel = kernel_of(model, layout)
     # workload of a batch, in single targets
     kernel.workload += min(count, _FEW + count / 160)
-    return _LongLived.now or is_compiled(kernel, Engine.AUTO) or kernel.workload > 60
+    return _AT_ONCE.get() or kernel.is_compiled or kernel.workload > 60
 
 
 _Given = dict[str, np.ndarray]
@@ -162,7 +164,7 @@ class _Search:
         return np.stack([np.broadcast_to(v, count) for v in self.state[name]], axis=1)
 
 
-def _own(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
+def _search_by_model(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
     flow = newton.flow(model.load_passes, m)
     searches = []
     try:
@@ -184,17 +186,17 @@ def _own(model: Model, context: Context, m: int, given: _Given, count: int) -> _
     return q, size, used[:, 0]
 
 
-def _compiled(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
+def _search_compiled(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
     kernel = kernel_of(model, context.layout)
     packed = {"c": kernel.layout.pack(context, count)}
-    blocks = filled_blocks(kernel, given | packed, count)
+    blocks = fill_blocks(kernel, given | packed, count)
     kernel.code.function(f"many_search{m}")(blocks.ctypes.data, len(blocks))
     q, size, used = (rows_of(blocks, kernel, name, count) for name in ("q", "size", "used"))
     return q, size, used[:, 0]
 
 
-def filled_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
-    """States of K searches for machine code, (number, size, width); unused columns are 0."""
+def fill_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
+    """Fill states of K searches for machine code, (number, size, width); unused columns are 0."""
     width = kernel.code.width
     full, rest = divmod(count, width)
     blocks = np.zeros((full + (rest > 0), kernel.size, width))
@@ -210,14 +212,14 @@ def filled_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
 
 
 def rows_of(blocks: np.ndarray, kernel: Kernel, name: str, count: int) -> np.ndarray:
-    """(K, k): the quantity of a name in such states."""
+    """Return (K, k): the quantity of a name in such states."""
     groups, _, lanes = blocks.shape
     each = blocks[:, kernel.slice(name)].swapaxes(1, 2)
     return each.reshape(groups * lanes, len(kernel.place[name]))[:count]
 
 
 def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """True tip poses as by `Model.pose`, in machine code if the model is compiled.
+    """Return true tip poses as `Model.pose`, in machine code if the model is compiled.
 
     Args:
         q: joints (M, n), rad or m. context: of the M postures, scalars or (M,) arrays.
@@ -229,7 +231,7 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
     kernel = _compiled_kernel(model, context)
     if kernel is None or not len(q):
         return model.pose(q, context)
-    out = _evaluated(kernel, q, context, "out")
+    out = _evaluate(kernel, q, context, "out")
     poses = np.zeros((len(q), 4, 4))
     poses[:, :3, 3] = out[:, :3]
     poses[:, :3, :3] = out[:, 3:12].reshape(-1, 3, 3).swapaxes(1, 2)
@@ -238,32 +240,32 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
 
 
 def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
-    """`Model.posture` at joints (n,) or (M, n), without load passes if the model is compiled."""
+    """Return `Model.posture` at joints (n,) or (M, n), without load passes by a compiled model."""
     rows, kernel = np.atleast_2d(q), _compiled_kernel(model, context)
     if kernel is None or not len(rows):
         return model.posture(unstack(q), context)
-    x = _evaluated(kernel, rows, context, "x")
+    x = _evaluate(kernel, rows, context, "x")
     carried = np.ascontiguousarray(x.T) if q.ndim == 2 else x[0].tolist()
     return model.loaded(unstack(q), context, kernel.row.twists(carried))
 
 
 def _compiled_kernel(model: Model, context: Context) -> Kernel | None:
     layout = context.layout
-    kernel = model.__dict__.get("_kernels", {}).get(layout) if layout.traceable else None
-    return kernel if kernel is not None and is_compiled(kernel, Engine.AUTO) else None
+    kernel = kept_kernels(model).get(layout) if layout.traceable else None
+    return kernel if kernel is not None and kernel.is_compiled else None
 
 
-def _evaluated(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:
-    """(M, k) rows of the state of that name after an evaluation at joints and contexts."""
+def _evaluate(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:
+    """Return rows (M, k) of the state of that name after an evaluation at joints and contexts."""
     c = kernel.layout.pack(context, len(q))
-    blocks = filled_blocks(kernel, {"trial": q, "c": c}, len(q))
+    blocks = fill_blocks(kernel, {"trial": q, "c": c}, len(q))
     kernel.code.function("many_evaluate")(blocks.ctypes.data, len(blocks))
     return rows_of(blocks, kernel, name, len(q))
 
 
 @cache
 def restart_points(n: int, count: int) -> np.ndarray:
-    """(count, n + 1): points of the unit box, and the share of the way from the seed to each.
+    """Return (count, n + 1): points of the unit box, and the share of the way from a seed to each.
 
     A fixed additive recurrence on the generalised plastic number (M. Roberts' R_d).  The first
     stay near the seed.  Every other one is stretched, so that many joints start at a limit.

@@ -72,7 +72,7 @@ class TwistRow:
 
     @classmethod
     def traced(cls, model: Model, layout: Layout) -> TwistRow:
-        """A row without the components that depend neither on joints nor on context or loads."""
+        """Return a row without the components that depend on no joint, context or load."""
         graph = Graph()
         q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
         context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
@@ -106,7 +106,7 @@ Work = Callable[[newton.State], newton.Outcome]
 def works(
     model: Model, context_of: Callable[[newton.State], Context], row: TwistRow
 ) -> dict[str, Work]:
-    """The programs by name, for circumstances that are those of the state."""
+    """Return the programs by name, for circumstances that are those of the state."""
 
     def at(s: newton.State, x: Sequence[Any]) -> Posture:
         return model.loaded(tuple(s["trial"]), context_of(s), row.twists(x))
@@ -143,6 +143,7 @@ class Kernel:
     def __init__(self, model: Model, layout: Layout) -> None:
         self._model, self.arm, self.layout = model, model.arm, layout
         self.passes, self.workload = model.load_passes, 0.0
+        self._code: Any = None
 
     @cached_property
     def row(self) -> TwistRow:
@@ -163,36 +164,44 @@ class Kernel:
         """Slice of a quantity in the state."""
         return slice(self.place[name].start, self.place[name].stop)
 
-    @cached_property
+    @property
+    def is_compiled(self) -> bool:
+        """True if there is machine code already."""
+        return self._code is not None
+
+    @property
     def code(self) -> Any:
         """The programs as machine code (see `codegen.llvm`), and flows of them.
 
         `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix;
         `evaluate` is the model itself at the trial joints.
         """
+        if self._code is None:
+            self._code = self._compile()
+        return self._code
+
+    def _compile(self) -> Any:
         from longarm_comp.core.ik.codegen import llvm
 
         width = llvm.lanes()
         made = works(self._model, lambda s: self.layout.unpack(s["c"]), self.row)
-        programs = {name: _traced(work, self.place) for name, work in made.items()}
+        programs: dict[str, Program] = {}
+        for name, work in made.items():
+            graph = Graph()
+            state = {k: [graph.input(str(i)) for i in r] for k, r in self.place.items()}
+            outputs = {
+                self.place[part][k]: value
+                for part, values in work(state).items()
+                for k, value in enumerate(values)
+                if value is not state[part][k]  # unchanged values need no writing
+            }
+            programs[name] = graph, outputs
         evaluate = newton.evaluation(newton.LEVELS[-1], self.passes, True)
         flows: dict[str, newton.Flow] = {"evaluate": evaluate}
         for m in (3, 6):
             search = newton.flow(self.passes, m)
             flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
         return llvm.compile_module(llvm.module(programs, flows, self.place, width), width)
-
-
-def _traced(work: Work, place: dict[str, range]) -> Program:
-    graph = Graph()
-    state = {k: [graph.input(str(i)) for i in r] for k, r in place.items()}
-    outputs = {
-        place[part][k]: value
-        for part, values in work(state).items()
-        for k, value in enumerate(values)
-        if value is not state[part][k]  # unchanged values need no writing
-    }
-    return graph, outputs
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
@@ -215,15 +224,21 @@ some 2 MB."""
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 
+def kept_kernels(model: Model) -> dict[Layout, Kernel]:
+    """Return the kernels that a model has so far."""
+    kernels: dict[Layout, Kernel] = model.memo.setdefault("kernels", {})
+    return kernels
+
+
 def kernel_of(model: Model, layout: Layout) -> Kernel:
-    """The kernel of a model, kept by content."""
-    held: dict[Layout, Kernel] = model.__dict__.setdefault("_kernels", {})
-    if layout not in held:
+    """Return the kernel of a model, kept by content."""
+    kept = kept_kernels(model)
+    if layout not in kept:
         key = (model.arm.hash, repr(model.effects), model.passes, model.elements_per_beam, layout)
         if key not in _kernels:
             _kernels[key] = Kernel(model, layout)
         _kernels.move_to_end(key)
         while len(_kernels) > MOST_KERNELS:
             _kernels.popitem(last=False)
-        held[layout] = _kernels[key]
-    return held[layout]
+        kept[layout] = _kernels[key]
+    return kept[layout]

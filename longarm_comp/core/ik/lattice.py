@@ -18,8 +18,8 @@ EDGE = 1e-9
 def nearest(
     R: np.ndarray, low: np.ndarray, high: np.ndarray, *, kept: int = 16, max_nodes: int = 4000
 ) -> tuple[np.ndarray, int]:
-    """The points ``R k + y`` nearest to zero, `kept` at most: k (P, n), the nearest first, and the
-    number of visited nodes of the search tree.
+    """Find the points ``R k + y`` nearest to zero, `kept` at most: k (P, n), the nearest first, and
+    the number of visited nodes of the search tree.
 
     They are searched within the radius that holds twice as many on average (the ball's volume
     over that of a cell), and within a larger one if too few of them are in the box.
@@ -42,7 +42,7 @@ class _Tree:
     ) -> None:
         n = self.n = len(R)
         self.low, self.high, self.kept, self.max_nodes = low, high, kept, max_nodes
-        self.R, self.U = _reduced(R)
+        self.R, self.U = _reduce(R)
         # k = W (residual - y): what the levels below may still change it by prunes at the box
         self.W = self.U @ np.linalg.inv(self.R[:, :n])
         self.spread2 = np.cumsum(self.W**2, axis=1)
@@ -96,7 +96,7 @@ class _Tree:
             self.radius2 = min(self.radius2, self.best[-1][0])
 
 
-def _reduced(R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _reduce(R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """LLL-reduced R (n, n + 1), still triangular, and the integer U with new columns = R U."""
     n = len(R)
     R, U = R.copy(), np.eye(n)

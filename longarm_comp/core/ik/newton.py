@@ -85,7 +85,7 @@ def rotation_error(R: _Scalars, target: _Scalars) -> tuple[list[Any], Any]:
 
 
 def skewness(R: _Scalars) -> Any:
-    """How far the axes n, o, a (9 numbers) are from a right-handed rotation: sum of the squares of
+    """Return how far axes n, o, a (9 numbers) are from a right-handed rotation: sum of squares of
     ``R'R - 1`` (once each) and of ``n x o - a``."""
     s = 0.0
     for i in range(3):
@@ -105,6 +105,8 @@ def skewness(R: _Scalars) -> Any:
 State = Mapping[str, _Scalars]
 Outcome = dict[str, _Scalars]
 
+MAX_ITERATIONS = 60
+"""Iterations from one start."""
 UNKNOWN = 1e300  # energy (m^2) before the first evaluation
 _FLOOR = 1e-13  # least damping, in (m per joint range)^2: a third of a micrometre
 REACHED = 1e-6
@@ -180,17 +182,24 @@ def accept(s: State, m: int) -> Outcome:
 
 def begin(n: int) -> Outcome:
     return {
-        "e": [0.0] * 6, "J": [0.0] * (6 * n), "sag": [0.0] * (6 * n), "used": [0.0],
-        "mu": [0.05], "size": [UNKNOWN, UNKNOWN],
-    }  # fmt: skip
+        "e": [0.0] * 6,
+        "J": [0.0] * (6 * n),
+        "sag": [0.0] * (6 * n),
+        "used": [0.0],
+        "mu": [0.05],
+        "size": [UNKNOWN, UNKNOWN],
+    }
 
 
 def opening(s: State) -> Outcome:
     """Enter a level, which requires a new evaluation of the joints."""
     return {
-        "trial": s["q"], "energy": [UNKNOWN], "marked": [UNKNOWN], "since": [0.0],
+        "trial": s["q"],
+        "energy": [UNKNOWN],
+        "marked": [UNKNOWN],
+        "since": [0.0],
         "open": s["live"],
-    }  # fmt: skip
+    }
 
 
 def judge(s: State, span: Sequence[float], m: int, level: Level) -> Outcome:
@@ -243,13 +252,21 @@ def judge(s: State, span: Sequence[float], m: int, level: Level) -> Outcome:
     if level.hasty:
         ended = ended + poor
     return {
-        "q": q, "e": e, "J": J, "sag": learnt, "size": size, "used": [used],
-        "energy": [energy], "mu": [where(go_on, changed, mu)],
-        "marked": [where(moved, energy, s["marked"][0])], "since": [since],
+        "q": q,
+        "e": e,
+        "J": J,
+        "sag": learnt,
+        "size": size,
+        "used": [used],
+        "energy": [energy],
+        "mu": [where(go_on, changed, mu)],
+        "marked": [where(moved, energy, s["marked"][0])],
+        "since": [since],
         "open": [where(ended, 0.0, is_open)],
-        "left": e, "trial": q,
+        "left": e,
+        "trial": q,
         "free": [where(a < b, 1.0, 0.0) for a, b in zip(s["lower"], s["upper"], strict=True)],
-    }  # fmt: skip
+    }
 
 
 def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:

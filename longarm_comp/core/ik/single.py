@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.context import Context, Layout
-from longarm_comp.core.ik.engines import NOTHING, Engine, is_compiled
+from longarm_comp.core.ik import newton
+from longarm_comp.core.ik.engines import NOTHING, Engine
 from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.model.model import Model
 
-# layout, equations, tolerance, iterations, weight of a radian (m)
-_Key = tuple[Layout | None, int, float, int, float]
+# layout, equations, tolerance, weight of a radian (m)
+_Key = tuple[Layout | None, int, float, float]
 # joints (n,); position (m) and angle (rad) residuals, iterations, fault
 _Found = tuple[np.ndarray, list[float]]
 
@@ -24,12 +25,12 @@ class _Workspace:
     """A block of columns, of which the first is used, and views of its inputs and results."""
 
     def __init__(self, kernel: Kernel, key: _Key) -> None:
-        _, m, tol, max_iterations, length = key
+        _, m, tol, length = key
         block = np.zeros((kernel.size, kernel.code.width))
         column = block[:, 0]
         column[kernel.slice("live")] = 1.0
-        column[kernel.slice("tol")], column[kernel.slice("permitted")] = tol, max_iterations
-        column[kernel.slice("length")] = length
+        column[kernel.slice("tol")], column[kernel.slice("length")] = tol, length
+        column[kernel.slice("permitted")] = newton.MAX_ITERATIONS
         for name, limits in zip(_BOX, kernel.arm.box_about(kernel.arm.mid), strict=True):
             block[kernel.slice(name)] = limits[:, None]
         self.box = [column[kernel.slice(name)] for name in _BOX]
@@ -82,7 +83,7 @@ def solve_compiled(
     target: np.ndarray,
     seed: np.ndarray | None,
     context: Context | None,
-    options: tuple[int, float, int, float],
+    options: tuple[int, float, float],
     engine: Engine,
 ) -> _Found | None:
     """Search from a seed (default mid-range) in machine code; options: as the rest of `_Key`.
@@ -91,14 +92,14 @@ def solve_compiled(
     columns, or the input is invalid and needs an error message.
     """
     key = (None if context is None else context.layout, *options)
-    tasks: dict[Any, _Task] = model.__dict__.setdefault("_tasks", {})
+    tasks: dict[Any, _Task] = model.memo.setdefault("tasks", {})
     task = tasks.get(key)
     if task is None:
         layout = key[0] or NOTHING
         if not layout.traceable or not options[1] > 0:
             return None
         kernel = kernel_of(model, layout)
-        if not is_compiled(kernel, engine):
+        if engine is not Engine.COMPILED and not kernel.is_compiled:
             return None
         task = tasks[key] = _Task(kernel, key)
     return task.run(target, task.kernel.arm.mid if seed is None else np.asarray(seed), context)

@@ -17,17 +17,32 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.engines import Engine, restart_points, run, tip_poses, warm_up
+from longarm_comp.core.ik import newton
+from longarm_comp.core.ik.engines import (
+    Engine,
+    compile_at_once,
+    run,
+    tip_poses,
+    warm_up,
+)
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.ik.newton import REACHED, rotation_error, skewness
 from longarm_comp.core.ik.single import solve_compiled
 from longarm_comp.core.model.model import Model
 
-__all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "warm_up"]
+__all__ = [
+    "Engine",
+    "Reason",
+    "Solution",
+    "Solutions",
+    "compile_at_once",
+    "solve",
+    "solve_many",
+    "warm_up",
+]
 
 TOLERANCE = 1e-9
 """Tolerance of the search, m and rad."""
-_MAX_ITERATIONS = 60
 MAX_STARTS = 16
 _NEAR = 1e-2
 """What a radian weighs, as a share of what it weighs else, where orientations cannot be held."""
@@ -79,9 +94,14 @@ class Solutions:
 
     def __getitem__(self, i: int) -> Solution:
         return Solution(
-            self.q[i], bool(self.ok[i]), self.reason[i], float(self.position_residual_m[i]),
-            float(self.angle_residual_rad[i]), int(self.iterations[i]), int(self.starts[i]),
-        )  # fmt: skip
+            self.q[i],
+            bool(self.ok[i]),
+            self.reason[i],
+            float(self.position_residual_m[i]),
+            float(self.angle_residual_rad[i]),
+            int(self.iterations[i]),
+            int(self.starts[i]),
+        )
 
 
 def solve(
@@ -97,7 +117,7 @@ def solve(
     max_starts: int = MAX_STARTS,
     engine: Engine = Engine.AUTO,
 ) -> Solution:
-    """Joints that bring the tip to one target: see `solve_many`."""
+    """Find joints that bring the tip to one target: see `solve_many`."""
     if isinstance(target, Frame):
         target = target.matrix()
     target = np.asarray(target, dtype=float)
@@ -105,7 +125,7 @@ def solve(
         raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
     if not locked and engine is not Engine.MODEL:
         m = 3 if position_only or target.size == 3 else 6
-        options = m, tol, _MAX_ITERATIONS, characteristic_length(model)
+        options = m, tol, characteristic_length(model)
         found = solve_compiled(model, target, seed, context, options, engine)
         if found is not None:
             q, (position, angle, iterations, _) = found
@@ -113,9 +133,17 @@ def solve(
             if position <= reached and angle <= reached:
                 return Solution(q, True, Reason.CONVERGED, position, angle, int(iterations), 1)
     return solve_many(
-        model, target[None], seed=seed, context=context, position_only=position_only,
-        near=near, locked=locked, tol=tol, max_starts=max_starts, engine=engine,
-    )[0]  # fmt: skip
+        model,
+        target[None],
+        seed=seed,
+        context=context,
+        position_only=position_only,
+        near=near,
+        locked=locked,
+        tol=tol,
+        max_starts=max_starts,
+        engine=engine,
+    )[0]
 
 
 def solve_many(
@@ -131,7 +159,7 @@ def solve_many(
     max_starts: int = MAX_STARTS,
     engine: Engine = Engine.AUTO,
 ) -> Solutions:
-    """Joints that bring the tip to each of N targets.
+    """Find joints that bring the tip to each of N targets.
 
     Args:
         model: arm and effects; measuring-side biases are not used.
@@ -154,27 +182,22 @@ def solve_many(
     for k in locked_joints(model, locked):
         lower[:, k] = upper[:, k] = start[:, k]
     context, length = context or Context(), characteristic_length(model)
-    q, report = run(
-        model, context, engine, m, wanted, start, (lower, upper),
-        restart_points(arm.n, max(max_starts - 1, 0)), float(tol), _MAX_ITERATIONS, length,
-    )  # fmt: skip
+    box, restarts, tol = (lower, upper), max(max_starts - 1, 0), float(tol)
+    q, report = run(model, context, engine, m, wanted, start, box, restarts, tol, length)
     position, angle = report[:, 0], report[:, 1]
     iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
     ok = np.maximum(position, angle) <= max(tol, REACHED)
     if near and m == 6 and len(off := np.flatnonzero(~ok)):
-        here, box = context.take(off), (lower[off], upper[off])
+        here, box, to = context.take(off), (lower[off], upper[off]), wanted[off]
         for m_now, radian_m in ((6, _NEAR * length), (3, length)):
-            q[off], found = run(
-                model, here, engine, m_now, wanted[off], q[off], box, restart_points(arm.n, 0),
-                float(tol), _MAX_ITERATIONS, radian_m,
-            )  # fmt: skip
+            q[off], found = run(model, here, engine, m_now, to, q[off], box, 0, tol, radian_m)
             iterations[off] += found[:, 2].astype(int)
         position[off] = found[:, 0]
         ok[off] = position[off] <= max(tol, REACHED)
         angle[off] = rotation_error(axes_of(tip_poses(model, q[off], here)).T, wanted[off, 3:].T)[1]
     reasons = [Reason.CONVERGED] * len(q)
     for i in np.flatnonzero(~ok):
-        if iterations[i] >= starts[i] * _MAX_ITERATIONS:
+        if iterations[i] >= starts[i] * newton.MAX_ITERATIONS:
             reasons[i] = Reason.ITERATIONS
         else:
             at_limit = (q[i] <= arm.bounds[0]) | (q[i] >= arm.bounds[1])
@@ -183,7 +206,7 @@ def solve_many(
 
 
 def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
-    """The fault of each of N targets; an empty string for a valid one."""
+    """Return the fault of each of N targets; an empty string for a valid one."""
     if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
         allowed = "shape (N, 3) or (N, 4, 4)"
         raise InputError(where, "targets", f"shape {targets.shape}", allowed)
@@ -204,17 +227,17 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
 
 
 def position_of(targets: np.ndarray) -> np.ndarray:
-    """Positions (..., 3) of targets (..., 3) or (..., 4, 4), as a view."""
+    """Return positions (..., 3) of targets (..., 3) or (..., 4, 4), as a view."""
     return targets[..., :3, 3] if targets.shape[-2:] == (4, 4) else targets
 
 
 def axes_of(T: np.ndarray) -> np.ndarray:
-    """n, o, a one after the other (N, 9) of poses (N, 4, 4)."""
+    """Return n, o, a one after the other, (N, 9), of poses (N, 4, 4)."""
     return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
 
 
 def _checked_targets(targets: np.ndarray, position_only: bool) -> tuple[np.ndarray, int]:
-    """Checked positions and axes n, o, a, (N, 12), and how many equations each is, 3 or 6."""
+    """Return checked positions and axes n, o, a, (N, 12), and the equations of each, 3 or 6."""
     targets = np.asarray(targets, dtype=float)
     faults = target_faults(targets, position_only, "ik.solve_many")
     if any(faults):
@@ -232,7 +255,7 @@ def _checked_targets(targets: np.ndarray, position_only: bool) -> tuple[np.ndarr
 def checked_seed(
     model: Model, seed: np.ndarray | None, count: int, where: str = "ik.solve_many"
 ) -> np.ndarray:
-    """Checked starts (N, n), clipped to the limits."""
+    """Return checked starts (N, n), clipped to the limits."""
     arm = model.arm
     given = np.asarray(arm.mid if seed is None else seed, dtype=float)
     if given.shape not in ((arm.n,), (count, arm.n)):
@@ -244,7 +267,7 @@ def checked_seed(
 
 
 def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
-    """0-based numbers in q of joints given by number or name."""
+    """Return 0-based numbers in q of joints given by number or name."""
     names = model.arm.joint_names
     indices = []
     for joint in locked:

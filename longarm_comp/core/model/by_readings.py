@@ -18,7 +18,7 @@ from longarm_comp.core.model.model import Model
 
 @dataclass(frozen=True)
 class _Shaft(JointTerm):
-    """Where a joint stands whose encoder reads the commanded value: `Encoder` turned round.
+    """The place of a joint whose encoder reads the commanded value: `Encoder` turned round.
 
     It has the name and parameters of its encoder, whose uncertainty is its own.
     """
@@ -36,7 +36,7 @@ class _Shaft(JointTerm):
 
 
 def by_readings(model: Model) -> Model:
-    """The model whose joints are readings (rad, m) instead of commands."""
+    """Return the model whose joints are readings (rad, m) instead of commands."""
     arm = model.arm
     behind = [t for t in model.terms if not any(sees(arm, row, t) for row in arm.commanded)]
     return model.with_terms(

@@ -9,7 +9,7 @@ from longarm_comp.core.model.model import Model
 
 
 def declared_model(arm: Arm, *, deflection: bool = True) -> Model:
-    """The model of the declared arm: its servos' steps, and the deflection of its beams if
+    """Return the model of the declared arm: its servos' steps, and the deflection of its beams if
     ``deflection`` is set."""
     sag = (LinkDeflection(),) if deflection and arm.links else ()
     stepped = [row for row in arm.commanded if arm.joints[row - 1].step > 0]

@@ -1,4 +1,4 @@
-"""What joint encoders see: the command, and what displaces a joint before its encoder.
+"""Sight of the joint encoders: the command, and what displaces a joint before its encoder.
 
 A drive is a chain: servo, gear, arm (`Effect.acts`).  A motor's encoder sees what the servo does,
 one at the joint what the gear does too.  What an effect displaces is its twist about the joint's
@@ -25,13 +25,13 @@ Parts = Iterable[tuple[Effect, Twists]]
 
 
 def sees(arm: Arm, row: int, term: Effect | Bias) -> bool:
-    """Whether the encoder of a commanded row sees what a term does to its joint."""
+    """Tell whether the encoder of a commanded row sees what a term does to its joint."""
     mine = not term.joints or row in term.joints
     return isinstance(term, Effect) and mine and term.acts in _BEFORE[arm.joints[row - 1].encoder]
 
 
 def tell_apart(arm: Arm, rows: Iterable[int], one: Effect | Bias, other: Effect | Bias) -> bool:
-    """Whether readings of some rows show one of two terms and not the other."""
+    """Tell whether readings of some rows show one of two terms and not the other."""
     return any(
         sees(arm, row, one) != sees(arm, row, other)
         for row in rows
@@ -40,7 +40,7 @@ def tell_apart(arm: Arm, rows: Iterable[int], one: Effect | Bias, other: Effect 
 
 
 def seen(chain: Chain, parts: Parts) -> tuple[Scalar, ...]:
-    """By how much the encoder of each commanded joint sees it displaced, n scalars (rad or m)."""
+    """Return by how much each commanded joint's encoder sees it displaced, n scalars (rad, m)."""
     total: list[Scalar] = [0.0] * chain.arm.n
     for term, twists in parts:
         for k, (row, station, axis, unit) in enumerate(chain.own_axes):

@@ -12,7 +12,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import followed, write_bytes
 
 
-def put(path: str | Path, content: bytes) -> None:
+def write_version(path: str | Path, content: bytes) -> None:
     """Write a model file's bytes atomically. An existing file becomes the previous version.
 
     It is first kept beside both, so that broken off anywhere both versions are still there.
@@ -26,7 +26,7 @@ def put(path: str | Path, content: bytes) -> None:
 
 
 def settle(path: str | Path) -> None:
-    """Finish a `put` that was broken off: what it kept is the previous version, or not needed."""
+    """Finish a broken-off `write_version`: what it kept is the previous version, or not needed."""
     path = Path(path)
     kept = _beside(path, "before")
     if not os.path.isfile(kept):
@@ -34,7 +34,7 @@ def settle(path: str | Path) -> None:
     if os.path.isfile(path) and path.read_bytes() == kept.read_bytes():  # nothing was replaced
         kept.unlink()
     else:
-        replaced(kept, previous(path))
+        replace_file(kept, previous(path))
 
 
 def previous(path: str | Path) -> Path:
@@ -49,8 +49,8 @@ def _beside(path: str | Path, what: str) -> Path:
     return path.with_name(f"{path.stem}.{what}{path.suffix}")
 
 
-def replaced(path: Path, to: str | Path) -> None:
-    """A file takes the place of another."""
+def replace_file(path: Path, to: str | Path) -> None:
+    """Return a file takes the place of another."""
     try:
         os.replace(path, followed(to))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Where the links of an arm stand, by the names of its URDF, and which boxes they enter."""
+"""Places of an arm's links, by the names of its URDF, and the boxes that they enter."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from longarm_comp.core.arm import quaternion
-from longarm_comp.core.arm.arm import Joint
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
 
@@ -29,7 +29,7 @@ def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.n
 
 
 def reach(model: Model) -> tuple[np.ndarray, float]:
-    """Where the arm stands (3,), and how far the tip can be from there at most, m.
+    """Return where the arm stands (3,), and how far the tip can be from there at most, m.
 
     It is the length of its outline with every slide driven out.
     """
@@ -59,7 +59,7 @@ class Placed:
 
     @classmethod
     def at(cls, parent: str, name: str, pose: np.ndarray) -> Placed:
-        """From a pose (4, 4)."""
+        """Return the frame of a pose (4, 4)."""
         return cls(parent, name, pose[:3, 3], quaternion.from_rotation(pose[:3, :3]))
 
 
@@ -90,7 +90,7 @@ def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
 
 
 def entered(model: Model, path: np.ndarray) -> str:
-    """Which box a move enters, where, and at which joints; empty if it enters none.
+    """Say which box a move enters, where, and at which joints; empty if it enters none.
 
     The arm is the line through its stations, from the foot to the tip: a box must be larger than
     the thing that it protects by the arm's radius. Between way-points joints move straight.
@@ -104,7 +104,7 @@ def entered(model: Model, path: np.ndarray) -> str:
 
 
 def entered_at(model: Model, q: np.ndarray) -> str:
-    """As `entered`, for postures (M, n) on the way."""
+    """Say the same as `entered`, for postures (M, n) on the way."""
     for joints, found in zip(q.tolist(), boxes_entered(model, q), strict=True):
         if found:
             at = ", ".join(f"{number:.3g}" for number in joints)
@@ -113,7 +113,7 @@ def entered_at(model: Model, q: np.ndarray) -> str:
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
-    """`entered_at` for joints (M, n) in the order of their names; None where there are no boxes."""
+    """Return `entered_at` of joints (M, n) in the order of their names; None without boxes."""
     if not model.arm.keep_out:
         return None
     order = model.arm.order(names, where)
@@ -121,7 +121,7 @@ def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray],
 
 
 def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
-    """For each of the postures q (M, n): the box of arm.yaml that the arm is in, and where.
+    """Say, for each of the postures q (M, n): the box of arm.yaml that the arm is in, and where.
 
     A box that the arm's foot stands in, as a floor above the foot, is left once: what comes after
     must stay out, and so must the tip.

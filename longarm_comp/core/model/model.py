@@ -24,7 +24,7 @@ from longarm_comp.core.arm.posture import PLACEMENT, Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 from longarm_comp.core.model.encoders import Parts
-from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, moved, stack
+from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, move_tip, stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 
@@ -83,6 +83,7 @@ class Model:
         ended_s: where the clock of its session stood at the end, s; None if that is not known.
         frame_shift: m, what the measuring side moved the fitted rows by, on average: so far from
             where the arm is lies the frame in which it was measured.
+        chain: the arm's stations; made from `arm` and `elements_per_beam`, never given.
     """
 
     arm: Arm
@@ -96,6 +97,12 @@ class Model:
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
     ended_s: float | None = field(default=None, compare=False)
     frame_shift: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), compare=False)
+    chain: Chain = field(default=None, compare=False)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        known = self.chain  # of the model that this one is a changed copy of
+        if known is None or known.arm is not self.arm or known.cuts != self.elements_per_beam:
+            object.__setattr__(self, "chain", Chain(self.arm, self.elements_per_beam))
 
     def __repr__(self) -> str:
         counts = Counter(term.name for term in self.terms)
@@ -109,11 +116,6 @@ class Model:
         """State for copies and other processes, without compiled programs."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
-    @cached_property
-    def chain(self) -> Chain:
-        """The arm's stations."""
-        return Chain(self.arm, self.elements_per_beam)
-
     @property
     def terms(self) -> tuple[Effect | Bias, ...]:
         """Effects, then biases."""
@@ -125,7 +127,7 @@ class Model:
         return tuple(self._within(slot) for slot in slots_of(self.arm, self.terms))
 
     def _within(self, slot: Slot) -> Slot:
-        """The parameter with the prior that this model gives it."""
+        """Return the parameter with the prior that this model gives it."""
         p, owner = slot.parameter, slot.owner
         share = dict(self.beyond).get(slot.identity, 1.0)
         if owner.geometry and not owner.passing and not p.unknown:
@@ -139,8 +141,13 @@ class Model:
         """Parameter values, (p,)."""
         return np.array([s.value for s in self.slots], dtype=float)
 
+    @cached_property
+    def memo(self) -> dict[str, Any]:
+        """Results that others derive from this model and keep with it, by name."""
+        return {}
+
     def with_values(self, values: np.ndarray) -> Model:
-        """A copy with other parameter values, (p,)."""
+        """Return a copy with other parameter values, (p,)."""
         changes: list[dict[str, float]] = [{} for _ in self.terms]
         for slot, value in zip(self.slots, values, strict=True):
             changes[slot.term][slot.parameter.name] = float(value)
@@ -149,7 +156,7 @@ class Model:
         )
 
     def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
-        """A copy with those of the terms that it does not hold yet, the first at each place."""
+        """Return a copy with those of the terms that it lacks, the first at each place."""
         known = {(t.name, t.where) for t in self.terms}
         new: dict[tuple[str, str], Effect | Bias] = {}
         for term in terms:
@@ -158,57 +165,66 @@ class Model:
         return self.plus(*new.values())
 
     def lasting(self) -> Model:
-        """A copy without facts of one session, such as the place of a touched point."""
+        """Return a copy without facts of one session, such as the place of a touched point."""
         kept = [t for t in self.terms if not t.passing]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
     def without(self, places: Container[tuple[str, str]]) -> Model:
-        """A copy without its terms at some places (`Effect.key`)."""
+        """Return a copy without its terms at some places (`Effect.key`)."""
         return self.with_terms([t for t in self.terms if t.key not in places])
 
     def with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
-        """A copy with these terms and no others."""
-        model = dataclasses.replace(
+        """Return a copy with these terms and no others."""
+        return dataclasses.replace(
             self,
             effects=tuple(t for t in terms if isinstance(t, Effect)),
             biases=tuple(t for t in terms if isinstance(t, Bias)),
         )
-        model.__dict__["chain"] = self.chain
-        return model
 
     def plus(self, *terms: Effect | Bias) -> Model:
-        """A copy with further terms."""
+        """Return a copy with further terms."""
         return self.with_terms([*self.terms, *terms])
 
     def told_by(self, context: Context) -> Model:
-        """Without the terms that read a quantity which the context lacks; itself with all."""
+        """Return a copy without terms that read what the context lacks; itself with all."""
         kept = [term for term in self.terms if not term.missing(context)]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
     # ------------------------------------------------------------------ predict
 
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
-        """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
+        """Return the loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context()
-        return self._passed(self.unsagged(q, context), self.load_passes)
+        return self._pass_loads(self.unsagged(q, context), self.load_passes)
 
     def posture_near(self, known: Posture, close: bool = False) -> Posture:
-        """`posture` at the joints and circumstances of a known one of a similar model.
+        """Return `posture` at the joints and circumstances of a known one of a similar model.
 
         Its loads save a pass; where they differ so little (`close`), one pass will do.
         """
         if any(e.changes_loads for e in self.effects):
-            known = self._weighed(known)
-        return self._passed(known, 1 if close else max(self.load_passes - 1, 1))
+            known = self._weigh(known)
+        return self._pass_loads(known, 1 if close else max(self.load_passes - 1, 1))
 
-    def _weighed(self, posture: Posture) -> Posture:
-        """A posture's frames under this model's gravity and masses."""
-        gravity = self._gravity(posture.context)
-        bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
+    def _weigh(self, posture: Posture) -> Posture:
+        """Return a posture's frames under this model's gravity and masses."""
+        gravity: Vec = self.arm.gravity_mps2  # in the frame of the measurements
+        for effect in self.effects:
+            gravity = effect.gravity(gravity)
+        home = self.arm.base.frame()
+        for twists in self._placements(posture.context):
+            turn = spatial.exp_large(twists[PLACEMENT])
+            gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
+        bare = dataclasses.replace(posture, gravity=gravity, extra=())
         extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
-        return dataclasses.replace(bare, extra=extra, _cache={}) if extra else bare
+        return dataclasses.replace(bare, extra=extra) if extra else bare
 
-    def _passed(self, posture: Posture, passes: int) -> Posture:
+    def _placements(self, context: Context) -> list[Twists]:
+        """Return the twists of the effects that place the base."""
+        bare = self.unplaced((), context)
+        return [effect.twists(bare) for effect in self.effects if effect.seen_only]
+
+    def _pass_loads(self, posture: Posture, passes: int) -> Posture:
         for _ in range(passes):
             posture = self.loaded(posture.q, posture.context, self.twists(posture))
         return posture
@@ -219,38 +235,24 @@ class Model:
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
 
     def unsagged(self, q: Sequence[Scalar], context: Context) -> Posture:
-        """The arm at q as its base stands, before any other effect: where the load passes begin."""
-        bare = self.unplaced((), context)
-        standing = spatial.summed(e.twists(bare) for e in self.effects if e.seen_only)
-        return self.loaded(q, context, standing)
+        """Return the arm at q as its base stands, without other effects: the first load pass."""
+        return self.loaded(q, context, spatial.sum_twists(self._placements(context)))
 
     def unplaced(self, q: Sequence[Scalar], context: Context) -> Posture:
-        """The joints at q without frames and loads, for effects that depend on neither."""
+        """Return the joints at q without frames and loads, for effects that depend on neither."""
         return Posture(self.chain, tuple(q), context, [], [], self.arm.gravity_mps2)
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
-        """The arm at q with given twists (by station), and its loads."""
+        """Return the arm at q with given twists (by station), and its loads."""
         placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
-        return self._weighed(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
-
-    def _gravity(self, context: Context) -> Vec:
-        """Gravity (m/s^2) in the frame of the measurements."""
-        gravity: Vec = self.arm.gravity_mps2
-        for effect in self.effects:
-            gravity = effect.gravity(gravity)
-        bare, home = self.unplaced((), context), self.arm.base.frame()
-        for effect in self.effects:
-            if effect.seen_only:
-                turn = spatial.exp_large(effect.twists(bare)[PLACEMENT])
-                gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
-        return gravity
+        return self._weigh(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
 
     def twists(self, posture: Posture) -> Twists:
-        """Sum of all effects' twists, by station."""
-        return spatial.summed(effect.twists(posture) for effect in self.effects)
+        """Return the sum of all effects' twists, by station."""
+        return spatial.sum_twists(effect.twists(posture) for effect in self.effects)
 
     def tip_frame(self, posture: Posture) -> Frame:
-        """Pose of the tip (of the marker that the context names) in the base frame."""
+        """Return the pose of the tip (of the marker that the context names) in the base frame."""
         tip = self.arm.tip
         frame = posture.frames[posture.spot()] @ tip.pose()
         if not self.arm.markers or "marker" not in posture.context.labels:
@@ -263,21 +265,21 @@ class Model:
         return frame._replace(p=p)
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec:
-        """The point as a sensor of that kind reports it: its biases applied in order."""
+        """Return the point as a sensor of that kind reports it: its biases applied in order."""
         for bias in self.biases:
             if kind in bias.sees:
                 point = bias.seen(point, context, self.arm)
         return point
 
     def seen_axes(self, tip: Frame, context: Context) -> Frame:
-        """The tip's axes as a sensor of poses reports them; they need not be of unit length."""
+        """Return the tip's axes as a sensor of poses reports them, of any length."""
         for bias in self.biases:
             if "orientation" in bias.sees:
                 tip = bias.seen_pose(tip, context, self.arm)
         return tip
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """Reading of a DH row's encoder if it sees its joint at a value (rad or m)."""
+        """Return the reading of a DH row's encoder if it sees its joint at a value (rad or m)."""
         for bias in self.biases:
             value = bias.read(value, row)
         return value
@@ -317,7 +319,7 @@ class Model:
     def motion(
         self, posture: Posture, slots: Sequence[Slot] | None = None, turns: bool = False
     ) -> TipMotion:
-        """The tip at N postures and its motion per unit of every parameter, as `columns`.
+        """Return the tip at N postures and its motion per unit of every parameter, as `columns`.
 
         `turns`: whether the turns of the tip's axes are wanted.
         """
@@ -326,10 +328,10 @@ class Model:
         for slot in slots:
             term, per = slot.owner, 0.5 / slot.step
             if isinstance(term, Bias):
-                raised, lowered = (self._changed(term, end) for end in slot.ends)
+                raised, lowered = (self._with_changed(term, end) for end in slot.ends)
                 ends.append(Reseen(raised, lowered, per, term.sees))
             elif term.changes_loads:
-                ends.append(self._reloaded(slot, posture))
+                ends.append(self._change_of_loads(slot, posture))
             else:
                 up, down = ([(term, end.twists(posture))] for end in slot.ends)
                 ends.append(TwistChange(up, down, per))
@@ -338,7 +340,7 @@ class Model:
     def added(
         self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
     ) -> TipMotion:
-        """The tip and its motion by each of some terms outside the model.
+        """Return the tip and its motion by each of some terms outside the model.
 
         To first order, by Eq. (5). It is meant for terms without free parameters.
         """
@@ -355,36 +357,36 @@ class Model:
     ) -> TipMotion:
         tip = self.tip_frame(posture)
         arm_side = [e for e in ends if isinstance(e, TwistChange)]
-        shifts = iter(moved(posture, tip.p, arm_side, turns))
+        shifts = iter(move_tip(posture, tip.p, arm_side, turns))
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
         return TipMotion(self, posture, tip, changes, arm_side)
 
-    def _reloaded(self, slot: Slot, posture: Posture) -> TwistChange:
-        """Change of the twists that depend on the loads, with a parameter that changes these."""
+    def _change_of_loads(self, slot: Slot, posture: Posture) -> TwistChange:
+        """Return how twists that depend on the loads change, by a parameter that changes these."""
         if not any(term is slot.owner for term in self.terms):  # from none of such a load on
             none = {p.name: 0.0 for p in slot.owner.parameters(self.arm)}
             slot = dataclasses.replace(slot, owner=slot.owner.with_values(none))
-        model = self._changed(slot.owner, slot.ends[0])
-        raised = model._under_load(model._weighed(posture))
+        model = self._with_changed(slot.owner, slot.ends[0])
+        raised = model._under_load(model._weigh(posture))
         return TwistChange(raised, self._under_load(posture), 1.0 / slot.step)
 
     def _under_load(self, posture: Posture) -> Parts:
-        """The twists that depend on the loads."""
+        """Return the twists that depend on the loads."""
         return [(e, e.twists(posture)) for e in self.effects if e.loaded or e.changes_loads]
 
-    def _changed(self, term: Effect | Bias, to: Effect | Bias) -> Model:
-        """A copy with a term changed, which is added if the model does not hold it."""
+    def _with_changed(self, term: Effect | Bias, to: Effect | Bias) -> Model:
+        """Return a copy with a term changed, which is added if the model does not hold it."""
         terms = [to if t is term else t for t in self.terms]
         return self.with_terms(terms if any(t is to for t in terms) else [*terms, to])
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
-    """The free parameters of some terms."""
+    """Return the free parameters of some terms."""
     every = ((t, term, p) for t, term in enumerate(terms) for p in term.parameters(arm))
     return tuple(Slot(t, term, p) for t, term, p in every if p.prior > 0)
 
 
 def unstack(q: np.ndarray) -> tuple[Scalar, ...]:
-    """(n,) -> n floats; (N, n) -> n arrays of (N,)."""
+    """Split (n,) into n floats, (N, n) into n arrays of (N,)."""
     joints = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
     return tuple(np.ascontiguousarray(v) if v.ndim else float(v) for v in joints)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_type_hints
 
@@ -24,9 +24,14 @@ from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.file_versions import previous, put, replaced, settle
+from longarm_comp.core.model.file_versions import previous, replace_file, settle, write_version
 from longarm_comp.core.model.model import Model, slots_of
-from longarm_comp.core.model.uncertainty import ModelUncertainty, read, triangular, written
+from longarm_comp.core.model.uncertainty import (
+    ModelUncertainty,
+    decode_triangle,
+    encode_triangle,
+    triangular,
+)
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 _Square = tuple[Vec3, Vec3, Vec3]
@@ -68,7 +73,7 @@ class _ArmReference(Declared):
 
 
 class _StoredUncertainty(Declared):
-    """How far off the tip may be (`ModelUncertainty`). Parameters in the order of the file."""
+    """A stored `ModelUncertainty`: how far off the tip may be; parameters in the file's order."""
 
     factor: list[str] = Field(description="triangle of the covariance, rows in base 64")
     structure_m2: _Square
@@ -115,7 +120,7 @@ def store(
     origins: Mapping[int, str] | None = None,
     intervals: Mapping[tuple[int, str], tuple[float, float]] | None = None,
 ) -> StoredModel:
-    """The stored form of a model.
+    """Return the stored form of a model.
 
     Args:
         standard_errors: (p,) of its parameters, for normal intervals.
@@ -142,58 +147,67 @@ def store(
         }
         side = "camera" if isinstance(term, Bias) else "geometry" if term.geometry else "effects"
         stored = _StoredTerm(
-            effect=term.name, where=term.where, form=term.placement, parameters=parameters,
+            effect=term.name,
+            where=term.where,
+            form=term.placement,
+            parameters=parameters,
             origin=(origins or {}).get(number, ""),
-        )  # fmt: skip
+        )
         sides[side].append(stored)
     arm = _ArmReference(name=model.arm.name, hash=model.arm.hash)
     # Effects from outside the package, which the user must provide again
     known = {f"{term.name}_from": origin(type(term)) for term in model.terms}
     outside = {name: source for name, source in known.items() if source}
     return StoredModel(
-        schema="longarm/model/1", version=version, arm=arm, passes=model.passes,
-        elements_per_beam=model.elements_per_beam, arrivals=model.arrivals,
-        provenance={**(provenance or {}), **outside}, placement=_bases(model),
-        uncertainty=_stored_uncertainty(model), ended_s=model.ended_s,
-        frame_shift_m=model.frame_shift, **sides,
-    )  # fmt: skip
+        schema="longarm/model/1",
+        version=version,
+        arm=arm,
+        passes=model.passes,
+        elements_per_beam=model.elements_per_beam,
+        arrivals=model.arrivals,
+        provenance={**(provenance or {}), **outside},
+        placement=_base_poses(model),
+        uncertainty=_store_uncertainty(model),
+        ended_s=model.ended_s,
+        frame_shift_m=model.frame_shift,
+        **sides,
+    )
 
 
-def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
-    """What the model's record says, its parameters in the order in which `restore` has them."""
+def _store_uncertainty(model: Model) -> _StoredUncertainty | None:
+    """Return the model's record, its parameters in the order in which `restore` has them."""
     known = model.uncertainty
     if known is None:
         return None
-    order = [slot.identity for slot in slots_of(model.arm, _in_file(model))]
+    kept = [t for t in model.terms if not t.passing]
+    in_file = sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
+    order = [slot.identity for slot in slots_of(model.arm, in_file)]
     factor = np.zeros((len(order), known.factor.shape[1]))
     for k, identity in enumerate(order):
         if identity in known.row:
             factor[k] = known.factor[known.row[identity]]
     return _StoredUncertainty(
-        factor=written(triangular(factor)),
-        structure_m2=known.structure.tolist(), noise_m2=known.noise.tolist(),
-        largest_m=known.largest_m, rows=known.rows, frame_m2=known.frame.tolist(),
+        factor=encode_triangle(triangular(factor)),
+        structure_m2=known.structure.tolist(),
+        noise_m2=known.noise.tolist(),
+        largest_m=known.largest_m,
+        rows=known.rows,
+        frame_m2=known.frame.tolist(),
         circumstances=dict(known.circumstances),
-    )  # fmt: skip
+    )
 
 
-def _in_file(model: Model) -> list[Effect | Bias]:
-    """The terms as they stand in the file, and in a model that is read from it."""
-    kept = [t for t in model.terms if not t.passing]
-    return sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
-
-
-def _bases(model: Model) -> dict[str, Pose]:
-    """Where every base stands, as `base` of arm.yaml would say it."""
-    made = {}
+def _base_poses(model: Model) -> dict[str, Pose]:
+    """Return the place of every base, as `base` of arm.yaml would say it."""
+    poses = {}
     for effect in model.effects:
         frame = effect.base(model.arm)
         if frame is not None:
             matrix = frame.matrix()
             x, y, z = (round(float(v), 7) for v in matrix[:3, 3])
             roll, pitch, yaw = (round(math.degrees(v), 6) for v in roll_pitch_yaw(matrix[:3, :3]))
-            made[effect.where] = Pose(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
-    return made
+            poses[effect.where] = Pose(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
+    return poses
 
 
 def save_model(path: str | Path, stored: StoredModel) -> None:
@@ -201,7 +215,7 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
     data = stored.model_dump(mode="json", by_alias=True)
     text = yaml.safe_dump(data, sort_keys=False, width=100)
     head = "Written by longarm; values in SI units. Geometry, effects and measuring-side biases."
-    put(path, f"# {head}\n{text}".encode())
+    write_version(path, f"# {head}\n{text}".encode())
 
 
 def undo(path: str | Path) -> None:
@@ -211,16 +225,16 @@ def undo(path: str | Path) -> None:
     if not kept.is_file():
         raise InputError(str(path), "previous version", "missing", f"a file {kept.name}")
     read_stored(kept)
-    replaced(kept, path)
+    replace_file(kept, path)
 
 
 def read_stored(path: str | Path) -> StoredModel:
-    """The file's contents, validated."""
+    """Return the file's contents, validated."""
     return parse_declared(StoredModel, read_yaml(path), str(path))
 
 
 def load_model(path: str | Path, arm: Arm) -> Model:
-    """The model in a file.
+    """Return the model in a file.
 
     Raises:
         InputError: as `read_stored`; the file belongs to another arm; an unknown place or
@@ -230,7 +244,7 @@ def load_model(path: str | Path, arm: Arm) -> Model:
 
 
 def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
-    """A model from its stored form."""
+    """Return a model from its stored form."""
     if stored.arm.hash != arm.hash:
         mine = f"the arm given: {arm.name} {arm.hash[:12]}"
         allowed = f"{mine} (calibrate again after editing arm.yaml)"
@@ -266,22 +280,24 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
     if stored.arrivals and len(stored.arrivals) != arm.n:
         allowed = f"two numbers for each of {arm.n} joints, or none"
         raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
-    bare = Model(
-        arm, passes=stored.passes, elements_per_beam=stored.elements_per_beam,
-        arrivals=stored.arrivals, ended_s=_ended(stored, terms),
-    )  # fmt: skip
-    model = bare.with_terms(terms)
-    told = _uncertainty(stored, model, where)
-    return dataclasses.replace(model, uncertainty=told, frame_shift=stored.frame_shift_m)
+    ended_s = stored.ended_s
+    if ended_s is None:  # functions of the session's clock may say when it ended
+        factors = (f for term in terms for f in getattr(term, "of", Function()).factors)
+        ended_s = max((f.high for f in factors if f.of == CLOCK), default=None)
+    model = Model(
+        arm,
+        effects=tuple(t for t in terms if isinstance(t, Effect)),
+        biases=tuple(t for t in terms if isinstance(t, Bias)),
+        passes=stored.passes,
+        elements_per_beam=stored.elements_per_beam,
+        arrivals=stored.arrivals,
+        ended_s=ended_s,
+        frame_shift=stored.frame_shift_m,
+    )
+    return dataclasses.replace(model, uncertainty=_restore_uncertainty(stored, model, where))
 
 
-def _ended(stored: StoredModel, terms: Sequence[Effect | Bias]) -> float | None:
-    """When the session ended; a file that does not say it may hold functions that do."""
-    told = (f for term in terms for f in getattr(term, "of", Function()).factors if f.of == CLOCK)
-    return max((f.high for f in told), default=None) if stored.ended_s is None else stored.ended_s
-
-
-def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:
+def _restore_uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:
     given, slots = stored.uncertainty, model.slots
     if given is None:
         return None
@@ -289,22 +305,21 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
         allowed = f"{len(slots)}, one a parameter"
         raise InputError(where, "uncertainty.factor", f"{len(given.factor)} lines", allowed)
     try:
-        factor = read(given.factor)
+        factor = decode_triangle(given.factor)
     except ValueError as error:
         allowed = "base 64 of as many 32-bit numbers as its number"
         raise InputError(where, "uncertainty.factor", str(error), allowed) from None
-    told = ("structure_m2", "noise_m2", "frame_m2")
-    squares = {name: np.array(getattr(given, name)) for name in told}
+    names = ("structure_m2", "noise_m2", "frame_m2")
+    squares = {name: np.array(getattr(given, name)) for name in names}
     for name, square in squares.items():
         least, size = np.linalg.eigvalsh(square).min(), np.abs(square).max()
         if least < -1e-9 * size or not np.allclose(square, square.T, atol=1e-9 * size):
             raise InputError(where, f"uncertainty.{name}", "no covariance", "a covariance, m^2")
-    names = tuple(slot.identity for slot in slots)
     for name, (low, high) in given.circumstances.items():
         if not low <= high:
             raise InputError(where, f"uncertainty.circumstances.{name}", [low, high], "low, high")
     return ModelUncertainty(
-        names,
+        tuple(slot.identity for slot in slots),
         factor,
         squares["structure_m2"],
         squares["noise_m2"],
@@ -316,7 +331,7 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
 
 
 def _check_placement(term: Effect | Bias, arm: Arm, where: str) -> None:
-    """Places and forms are of the declared kind, forms on their scale, places on this arm."""
+    """Check places and forms: of the declared kind, on their scale, on this arm."""
     kinds = get_type_hints(type(term))
     for name, value in term.placement.items():
         kind = kinds[name]

@@ -1,4 +1,4 @@
-"""How the tip, and what a sensor reports of it, moves with each parameter of a model.
+"""Motion of the tip, and of what a sensor reports of it, by each parameter of a model.
 
 The arm side moves the tip: by Eq. (5) a shift of the point and a turn of its axes.  The camera
 side moves what is reported of a tip that stays.  A kind of measurement
@@ -79,7 +79,7 @@ class TipMotion:
 
     @cached_property
     def joints(self) -> list[Scalar]:
-        """Where the encoder of each joint sees it, n scalars, rad or m."""
+        """The place at which the encoder of each joint sees it, n scalars, rad or m."""
         parts = [(e, e.twists(self.posture)) for e in self.model.effects]
         off = encoders.seen(self.posture.chain, parts)
         return [q + by for q, by in zip(self.posture.q, off, strict=True)]
@@ -94,7 +94,7 @@ class TipMotion:
         return made
 
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
-        """Reported point (N, 3) in m and its derivative (N, 3, p)."""
+        """Return the reported point (N, 3) in m and its derivative (N, 3, p)."""
         seen = self.model.seen(self.frame.p, self.context, kind)
         free = seen is self.frame.p
         blocks = [self._point_change(change, kind, free) for change in self.changes]
@@ -111,7 +111,7 @@ class TipMotion:
         return change.shift if free else self._reported(change.shift, kind)
 
     def _reported(self, shift: Vec, kind: str) -> Vec:
-        """Derivative of the reported point as the tip moves along a shift."""
+        """Return the derivative of the reported point as the tip moves along a shift."""
         tip, by = self.frame.p, spatial.scale(_H, shift)
         up, down = (
             self.model.seen(end, self.context, kind)
@@ -120,8 +120,8 @@ class TipMotion:
         return spatial.scale(0.5 / _H, spatial.sub(up, down))
 
     def read(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
-        """Reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and its
-        derivative (N, 1, p)."""
+        """Return the reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and
+        its derivative (N, 1, p)."""
         at, model, row = self.joints[joint], self.model, self.model.arm.commanded[joint]
         gain = (model.read(at + _H, row) - model.read(at - _H, row)) * (0.5 / _H)
         moves = iter(self.joint_changes)
@@ -140,7 +140,7 @@ class TipMotion:
         return _together(stack(self.frame.p), blocks)[1]
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Reported axes of the tip (N, 3, 3) and their turn (rad) by each parameter (N, 3, p).
+        """Return reported axes of the tip (N, 3, 3), their turn (rad) by each parameter (N, 3, p).
 
         How a bias turns the axes may depend on where the tip is; that part is left out.
         """
@@ -160,7 +160,7 @@ class TipMotion:
             n, o, a = (turn.rotate(v) for v in self.frame[:3])
             tip = Frame(n, o, a, self.frame.p)
             ends.append(self.model.seen_axes(tip, self.context))
-        return spatial.scale(0.5 / _H, spatial.turned(ends[0], ends[1]))
+        return spatial.scale(0.5 / _H, spatial.small_rotation(ends[0], ends[1]))
 
     def _turn(self, change: _Moved | Reseen, gain: list[Vec]) -> Vec:
         if isinstance(change, _Moved):
@@ -169,10 +169,10 @@ class TipMotion:
         if "orientation" not in change.sees:
             return spatial.ZERO
         ends = [s.seen_axes(self.frame, self.context) for s in (change.raised, change.lowered)]
-        return spatial.scale(change.per, spatial.turned(ends[0], ends[1]))
+        return spatial.scale(change.per, spatial.small_rotation(ends[0], ends[1]))
 
 
-def moved(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
+def move_tip(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
     """Eq. (5): the tip's motion under changes of twists.
 
     Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
@@ -197,7 +197,7 @@ def _sum(vectors: list[np.ndarray]) -> Vec:
 
 def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
     """Station, component of its twist (0 to 5), and by how much it changes, where it does."""
-    raised, lowered = (spatial.summed(twists for _, twists in part) for part in end[:2])
+    raised, lowered = (spatial.sum_twists(twists for _, twists in part) for part in end[:2])
     for station in sorted({*raised, *lowered}):
         up = raised.get(station, spatial.ZERO_TWIST)
         down = lowered.get(station, spatial.ZERO_TWIST)
@@ -240,7 +240,7 @@ def stack(v: Vec) -> np.ndarray:
 def _together(
     whole: np.ndarray, blocks: Sequence[tuple[Scalar, ...]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A value (N, k), and p blocks of its k components in its shape, (N, k, p)."""
+    """Return a value (N, k), and p blocks of its k components in its shape, (N, k, p)."""
     columns = np.empty((len(blocks), whole.shape[-1], *whole.shape[:-1]))
     for column, block in zip(columns, blocks, strict=True):
         for axis, component in enumerate(block):

@@ -1,4 +1,4 @@
-"""How far off the tip may be: what a fitted model keeps of the rows that it was fitted to.
+"""The expected error of the tip: what a fitted model keeps of the rows that it was fitted to.
 
 The error of the tip has two parts.  The parameters are known to their covariance, which
 `Model.columns` carries to the tip at any joints: it grows away from the rows.  What no parameter
@@ -28,7 +28,7 @@ _Identity = tuple[object, ...]
 
 @dataclass(frozen=True, eq=False)
 class ModelUncertainty:
-    """What is not known of a fitted model.
+    """The record of what is not known of a fitted model.
 
     Attributes:
         slots: identities of the fitted parameters (`Slot.identity`).
@@ -68,7 +68,7 @@ class ModelUncertainty:
 
 
 def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Expected length of a normal error, and the length that it stays below in 90 of 100 cases.
+    """Return the expected length of a normal error, and what it stays below in 90 of 100 cases.
 
     The squared length is taken to be gamma distributed (Satterthwaite 1946, Biometrics Bull. 2),
     its cube root normal (Wilson and Hilferty 1931, PNAS 17): right to 2 % for any covariance.
@@ -108,14 +108,14 @@ def triangular(factor: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.qr(wide.T, mode="r")).T
 
 
-def written(factor: np.ndarray) -> list[str]:
-    """A lower triangle as text, a row a line: 32-bit numbers, little-endian, in base 64."""
+def encode_triangle(factor: np.ndarray) -> list[str]:
+    """Write a lower triangle as text, a row a line: 32-bit numbers, little-endian, in base 64."""
     rows = factor.astype("<f4")
     return [base64.b64encode(rows[k, : k + 1].tobytes()).decode() for k in range(len(rows))]
 
 
-def read(lines: Sequence[str]) -> np.ndarray:
-    """The triangle that `written` wrote. Raises `ValueError` with the number of a wrong line."""
+def decode_triangle(lines: Sequence[str]) -> np.ndarray:
+    """Return an encoded triangle. Raises `ValueError` with the number of a wrong line."""
     made = np.zeros((len(lines), len(lines)))
     for k, line in enumerate(lines):
         try:

@@ -1,4 +1,4 @@
-"""Which poses to measure so that the tip is known best afterwards: linear Bayesian design.
+"""Chooses the poses after which the tip is known best: linear Bayesian design.
 
 Geometry and effects have priors, or the posterior of the rows measured so far.  I-optimal poses
 leave the least variance of the seen tip, averaged over the joint box; D-optimal poses leave the
@@ -18,7 +18,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.placement import started
+from longarm_comp.core.calibration.placement import place_sensors
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
 from longarm_comp.core.data.session import Session
@@ -55,7 +55,7 @@ class OptimalPlan(Plan):
 
     @property
     def stop_rule(self) -> str:
-        """What more poses would bring."""
+        """A sentence about what more poses would bring."""
         gain = 1e3 * (self.expected_m - self.ahead_m)
         return (
             f"expected error of the tip {1e3 * self.expected_m:.2f} mm; "
@@ -65,7 +65,7 @@ class OptimalPlan(Plan):
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What is not known of an arm.
+    """The record of what is not known of an arm.
 
     Attributes:
         model: where columns are taken, with every term that is uncertain.
@@ -114,7 +114,7 @@ class Uncertainty:
         fitted, read = None, dict[str, float]()
         if measured is not None:
             fitted = fit(
-                started(model.with_missing(geometry(model.arm, measured)), measured), measured
+                place_sensors(model.with_missing(geometry(model.arm, measured)), measured), measured
             )
             whole = fitted.model.with_missing(whole.terms)
             noise = dict(zip(measured.channels, fitted.sigma.tolist(), strict=True))
@@ -179,7 +179,7 @@ def optimal_poses(
     rng: np.random.Generator | int = 0,
     pool: Plan | None = None,
 ) -> OptimalPlan:
-    """n poses of a pool within the limits, each joint with room for its run-up.
+    """Choose n poses of a pool within the limits, each joint with room for its run-up.
 
     Args:
         allowed: (M,) which poses of a plan may be driven and are seen; all where absent.
@@ -228,14 +228,14 @@ class Choice:
     tips: np.ndarray | None
 
     def covariance(self, chosen: Sequence[int]) -> np.ndarray:
-        """(p, p) once these are measured."""
+        """Return the covariance (p, p) once these are measured."""
         rows = self.x[list(chosen)].reshape(-1, self.x.shape[2])
         return np.asarray(np.linalg.inv(self.information + rows.T @ rows))
 
     def after(self, chosen: Sequence[int]) -> _Known:
-        """What is known once these are measured."""
+        """Return what is known once these are measured."""
         covariance = self.covariance(chosen)
-        turned = _turned(self.x)
+        turned = _transpose(self.x)
         own = _times(self.x, covariance) @ turned + np.eye(self.x.shape[1])
         if self.tips is None:
             return _Known(self, covariance, own)
@@ -243,7 +243,7 @@ class Choice:
         return _Known(self, covariance, own, error, _times(self.x, error) @ turned)
 
     def grown(self, chosen: Sequence[int], n: int) -> list[int]:
-        """n more, each the best after those before it."""
+        """Choose n more, each the best after those before it."""
         made, known = list(chosen), self.after(chosen)
         most = known.own.max()
         for _ in range(n):
@@ -255,7 +255,7 @@ class Choice:
         return made
 
     def exchanged(self, chosen: list[int]) -> list[int]:
-        """Each pose replaced where another takes off more in its place."""
+        """Replace each pose where another takes off more in its place."""
         made = chosen.copy()
         for _ in range(PASSES):
             before, known = made.copy(), self.after(made)
@@ -270,7 +270,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What some poses told. One more, or one less, changes each (p, p) by a product of d columns.
+    """The knowledge after some poses; a pose changes each (p, p) by a product of d columns.
 
     Attributes:
         choice: the poses.
@@ -287,29 +287,29 @@ class _Known:
     left: np.ndarray | None = None
 
     def with_pose(self, k: int, sign: float = 1.0) -> _Known:
-        """The same with one pose more, or without it (-1)."""
+        """Return the same with one pose more, or without it (-1)."""
         x, poses = self.choice.x[k], self.choice.x
         a = self.covariance @ x.T
         core = np.linalg.inv(x @ a + sign * np.eye(len(x)))
         if self.error is None or self.left is None:
             seen = _times(poses, a)
             covariance = self.covariance - a @ core @ a.T
-            return _Known(self.choice, covariance, self.own - seen @ core @ _turned(seen))
+            return _Known(self.choice, covariance, self.own - seen @ core @ _transpose(seen))
         b = self.error @ x.T
         b = b - a @ (core @ (x @ b)) / 2  # half: each cross term takes its share of the last one
         seen, weighed = np.split(_times(poses, np.concatenate([a, b], axis=1)), 2, axis=2)
         seen_core, a_core = seen @ core, a @ core
-        cross, error = seen_core @ _turned(weighed), a_core @ b.T
+        cross, error = seen_core @ _transpose(weighed), a_core @ b.T
         return _Known(
             self.choice,
             self.covariance - a_core @ a.T,
-            self.own - seen_core @ _turned(seen),
+            self.own - seen_core @ _transpose(seen),
             self.error - error - error.T,
-            self.left - cross - _turned(cross),
+            self.left - cross - _transpose(cross),
         )
 
     def gains(self, taken: Sequence[int]) -> np.ndarray:
-        """(M,) what each further pose would take off; none for those that are taken."""
+        """Return (M,) what each further pose would take off; none for those that are taken."""
         if self.left is None:
             gain = np.linalg.slogdet(self.own)[1]
         else:
@@ -318,7 +318,7 @@ class _Known:
         return np.asarray(gain)
 
 
-def _turned(blocks: np.ndarray) -> np.ndarray:
+def _transpose(blocks: np.ndarray) -> np.ndarray:
     return np.swapaxes(blocks, 1, 2)
 
 
@@ -328,7 +328,7 @@ def _times(blocks: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> list[Session]:
-    """What the poses measure, as sessions of one kind; the readings themselves do not matter."""
+    """Return sessions of what the poses measure, one kind each; the readings do not matter."""
     n = len(plan)
     joints = {f"read_q{k + 1}": plan.q[:, k : k + 1] for k in range(plan.q.shape[1])}
     told = {name: joints[name] for name in read}
@@ -352,5 +352,5 @@ def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> l
 
 
 def sides(n: int) -> np.ndarray:
-    """(n,) from below and from above in turn."""
+    """Return (n,) sides: from below and from above in turn."""
     return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)

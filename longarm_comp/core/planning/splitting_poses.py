@@ -1,4 +1,4 @@
-"""Which poses to measure next: those at which two explanations disagree most."""
+"""Chooses the poses to measure next: those at which two explanations disagree most."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SplittingPoses(Plan):
 def splitting_poses(
     fit: ModelFit, found: Candidate, other: Candidate, count: int, seed: int = 0
 ) -> SplittingPoses:
-    """Greedy choice of the poses that tell best how much of the found effect there is.
+    """Choose, one by one, the poses that tell best how much of the found effect there is.
 
     Geometry and the other effect are free beside it.
 
@@ -77,7 +77,7 @@ def splitting_poses(
 
 
 def _noise(fit: ModelFit) -> np.ndarray:
-    """(3,) noise of a position that will be measured, m: as before, else the smallest length's."""
+    """Return (3,) noise of a position to be measured, m: as before, else the smallest length's."""
     if fit.session.blocks[0].kind == "position":
         return np.where(np.isfinite(fit.sigma[:3]), fit.sigma[:3], np.min(fit.sigma[:3]))
     lengths = (fit.sigma * fit.metres)[(fit.metres > 0) & np.isfinite(fit.sigma)]
@@ -87,7 +87,7 @@ def _noise(fit: ModelFit) -> np.ndarray:
 def _designs(
     fit: ModelFit, found: Candidate, other: Candidate, of: Callable[[Sequence[Slot]], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(N, d, p) by geometry, rest and alternative, and (N, d, 1) the found effect's shift."""
+    """Return (N, d, p) by geometry, rest and alternative, (N, d, 1) by the found effect's shift."""
     places = {t.key for t in found.terms}
     rest = tuple(s for s in fit.slots if s.owner.key not in places)
     rest += other.slots(fit.model.arm)

@@ -1,1 +1,1 @@
-"""How the arm rings after a move: its modes, the time to rest, moves that leave no ring."""
+"""The ringing of the arm after a move: its modes, the time to rest, moves that leave no ring."""

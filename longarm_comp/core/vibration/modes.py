@@ -80,7 +80,7 @@ def modes_along(
     points = [*_masses_of(posture), Lumped(posture.frame(tip.frame), 0.0, tip.position_m)]
     mass = np.repeat(np.array([np.broadcast_to(p.mass, known) for p in points]).T, 3, axis=1)
     bends = _flexibility(fine, posture, points, known)
-    carried = np.concatenate([_carried(posture, p, known) for p in points], axis=1)
+    carried = np.concatenate([_motion_by_joints(posture, p, known) for p in points], axis=1)
     if known > 1:
         from scipy.interpolate import CubicSpline
 
@@ -156,9 +156,14 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
     x, y, z = (np.where(along == axis, sizes, 0.0) for axis in range(3))
     context = posture.context.take(np.repeat(np.arange(postures), 4 * count))
     pushed = _Pushed(
-        posture.chain, rows(posture.q), context, frames, list(rows(tuple(posture.lengths))),
-        (x, y, z), pushes=pushes,
-    )  # fmt: skip
+        posture.chain,
+        rows(posture.q),
+        context,
+        frames,
+        list(rows(tuple(posture.lengths))),
+        (x, y, z),
+        pushes=pushes,
+    )
     moved = np.zeros((postures, len(points), 3, count))
     carriers = np.array([p.station for p in points])
     places = _points([posture.frames[p.station].transform(p.position) for p in points], postures)
@@ -189,7 +194,7 @@ def _slope(answers: np.ndarray, postures: int) -> np.ndarray:
     return np.asarray((twice - up) - (back - down))
 
 
-def _carried(posture: Posture, point: Lumped, postures: int) -> np.ndarray:
+def _motion_by_joints(posture: Posture, point: Lumped, postures: int) -> np.ndarray:
     """(N, 3, n): motion of a point by a unit of every joint, the bend held."""
     place = posture.frames[point.station].transform(point.position)
     columns = [linear for linear, _ in geometric(posture, place, point.station)]

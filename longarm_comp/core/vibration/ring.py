@@ -1,4 +1,4 @@
-"""What a move leaves ringing at the tip, and how long until it is small."""
+"""The ring that a move leaves at the tip, and how long until it is small."""
 
 from __future__ import annotations
 
@@ -75,8 +75,9 @@ def amplitudes(
     speeds = np.diff(joints, axis=0) / np.diff(times)[:, None, None]
     wave = np.zeros((len(factors), count, joints.shape[2]), complex)
     here, before = int(where[0]), np.zeros(joints.shape[1:])
-    for step, took, speed in zip(where, np.diff(times, append=times[-1]),
-                                 [*speeds, np.zeros_like(before)], strict=True):  # fmt: skip
+    for step, took, speed in zip(
+        where, np.diff(times, append=times[-1]), [*speeds, np.zeros_like(before)], strict=True
+    ):
         while here < step:
             old, new = way[here], way[here + 1]
             pull = new.shape[:count] * new.mass
@@ -96,7 +97,7 @@ def _rates(modes: Modes, damping: float) -> np.ndarray:
     return np.asarray(modes.omega * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
 
-def sampled(modes: Sequence[Modes], seconds: float) -> np.ndarray:
+def sample_times(modes: Sequence[Modes], seconds: float) -> np.ndarray:
     """(M,) s from 0 on: times in a motion that are far closer than a period of these modes."""
     fastest = max(float(each.hz.max(initial=1.0 / seconds)) for each in modes)
     return np.linspace(0.0, seconds, int(np.ceil(_IN_A_PERIOD * max(1.0, fastest * seconds))) + 1)
@@ -108,12 +109,12 @@ off by a thousandth of the way."""
 
 
 def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
-    """The ring after a motion from rest to rest, by the modes at its end, where its time 0 is.
+    """Return the ring after a motion from rest to rest, by the modes at its end, its time 0.
 
     Args:
         way, seconds: the motion, from time 0 on.
     """
-    times = sampled([modes], seconds)
+    times = sample_times([modes], seconds)
     joints, left = way(times)[..., None], np.zeros((1, 0, 1), complex)
     if len(modes.omega):
         left = amplitudes([modes], np.zeros(len(times), int), times, joints, damping, np.ones(1))
@@ -153,7 +154,7 @@ REST_S = 0.3
 
 
 def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None) -> float:
-    """How long to rest before a sighting, s: as given; else what 90 of 100 of these moves need.
+    """Return how long to rest before a sighting, s: as given; else what 90 of 100 moves need.
 
     Without `damping` in arm.yaml nobody knows, and it is `REST_S`.
 
@@ -175,7 +176,7 @@ _LOOKED_AT = 32
 
 @dataclass(frozen=True)
 class MoveRing:
-    """What the model expects of the tip after a move."""
+    """The model's expectation of the tip after a move."""
 
     hz: float  # of the slowest mode
     size_m: float  # at the end of the move
@@ -196,7 +197,7 @@ class MoveRing:
 def ring_after(
     model: Model, context: Context, start: np.ndarray, points: np.ndarray, times: np.ndarray
 ) -> MoveRing | None:
-    """The ring after a move from rest at ``start`` (n,) through points (k, n) at times (k,) s.
+    """Return the ring after a move from rest at ``start`` (n,) through points (k, n), times (k,) s.
 
     None where nothing of the model bends.
     """

@@ -62,16 +62,16 @@ def waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
     wide = seen.shape[1]
     more = 2 + 2 * wide  # parameters of a wave
     found: list[float] = []  # omega, damping, omega, damping, ...
-    left = _left(np.array(found), t, seen)
+    left = _residual(np.array(found), t, seen)
     for _ in range(2):
         tried = 2.0 * np.pi * np.arange(slowest, fastest, 0.1 * slowest)
         begins = [np.array([*found, omega, USUAL_DAMPING]) for omega in tried]
-        begin = min(begins, key=lambda p: float((_left(p, t, seen) ** 2).sum()))
+        begin = min(begins, key=lambda p: float((_residual(p, t, seen) ** 2).sum()))
         bounds = (np.tile([0.0, 1e-5], len(begin) // 2), np.tile([np.inf, 0.5], len(begin) // 2))
         fit = least_squares(
-            lambda p: _left(p, t, seen).ravel(), begin, bounds=bounds, x_scale=begin
+            lambda p: _residual(p, t, seen).ravel(), begin, bounds=bounds, x_scale=begin
         )
-        now = _left(fit.x, t, seen)
+        now = _residual(fit.x, t, seen)
         free = now.size - wide * (1 + len(begin)) - len(begin)
         if free < 1:
             break
@@ -88,11 +88,14 @@ def waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
     parts = np.linalg.lstsq(_basis(np.array(found), t), seen, rcond=None)[0][1:]
     made = [
         SeenWave(
-            w / (2.0 * np.pi), sd[2 * k] / (2.0 * np.pi), z, sd[2 * k + 1],
+            w / (2.0 * np.pi),
+            sd[2 * k] / (2.0 * np.pi),
+            z,
+            sd[2 * k + 1],
             unit * np.hypot(parts[2 * k], parts[2 * k + 1]),
         )
         for k, (w, z) in enumerate(zip(found[::2], found[1::2], strict=True))
-    ]  # fmt: skip
+    ]
     return sorted(made, key=lambda wave: -float(np.linalg.norm(wave.size)))
 
 
@@ -106,7 +109,7 @@ def _basis(parameters: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def _left(parameters: np.ndarray, t: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+def _residual(parameters: np.ndarray, t: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     basis, _ = np.linalg.qr(_basis(parameters, t))
     return np.asarray(xyz - basis @ (basis.T @ xyz))
 
@@ -127,7 +130,7 @@ def steps(readings: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(changes), changes, 0.0)
 
 
-def corrected(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
+def correct_modes(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
     """Modes with the frequencies that were seen at another posture taken into account.
 
     Weight loads an arm downwards: a calibration at rest knows how it bends up and down, and of

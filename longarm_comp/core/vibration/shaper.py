@@ -15,7 +15,7 @@ import numpy as np
 
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import Modes, modes_along
-from longarm_comp.core.vibration.ring import USUAL_DAMPING, amplitudes, sampled
+from longarm_comp.core.vibration.ring import USUAL_DAMPING, amplitudes, sample_times
 from longarm_comp.math.shaper import Shaper, Way
 
 _FREQUENCY_SD = 0.05
@@ -36,7 +36,7 @@ def way_modes(model: Model, way: Way, seconds: float) -> list[Modes]:
 
 
 def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times (M,), and the share of the way that is behind the joints at each, 0 to 1."""
+    """Return times (M,), and the share of the way that is behind the joints at each, 0 to 1."""
     times = np.linspace(0.0, seconds, 8 * _PLACES)
     moved = np.abs(np.diff(way(times), axis=0))
     gone = np.cumsum((moved / np.maximum(moved.sum(axis=0), 1e-12)).max(axis=1))
@@ -44,7 +44,7 @@ def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) -> Shaper | None:
-    """The shaper of a motion from rest to rest, one period longer; None where nothing bends.
+    """Return the shaper of a motion from rest to rest, one period longer; None where nothing bends.
 
     Args:
         along: modes evenly along the motion. way, seconds: the motion, from time 0 on.
@@ -57,7 +57,7 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
     late = np.linspace(0.0, 2.0 * np.pi / min(m.omega[0] for m in along), _DELAYS)
     begin, end = np.triu_indices(_DELAYS)
     parts = Shaper(np.full(len(begin), 1.0 / len(begin)), late[begin], late[end])
-    times = sampled(along, seconds + parts.duration)
+    times = sample_times(along, seconds + parts.duration)
     joints = np.moveaxis(parts.parts(way, times, seconds), 0, 2)
     progress = np.interp(parts.since(times, seconds), *_progress(way, seconds))
     # A normal distribution by three points (Gauss and Hermite)
@@ -71,15 +71,16 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
         rows = np.concatenate([left.real, left.imag])
         # The last row: the shares add up to 1.  Its weight changes their sum, not their ratios.
         like = np.abs(rows).max()
-        weights, _ = nnls(np.vstack([rows, np.full(len(begin), like)]),
-                          np.append(np.zeros(len(rows)), like))  # fmt: skip
+        weights, _ = nnls(
+            np.vstack([rows, np.full(len(begin), like)]), np.append(np.zeros(len(rows)), like)
+        )
         parts = replace(parts, weights=weights / weights.sum())
     used = parts.weights > 0.0
     return Shaper(parts.weights[used], parts.begins[used], parts.ends[used])
 
 
 def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float], Shaper | None]:
-    """The shaper of a motion from rest: joints by time, in the order of their names, and seconds.
+    """Return a shaper of motions from rest: joints by time, in the order of names, and seconds.
 
     Raises:
         InputError: names ``where``: a joint of the arm is not among the names.

@@ -375,7 +375,7 @@ class _Search:
             first, at = unfitted(model, self.session, before.fit), FitColumns(before.fit)
         held = {t.key for f in found for t in f.terms}
         judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
-        noise = judged if self.known is None else noise_step.agreed(self.known, judged)
+        noise = judged if self.known is None else noise_step.limit_by_repeats(self.known, judged)
         fitted = fit(
             first.model, self.session, sigma=noise.sigma, rho=noise.rho, weights=weights,
             close=NEAR, begun=first,

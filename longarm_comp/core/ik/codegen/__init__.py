@@ -2,6 +2,6 @@
 
 
 class Compiled:
-    """What this process has compiled to machine code."""
+    """A count of what this process has compiled to machine code."""
 
     programs = 0

@@ -34,7 +34,7 @@ def module(
     place: Mapping[str, range],
     width: int,
 ) -> str:
-    """A module of programs and of flows of them, `width` columns at a time."""
+    """Return a module of programs and of flows of them, `width` columns at a time."""
     writer = _Writer(width)
     lines = writer.outside()
     size = width * (1 + max(r[-1] for r in place.values() if r))
@@ -57,7 +57,7 @@ class _Writer:
         self.flag = f"<{width} x i1>"
 
     def outside(self) -> list[str]:
-        """Declarations: intrinsics work on all lanes, functions of the C library on one."""
+        """Declare functions: intrinsics work on all lanes, those of the C library on one."""
         width, kind = self.width, self.kind
         lines = [f"declare {kind} @llvm.{f}.v{width}f64({kind}) #1" for f in _INTRINSIC]
         for name, arguments in _LIBRARY.items():
@@ -87,7 +87,7 @@ class _Writer:
         return lines
 
     def flow(self, work: Flow, place: Mapping[str, range], number: Iterator[int]) -> list[str]:
-        """Calls, and loops that run while a row is not 0 in any lane."""
+        """Write calls, and loops that run while a row is not 0 in any lane."""
         lines: list[str] = []
         for step in work:
             if isinstance(step, str):
@@ -176,7 +176,7 @@ class _Code:
         self._functions: dict[str, Any] = {}
 
     def function(self, name: str) -> Any:
-        """A function of the address of its block; `many_...` takes their number too."""
+        """Return a function of the address of its block; `many_...` takes their number too."""
         if name not in self._functions:
             arguments = [ctypes.c_void_p, ctypes.c_ssize_t][: 2 if name.startswith("many_") else 1]
             kind = ctypes.CFUNCTYPE(None, *arguments)
@@ -187,7 +187,7 @@ class _Code:
 
 
 def lanes() -> int:
-    """Number of doubles in a vector register of this processor."""
+    """Return number of doubles in a vector register of this processor."""
     features = binding.get_host_cpu_features()
     return 8 if features.get("avx512f") else 4 if features.get("avx") else 2
 

@@ -38,9 +38,11 @@ _UFUNCS = {
     np.power: "pow",
 }
 _IN_ARITHMETIC: dict[Any, Callable[..., Any]] = {
-    np.sin: sine, np.cos: cosine, np.arctan2: arc_tangent2,
+    np.sin: sine,
+    np.cos: cosine,
+    np.arctan2: arc_tangent2,
     np.sign: lambda x: (x > 0.0) - (x < 0.0),
-}  # fmt: skip
+}
 """Recorded as arithmetic, which works on all lanes at once."""
 
 
@@ -53,13 +55,13 @@ class Graph:
         self._symbols: dict[int, Symbol] = {}
 
     def input(self, text: str) -> Symbol:
-        """A symbol for an input; `text` is its place in the state."""
+        """Return a symbol for an input; `text` is its place in the state."""
         return self._node("input", (text,))
 
     def apply(self, op: str, *args: Any) -> Any:
-        """The result of an operation on symbols and numbers: a symbol, or a float if constant."""
+        """Return the result of an operation: a symbol, or a float if it is constant."""
         args = tuple(a if isinstance(a, Symbol) else float(a) for a in args)
-        simple = _simplified(self, op, args)
+        simple = _simplify(self, op, args)
         if simple is not None:
             return simple
         operands = tuple(a.node if isinstance(a, Symbol) else a for a in args)
@@ -77,7 +79,7 @@ class Graph:
         return self._symbols[node]
 
     def needed(self, outputs: Sequence[Any]) -> list[int]:
-        """The nodes that the outputs depend on, in order."""
+        """Return the nodes that the outputs depend on, in order."""
         keep = [False] * len(self.nodes)
         for out in outputs:
             if isinstance(out, Symbol):
@@ -96,7 +98,7 @@ Program = tuple[Graph, Outputs]
 
 
 def _both(op: str) -> tuple[Any, Any]:
-    """An operation of a symbol with another number, and of that number with the symbol."""
+    """Return an operation of a symbol with another number, and of that number with the symbol."""
 
     def first(self: Symbol, other: Any) -> Any:
         return self.graph.apply(op, self, other)
@@ -167,8 +169,8 @@ def _order(operand: Operand) -> tuple[bool, float]:
     return type(operand) is float, operand
 
 
-def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
-    """The result without a new node, or None."""
+def _simplify(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
+    """Return the result without a new node, or None."""
     a, b = args[0], args[1] if len(args) > 1 else None
     fa, fb = type(a) is float, type(b) is float
     if op in _FOLD and fa and fb:
@@ -182,7 +184,7 @@ def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
             return 0.0
         if fa and a == 0.0:
             return graph.apply("neg", b)
-        inner = _negated(graph, b)
+        inner = _negation_of(graph, b)
         return None if inner is None else graph.apply("add", a, inner)
     if op == "mul":
         for x, y in ((a, b), (b, a)):
@@ -192,13 +194,13 @@ def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
     if op == "div":
         return 0.0 if fa and a == 0.0 else graph.apply("mul", a, 1.0 / b) if fb and b else None
     if op == "neg":
-        return -a if fa else _negated(graph, a)
+        return -a if fa else _negation_of(graph, a)
     if op == "select" and args[1] is args[2]:
         return args[1]
     return None
 
 
-def _negated(graph: Graph, x: Any) -> Any:
+def _negation_of(graph: Graph, x: Any) -> Any:
     """y where x is the symbol -y, else None."""
     if not isinstance(x, Symbol):
         return None
@@ -207,9 +209,9 @@ def _negated(graph: Graph, x: Any) -> Any:
 
 
 def _signed_sum(graph: Graph, a: Any, b: Any) -> Any:
-    """a + b where one of them is a negated symbol, else None."""
+    """Return a + b where one of them is a negated symbol, else None."""
     for x, y in ((a, b), (b, a)):
-        inner = _negated(graph, y)
+        inner = _negation_of(graph, y)
         if inner is not None:
             return graph.apply("sub", x, inner)
     return None
