@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from longarm_comp.core.effects.units import for_people
+from longarm_comp.core.identify.findings import Finding, FindingParameter
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.report import record
 from longarm_comp.report.words import change, interval, listed, millimetres, number, odds
@@ -79,11 +81,11 @@ def _duty(gain_mm: float, first: str, report: record.DiagnosisReport) -> tuple[s
     return (DUTIES[1], first) if first else (DUTIES[0], f"It is worth {millimetres(gain_mm)}.")
 
 
-def _first(finding: record.ReportFinding, report: record.DiagnosisReport) -> str:
+def _first(finding: Finding, report: record.DiagnosisReport) -> str:
     """What would decide a doubt; empty where there is none."""
-    if len(finding.set) > 1:
+    if len(finding.names) > 1:
         poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
-        return f"{poses} that it is {finding.effect}, not {listed(finding.others)}."
+        return f"{poses} that it is {finding.name}, not {listed(finding.names[1:])}."
     if finding.unnamed:
         return f"a look at it shows the cause: {finding.unnamed}."
     if finding.doubts:
@@ -117,13 +119,13 @@ def _unnamed(found: record.ReportDiscovered, report: record.DiagnosisReport) -> 
     )
 
 
-def _card(finding: record.ReportFinding, report: record.DiagnosisReport) -> _Card:
-    title, where = finding.title or finding.effect.replace("_", " "), _places(finding.where)
+def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
+    title, where = finding.title or finding.name.replace("_", " "), _places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
     duty, why = _duty(before - after, _first(finding, report), report)
     return _Card(
         title=title.capitalize() + (f", {where}" if where not in title else ""),
-        names=" or ".join(finding.set or [finding.effect]),
+        names=" or ".join(finding.names),
         where=where,
         sizes=tuple(map(_size, finding.parameters[:MOST_SIZES])),
         more=max(0, len(finding.parameters) - MOST_SIZES),
@@ -140,7 +142,7 @@ def _card(finding: record.ReportFinding, report: record.DiagnosisReport) -> _Car
     )
 
 
-def _places(where: list[str]) -> str:
+def _places(where: Sequence[str]) -> str:
     """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
     split = [place.rsplit(" ", 1) for place in where]
     kinds = {parts[0] for parts in split}
@@ -150,7 +152,7 @@ def _places(where: list[str]) -> str:
     return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
 
 
-def _size(parameter: record.FindingParameter) -> tuple[str, ...]:
+def _size(parameter: FindingParameter) -> tuple[str, ...]:
     times, unit = for_people(parameter.unit)
     gap = "" if unit == "°" else " "
     shown = f"{number(times * parameter.value, 3)}{gap}{unit}"
@@ -164,10 +166,10 @@ def _tip(typical_mm: float, most_mm: float) -> str:
     return f"{typical} at the tip" + (f", up to {most}" if most != typical else "")
 
 
-def _because(finding: record.ReportFinding) -> str:
+def _because(finding: Finding) -> str:
     said = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
-    if finding.others:
-        said.append(f"These data do not tell it from {listed(finding.others)}")
+    if finding.names[1:]:
+        said.append(f"These data do not tell it from {listed(finding.names[1:])}")
     elif finding.runner_up is not None:
         margin = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
@@ -176,15 +178,15 @@ def _because(finding: record.ReportFinding) -> str:
     return ". ".join(said) + "."
 
 
-def _sure(finding: record.ReportFinding) -> str:
+def _sure(finding: Finding) -> str:
     sure = _word(finding.probability)
-    named = _word(finding.probability * finding.set_probability.get(finding.effect, 1.0))
-    if finding.open:
+    named = _word(finding.probability * finding.set_probability.get(finding.name, 1.0))
+    if finding.name_open:
         return f"{sure}; the name is open"
     return sure + (_with_doubts(finding.doubts) if named == sure else f"; the name is {named}")
 
 
-def _with_doubts(doubts: list[str]) -> str:
+def _with_doubts(doubts: Sequence[str]) -> str:
     if not doubts:
         return ""
     return ", with a doubt" if len(doubts) == 1 else ", with doubts"
@@ -196,15 +198,15 @@ def _word(probability: float) -> str:
     return "likely" if probability >= CREDIBLE else "not sure"
 
 
-def _software(finding: record.ReportFinding, report: record.DiagnosisReport) -> str:
+def _software(finding: Finding, report: record.DiagnosisReport) -> str:
     if finding.compensated:
         return "The new model.yaml compensates it."
-    mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.effect} (")]
-    why = mine[0][len(finding.effect) :] if mine else ""
+    mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.name} (")]
+    why = mine[0][len(finding.name) :] if mine else ""
     return f"Commands leave it out{why}; the software does not compensate it."
 
 
-def _improves(finding: record.ReportFinding) -> str:
+def _improves(finding: Finding) -> str:
     """Held-out mean error without and with it, as commanded and, where it differs, as seen."""
     if finding.commanded_mm is None or finding.seen_mm is None:
         return ""

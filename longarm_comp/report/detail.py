@@ -16,13 +16,13 @@ from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
+from longarm_comp.core.identify.candidate_states import best_forms
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
-from longarm_comp.report.candidate_states import Smallest, best_forms
 
 SPLITS = 3.0
 """Smallest expected log odds for which poses are worth measuring."""
@@ -110,8 +110,8 @@ class Detail:
     provenance: Mapping[str, str] = field(default_factory=dict)
 
 
-def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, str]) -> Detail:
-    """Everything that report.html shows beyond report.json."""
+def detail(diagnosis: Diagnosis, facts: Mapping[str, str]) -> Detail:
+    """Compute what report.html shows beyond report.json; `facts` go to its provenance."""
     arm = diagnosis.arm
     units = tuple("m" if arm.joints[r - 1].type == "prismatic" else "rad" for r in arm.commanded)
     rows = _rows(diagnosis, units)
@@ -120,7 +120,7 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         held_out=rows,
         guilty=_guilty(diagnosis, rows),
         correlation=_correlation(diagnosis),
-        detectable=_detectable(diagnosis, tried),
+        detectable=_detectable(diagnosis),
         splits=tuple(_split(diagnosis, s) for s in diagnosis.split_by),
         encoders=_encoders(diagnosis, units),
         marked=_marked(diagnosis),
@@ -192,10 +192,10 @@ def _correlation(diagnosis: Diagnosis) -> PageTable | None:
     return PageTable(caption, ("Parameter", "Geometry (correlation)"), tuple(rows))
 
 
-def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> PageTable:
+def _detectable(diagnosis: Diagnosis) -> PageTable:
     """One line per effect and place, without families."""
     rows: list[Line] = []
-    for (name, place), one in sorted(best_forms(tried).items()):
+    for (name, place), one in sorted(best_forms(diagnosis.smallest).items()):
         slots = one.candidate.slots(diagnosis.arm)
         if len(one.candidate.terms) > 1 or not slots:
             continue

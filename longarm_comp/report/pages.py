@@ -52,19 +52,21 @@ def _rendered(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
     return template(f"{page}.html.j2").render(picture=picture, **told)
 
 
-def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
+def write_report(
+    report: record.DiagnosisReport, detail: Detail, folder: str | os.PathLike[str]
+) -> Path:
     """Write ``report.json``, ``report.html`` and ``plots/*.svg``; return the page's path.
 
     The same diagnosis gives the same bytes. Files of an earlier report are replaced; no other is
-    touched. Nothing is written if the report violates the schema.
+    touched.
 
     Raises:
-        InputError: the report violates the schema, the folder cannot be written to, or a plot of
-            another program has the name of one of this report.
+        InputError: the folder cannot be written to, or a plot of another program has the name of
+            one of this report.
     """
-    checked = record.checked(report)
-    drawn = _drawn(checked.for_people(), detail)
-    html = page(checked, detail, drawn)
+    named = report.for_people()
+    drawn = _drawn(named, detail)
+    html = page(named, detail, drawn)
     target = Path(folder)
     files = {target / "plots" / f"{name}.svg": content for name, content in drawn.items()}
     there = [path for path in (target / "plots").glob("*.svg") if path.is_file()]
@@ -76,7 +78,7 @@ def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLi
     for path in there:
         if path not in files and style.signed(path):
             path.unlink()
-    write_text(target / "report.json", record.text(checked))
+    write_text(target / "report.json", record.text(report))
     write_text(target / "report.html", html)
     return target / "report.html"
 
@@ -107,8 +109,7 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
 
 
 def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) -> str:
-    """The page as text, joints by their names; ``plots``: SVG of the still figures by name."""
-    report = report.for_people()
+    """Write the page of a report `for_people`; ``plots``: SVG of the still figures by name."""
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
     stages = stages_of(rows) if rows else ()
     before = report.held_out.before

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import NO_PLACE
 from longarm_comp.core.data.commanded import MEASURING_SIDE
+from longarm_comp.core.identify.findings import FindingParameter
 from longarm_comp.report.detail import Detail, SetSplit
-from longarm_comp.report.record import DiagnosisReport, ErrorRow, FindingParameter
+from longarm_comp.report.record import DiagnosisReport, ErrorRow
 
 DASH = "–"
 _CERTAIN = 100
@@ -63,7 +65,7 @@ def change(pair: tuple[float, float]) -> str:
     return f"{millimetres(pair[0]).removesuffix(' mm')} → {millimetres(pair[1])}"
 
 
-def listed(names: list[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     """``a, b or c``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
@@ -83,7 +85,7 @@ COLUMNS = {
 
 def headline(report: DiagnosisReport) -> str:
     """The verdict in a few words: its name and what was found."""
-    found = [" or ".join(finding.set or [finding.effect]) for finding in report.findings]
+    found = [" or ".join(finding.names) for finding in report.findings]
     verdict = report.verdict.replace("_", " ").capitalize()
     return ": ".join(filter(None, (verdict, ", ".join(found))))
 
@@ -109,7 +111,7 @@ COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", 
 
 
 def meaning(report: DiagnosisReport) -> str:
-    n, open_ = len(report.findings), sum(f.open for f in report.findings)
+    n, open_ = len(report.findings), sum(f.name_open for f in report.findings)
     left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
     explain = _counted(n, "physical effect") + (" explains" if n == 1 else " explain")
     causes = _counted(unnamed, "cause") + " without a name"
@@ -196,11 +198,11 @@ def _proof(pair: tuple[float, float] | None) -> str:
 def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, tuple[str, ...]]]:
     """What these data cannot tell, and the effects that it is about."""
     made: list[tuple[str, tuple[str, ...]]] = [(_split_by(split), ()) for split in detail.splits]
-    split = {tuple(split.members) for split in detail.splits}
+    split = {split.members for split in detail.splits}
     made += [
-        (f"Whether it is {listed(f.set)}. No poses to decide it were looked for.", ())
+        (f"Whether it is {listed(f.names)}. No poses to decide it were looked for.", ())
         for f in report.findings
-        if len(f.set) > 1 and tuple(f.set) not in split
+        if len(f.names) > 1 and f.names not in split
     ]
     doubts = dict.fromkeys(d for found in report.discovered if found.kept for d in found.doubts)
     more = len(report.next_poses) - sum(split.poses for split in detail.splits)
@@ -220,7 +222,7 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, t
 
 
 def _split_by(split: SetSplit) -> str:
-    said = f"Whether it is {listed(list(split.members))}"
+    said = f"Whether it is {listed(split.members)}"
     if not split.poses:
         return f"{said}. {split.reason}"
     figure = f"expected odds {odds(split.expected_log_bayes_factor)}"

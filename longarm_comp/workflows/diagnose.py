@@ -23,15 +23,16 @@ from longarm_comp.core.files import write_bytes
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.findings import EffectFinding
+from longarm_comp.core.identify.findings import Finding
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
-from longarm_comp.report.assemble import assemble, refused
-from longarm_comp.report.detail import SPLITS
+from longarm_comp.report.assemble import record_of, refused
+from longarm_comp.report.detail import SPLITS, Detail, detail
 from longarm_comp.report.pages import write_report
+from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.sessions.poses import FILE, write_poses
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs
@@ -65,7 +66,7 @@ class DiagnosisResult:
         return self.diagnosis.summary
 
     @property
-    def findings(self) -> tuple[EffectFinding, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """Effects that were added, strongest first, each with its `name` and `where`."""
         return self.diagnosis.findings
 
@@ -96,9 +97,10 @@ class DiagnosisResult:
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {self.summary})"
 
-    def report(self) -> dict[str, Any]:
-        """The contents of report.json."""
-        return self._assembled[0]
+    @cached_property
+    def report(self) -> DiagnosisReport:
+        """The record that report.json holds."""
+        return record_of(self.diagnosis, self.session_hash)
 
     def save(self, folder: inputs.FilePath) -> Path:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
@@ -108,7 +110,7 @@ class DiagnosisResult:
         """
         target = Path(folder)
         earlier = (target / "report.json").is_file()
-        write_report(*self._assembled, target)
+        write_report(self.report, detail(self.diagnosis, self.facts), target)
         before, path = self.model_before, target / inputs.MODEL
         stored = self._stored(target)
         if before is not None and before.resolve() != path.resolve():
@@ -118,10 +120,6 @@ class DiagnosisResult:
             if not write(target / name) and earlier:
                 (target / name).unlink(missing_ok=True)
         return target
-
-    @cached_property
-    def _assembled(self) -> tuple[dict[str, Any], Any]:
-        return assemble(self.diagnosis, self.session_hash, self.facts)
 
     def _stored(self, folder: Path) -> StoredModel:
         found, model, at = self.diagnosis, self.model, self.session_file
@@ -265,7 +263,8 @@ def diagnose_files(
         )
     except InputError as error:
         seed = how.get("seed", 0)
-        write_report(*refused(error, seed, session.name, inputs.file_hash(session)), folder)
+        report = refused(error, seed, inputs.file_hash(session))
+        write_report(report, Detail(title=session.name), folder)
         raise
     inputs.teller(progress)("report")
     found.save(folder)

@@ -22,7 +22,6 @@ from longarm_comp.core.calibration.kind_of_arm import table
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import check_regular, write_text
-from longarm_comp.report.record import read_report
 from longarm_comp.version import __version__
 from longarm_comp.workflows.cluster import spread
 from longarm_comp.workflows.diagnose import diagnose_files
@@ -49,7 +48,7 @@ class _Member:
 
 
 @dataclass(frozen=True)
-class Finding:
+class FleetFinding:
     """An effect that was found at a place of an arm.
 
     Attributes:
@@ -87,7 +86,7 @@ class Diagnosed:
     in_use_mm: float | None = None
     calibrated_mm: float | None = None
     diagnosed_mm: float | None = None
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[FleetFinding, ...] = ()
     made_of: str = ""
 
     @property
@@ -265,20 +264,17 @@ def _diagnosed(
             in_use = 1e3 * evaluate(arm, member.session, model=member.model)["calibrated"].mean
     except Exception as error:  # of this arm alone: the others are still diagnosed
         return _failed(member, kind, made_of, error)
-    left, reported = found.held_out, read_report(output / member.name)
-    sizes = [f.tip_mm.median if f.tip_mm else 0.0 for f in reported.findings]
-    findings = tuple(
-        Finding(
-            " or ".join(sorted({f.name, *(r.candidate.name for r in f.alternatives)})), place, size
-        )
-        for f, size in zip(found.findings, sizes, strict=True)
+    left = found.held_out
+    findings = [
+        FleetFinding(" or ".join(sorted(f.names)), place, f.tip_mm.median if f.tip_mm else 0.0)
+        for f in found.findings
         for place in f.where
-    ) + tuple(Finding(c.title, c.set[0], c.tip_mm.rms) for c in reported.discovered if c.kept)
+    ] + [FleetFinding(c.title, c.set[0], c.tip_mm.rms) for c in found.report.discovered if c.kept]
     rows = len(found.diagnosis.train) + len(found.diagnosis.held_out)
     calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", list(left)[-1]))
     made = Diagnosed(
         member.name, kind, str(member.session), rows, found.verdict, found.summary, in_use,
-        calibrated, diagnosed, findings, made_of,
+        calibrated, diagnosed, tuple(findings), made_of,
     )  # fmt: skip
     del found
     gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms
@@ -292,7 +288,7 @@ def compared(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
     )
     sizes = Counter(arm.kind for arm in arms)
 
-    def told(arm: Diagnosed, f: Finding) -> Finding:
+    def told(arm: Diagnosed, f: FleetFinding) -> FleetFinding:
         count = counts[arm.kind, f.effect, f.where]
         return replace(f, of_kind=count >= 2 and 2 * count >= sizes[arm.kind])
 
