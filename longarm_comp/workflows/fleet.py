@@ -134,17 +134,16 @@ def members(folder: Path) -> list[_Member]:
 
 
 def sessions(folder: Path) -> list[Path]:
-    """Bags, and tables with joints and something measured."""
-    bags = [path.parent for path in folder.glob("*/metadata.yaml")]
-    return sorted([*bags, *filter(_measures, folder.glob("*.csv"))])
-
-
-def _measures(path: Path) -> bool:
-    check_regular(path)
-    with path.open("rb") as file:
-        first = file.readline(_LONGEST_HEADER).decode("utf-8-sig", "replace")
-    header = {cell.strip() for cell in next(csv.reader([first]), [])}
-    return "q1" in header and bool(header & _MEASURED) and "status" not in header
+    """List bags, and tables with joints and something measured."""
+    found = [path.parent for path in folder.glob("*/metadata.yaml")]
+    for path in folder.glob("*.csv"):
+        check_regular(path)
+        with path.open("rb") as file:
+            first = file.readline(_LONGEST_HEADER).decode("utf-8-sig", "replace")
+        header = {cell.strip() for cell in next(csv.reader([first]), [])}
+        if "q1" in header and header & _MEASURED and "status" not in header:
+            found.append(path)
+    return sorted(found)
 
 
 def fleet(
@@ -176,12 +175,15 @@ def fleet(
     options = (__version__, network, seed)
     made: dict[str, Diagnosed] = {}
     for member in found:
-        _check_free(output / member.name)
+        mine = output / member.name
+        own = next((name for name in (ARM, MODEL) if (mine / name).exists()), "")
+        if own and not (mine / "report.json").is_file():
+            raise InputError(mine, "output", f"has {own}", "a new folder, or that of a diagnosis")
     known, left = _known(output / WRITTEN), []
-    for member, mine in zip(found, tables, strict=True):
+    for member, rows in zip(found, tables, strict=True):
         files = [p for p in (member.arm, member.session, member.model) if p is not None]
         made_of = repr((*options, *map(file_hash, files)))
-        kind, key = tables.index(mine), hashlib.sha256(made_of.encode()).hexdigest()
+        kind, key = tables.index(rows), hashlib.sha256(made_of.encode()).hexdigest()
         before = known.get(member.name)
         if before is not None and before.made_of == key and before.verdict != "failed":
             made[member.name] = replace(before, kind=kind)
@@ -203,13 +205,6 @@ def _table(path: Path) -> object:
         return table(Arm.load(path))
     except LongarmError:
         return path
-
-
-def _check_free(folder: Path) -> None:
-    """Refuse a folder, for a diagnosis to be written, that is an arm's own."""
-    own = next((name for name in (ARM, MODEL) if (folder / name).exists()), "")
-    if own and not (folder / "report.json").is_file():
-        raise InputError(folder, "output", f"has {own}", "a new folder, or that of a diagnosis")
 
 
 def _known(path: Path) -> dict[str, Diagnosed]:
