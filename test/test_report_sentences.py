@@ -300,8 +300,8 @@ def test_what_is_to_do_follows_from_the_numbers(told: list[Told]) -> None:
             worth = gain >= max(0.5, noise)
             wanted = ("Do only if" if doubt else "Do") if worth else "Leave alone"
             assert card.duty == wanted and card in listed[wanted]
-            assert (finding.action in cards.said(card)) == worth
-            assert cards.said(card) in page.words()
+            assert (finding.action in cards.advice(card)) == worth
+            assert cards.advice(card) in page.words()
             if wanted != "Do only if":
                 assert numbers(card.because_of)[0] == pytest.approx(max(gain, 0.0), abs=6e-3)
 

@@ -12,7 +12,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_table, progress
-from longarm_comp.cli.signals import handled, on_graph
+from longarm_comp.cli.signals import handle_signals, on_graph
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -253,7 +253,7 @@ def _asked(prompt: str, stop: Event) -> str:
         raise KeyboardInterrupt
 
     try:
-        with handled(now):
+        with handle_signals(now):
             return str(click.prompt(prompt, default="", show_default=False, err=True)).strip()
     except click.Abort:
         if stop.is_set():

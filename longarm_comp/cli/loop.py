@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress, say
-from longarm_comp.cli.signals import agreed, on_graph
+from longarm_comp.cli.signals import on_graph, user_agrees
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ def loop(
 
     def agree(report: DiagnosisReport) -> bool:
         note(f"{report.verdict}: {report.summary}")
-        return agreed("Apply this to the model in use?", yes)
+        return user_agrees("Apply this to the model in use?", yes)
 
     kept = f"{output} keeps what was done; continue with --resume"
     with (

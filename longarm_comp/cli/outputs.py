@@ -137,7 +137,7 @@ class Output(click.Option):
         self.kind, self.beside = kind, beside or (lambda path: [])
 
 
-def guarded(command: click.Command, name: str) -> click.Command:
+def guard_outputs(command: click.Command, name: str) -> click.Command:
     """The command, which keeps the rule before it does anything."""
     run = command.callback
     assert run is not None

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import click
 
-from longarm_comp.cli.outputs import guarded
+from longarm_comp.cli.outputs import guard_outputs
 from longarm_comp.cli.registry import COMMANDS, GROUPS, Entry
 from longarm_comp.core.errors import JobError, LongarmError
 from longarm_comp.version import __version__
@@ -38,7 +38,7 @@ class LazyGroup(click.Group):
         if entry is None:
             return super().get_command(ctx, cmd_name)
         command = entry.load(self._folder)
-        return command if isinstance(command, click.Group) else guarded(command, cmd_name)
+        return command if isinstance(command, click.Group) else guard_outputs(command, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Print the list of commands without importing any."""

@@ -16,7 +16,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table, progress
-from longarm_comp.cli.signals import ask, by_name, go_on, handled, numbers_by_name
+from longarm_comp.cli.signals import ask, by_name, go_on, handle_signals, numbers_by_name
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ _SIGNS = {"+": 1, "-": -1}
 )
 @options.flag("--yes", "Do not wait at each step: the arm is held or supported.")
 @options.as_json
-@handled(signal.default_int_handler)
+@handle_signals(signal.default_int_handler)
 def setup(
     folder: Path,
     port: str | None,

@@ -71,7 +71,7 @@ def record_of(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisReport:
     )
 
 
-def refused(error: InputError, seed: int, data_sha256: str) -> record.DiagnosisReport:
+def refused_report(error: InputError, seed: int, data_sha256: str) -> record.DiagnosisReport:
     """Build report.json of data that were not admitted."""
     return record.DiagnosisReport(
         schema="longarm/diagnosis/1",

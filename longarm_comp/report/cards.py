@@ -65,7 +65,7 @@ def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
 
 
-def said(card: _Card) -> str:
+def advice(card: _Card) -> str:
     """Say what to do about it, in a sentence or two."""
     if card.duty == DUTIES[1]:
         return f"{card.because_of} Then: {card.action}"

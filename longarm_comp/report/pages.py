@@ -71,12 +71,12 @@ def write_report(
     files = {target / "plots" / f"{name}.svg": content for name, content in drawn.items()}
     there = [path for path in (target / "plots").glob("*.svg") if path.is_file()]
     for path in there:
-        if path in files and not style.signed(path):
+        if path in files and not style.is_signed(path):
             raise InputError(path, "plot", "exists and is no plot of a diagnosis", "another folder")
     for path, content in files.items():
         write_bytes(path, content)
     for path in there:
-        if path not in files and style.signed(path):
+        if path not in files and style.is_signed(path):
             path.unlink()
     write_text(target / "report.json", record.text(report))
     write_text(target / "report.html", html)

@@ -70,7 +70,7 @@ SIGNED: Any = {
 """Files that a command may overwrite tell that it wrote them."""
 
 
-def signed(path: Path) -> bool:
+def is_signed(path: Path) -> bool:
     """Whether a picture tells that this package wrote it."""
     with path.open("rb") as file:
         return b"longarm" in file.read(4096)

@@ -29,7 +29,7 @@ from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
-from longarm_comp.report.assemble import record_of, refused
+from longarm_comp.report.assemble import record_of, refused_report
 from longarm_comp.report.detail import SPLITS, Detail, detail
 from longarm_comp.report.pages import write_report
 from longarm_comp.report.record import DiagnosisReport
@@ -82,8 +82,7 @@ class DiagnosisResult:
     @property
     def predictor(self) -> Predictor | None:
         """Network of the remaining error, if it lowered the error on the hold-out."""
-        network = self.diagnosis.network
-        return network if isinstance(network, Predictor) else None
+        return self.diagnosis.network
 
     @property
     def held_out(self) -> ErrorTable:
@@ -263,7 +262,7 @@ def diagnose_files(
         )
     except InputError as error:
         seed = how.get("seed", 0)
-        report = refused(error, seed, inputs.file_hash(session))
+        report = refused_report(error, seed, inputs.file_hash(session))
         write_report(report, Detail(title=session.name), folder)
         raise
     inputs.teller(progress)("report")

@@ -194,7 +194,7 @@ def fleet(
         made[one.name] = one
         _write(made.values(), output)
         progress(one.name, len(made) / len(found))
-    told = compared([made[member.name] for member in found])
+    told = compare_arms([made[member.name] for member in found])
     _write(told, output)
     return told
 
@@ -276,7 +276,7 @@ def _diagnosed(
     return made
 
 
-def compared(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
+def compare_arms(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
     """The same, with what is found at arms of a kind told from what is one arm's own."""
     counts: Mapping[tuple[int, str, str], int] = Counter(
         (arm.kind, f.effect, f.where) for arm in arms for f in arm.findings

@@ -151,7 +151,7 @@ def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, 
     return {"model_hash": digest, "deflection": deflection}
 
 
-def learnable(given: NetworkKind | FilePath | None) -> NetworkKind | None:
+def network_kind(given: NetworkKind | FilePath | None) -> NetworkKind | None:
     """A network of others, from its file or its name; None: the paper's."""
     if not isinstance(given, (str, Path)):
         return given
@@ -180,7 +180,7 @@ def load_predictor(
     """
     from longarm_comp.core.learn.predictor_file import load
 
-    learnable(network)
+    network_kind(network)
     predictor = load(
         path, arm_hash=arm.hash, joint_names=arm.joint_names,
         model_hash=None if isinstance(model, Model) else str(physics_mark(model)["model_hash"]),

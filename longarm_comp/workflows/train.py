@@ -120,7 +120,7 @@ def train(
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, mark)
     predictor = networks.train(
         *rows, inputs=inputs, init=init, seed=seed, ensemble=ensemble, hidden=hidden,
-        device=device, network=given.learnable(network), provenance=origin,
+        device=device, network=given.network_kind(network), provenance=origin,
         progress=lambda k, of: tell(f"{k} of {of} networks", k / of),
     )  # fmt: skip
     residual = rows[1]
