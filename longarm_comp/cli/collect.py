@@ -30,9 +30,11 @@ _HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; 
 @options.flag("--dry-run", "Move nothing; print what the plan would do.")
 @options.floor
 @options.choice(
-    "--sides", ["plan", "random", "both"], default="plan",
+    "--sides",
+    ["plan", "random", "both"],
+    default="plan",
     what="Sides of arrival: of the plan, random, or both of the plan and opposite.",
-)  # fmt: skip
+)
 @click.option("--repeats", default=0, help="Poses that are visited two more times.")
 @options.flag("--in-order", "Drive in the order of the file instead of a random order.")
 @options.pace
@@ -171,8 +173,7 @@ def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None
     help="Standard deviation of these distances.",
 )
 @options.flag(
-    "--by-hand",
-    "Switch the torque off meanwhile: hold the arm before you start, and at the end.",
+    "--by-hand", "Switch the torque off meanwhile: hold the arm before you start, and at the end."
 )
 @options.flag("--resume", "Add to an existing session.")
 @options.namespace

@@ -28,8 +28,14 @@ from longarm_comp.core.errors import InputError, JobError
     metavar="ROW",
     help="A row of the DH table, base to tip: 'type=revolute alpha=90 a=0.1 d=0 limits=-30..30'.",
 )
-@click.option("--tip-at", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="X Y Z",
-              help="Tip in the last frame, m.")  # fmt: skip
+@click.option(
+    "--tip-at",
+    nargs=3,
+    type=float,
+    default=(0.0, 0.0, 0.0),
+    metavar="X Y Z",
+    help="Tip in the last frame, m.",
+)
 @click.option("--payload", type=float, default=0.0, help="Carried mass, kg.")
 @click.option(
     "--range",

@@ -97,11 +97,13 @@ def undo(model: Path) -> None:
 @click.command()
 @options.arm
 @options.path_option("--targets", "CSV with x, y, z (m); default: random targets.")
-@click.option("-n", "count", type=click.IntRange(min=2), default=40,
-              help="Random targets.")  # fmt: skip
+@click.option("-n", "count", type=click.IntRange(min=2), default=40, help="Random targets.")
 @options.path_option("--model", "Model whose tip gives random targets; default: ARM.")
-@options.choice("--method", ["deflection", "network", "both"],
-                "Compensation to measure; default: that of the running node.")  # fmt: skip
+@options.choice(
+    "--method",
+    ["deflection", "network", "both"],
+    "Compensation to measure; default: that of the running node.",
+)
 @options.choice("--by", ["cameras", "readings"], "What measures the tip.", default="cameras")
 @options.pace
 @options.namespace

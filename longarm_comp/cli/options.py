@@ -69,9 +69,12 @@ dask = click.option(
     "--dask", metavar="ADDRESS", help="Dask scheduler, or 'local': one with --jobs workers."
 )
 as_json = click.option(
-    "--json", is_flag=True, expose_value=False, callback=_print_as_json,
+    "--json",
+    is_flag=True,
+    expose_value=False,
+    callback=_print_as_json,
     help="Print results as JSON.",
-)  # fmt: skip
+)
 
 
 def several(*added: _Decorator) -> _Decorator:
@@ -193,14 +196,20 @@ def _execute_network(_: click.Context, __: click.Parameter, given: str | Path | 
 
 _NETWORK_FILE = "Python file of the predictor's network, if not the paper's; it is executed."
 network = click.option(
-    "--network", metavar="FILE|NAME", callback=_execute_network,
+    "--network",
+    metavar="FILE|NAME",
+    callback=_execute_network,
     help="Another network to train (docs/your_own_network.md): a Python file, which is executed, "
     "or the name of an installed one.",
-)  # fmt: skip
+)
 known_network = click.option(
-    "--network", type=_PATH, metavar="FILE", callback=_execute_network, expose_value=False,
+    "--network",
+    type=_PATH,
+    metavar="FILE",
+    callback=_execute_network,
+    expose_value=False,
     help=_NETWORK_FILE,
-)  # fmt: skip
+)
 network_file = click.option("--network", type=_PATH, metavar="FILE", help=_NETWORK_FILE)
 """The same for a command that passes it on."""
 effects = _effects(expose=False)
