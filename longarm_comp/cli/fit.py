@@ -97,7 +97,7 @@ def _three(values: Sequence[float], digits: int) -> str:
 @options.arm
 @options.session
 @options.model
-@options.output("predictor.npz", "Predictor to write.", outputs.PREDICTOR)
+@options.output("predictor.npz", "Predictor to write.", outputs.is_predictor)
 @options.choice("--init", ["ssa", "xavier"], "Initial weights; default: ssa.")
 @options.choice(
     "--inputs",

@@ -76,12 +76,11 @@ MODEL = marked(b"# Written by longarm")
 _NPZ, _SAFETENSORS = marked(b"PK\x03\x04", b"header.npy"), marked(b"longarm/predictor")
 
 
-def predictor(path: Path) -> bool:
-    """A predictor of the paper's network, or of another."""
+def is_predictor(path: Path) -> bool:
+    """Whether it is a predictor of the paper's network, or of another."""
     return _NPZ(path) or _SAFETENSORS(path)
 
 
-PREDICTOR = predictor
 URDF = marked(b"<robot", b"written by longarm export-urdf")
 
 
@@ -138,7 +137,7 @@ class Output(click.Option):
 
 
 def guard_outputs(command: click.Command, name: str) -> click.Command:
-    """The command, which keeps the rule before it does anything."""
+    """Make a command keep the rule before it does anything."""
     run = command.callback
     assert run is not None
     for option in command.params:
@@ -152,36 +151,33 @@ def guard_outputs(command: click.Command, name: str) -> click.Command:
         command.params.append(click.Option(["--force"], is_flag=True, help=what))
 
     def checked(*, force: bool = False, **given: Any) -> Any:
-        _check(name, command.params, given, force)
+        from longarm_comp.core.files import check_regular
+
+        params = command.params
+        named = [(p, path) for p in params for path in _parts(given.get(p.name or ""), Path)]
+        for _, path in named:
+            check_regular(path)
+        for p in params:
+            for value in _parts(given.get(p.name or ""), float):
+                if not math.isfinite(value):
+                    raise InputError(name, p.opts[0], value, "a finite number")
+        read = [path for p, path in named if not isinstance(p, Output)]
+        for option, path in () if force else named:
+            if not isinstance(option, Output):
+                continue
+            word = option.opts[0]
+            for made in (path, *option.beside(path)):
+                for other in read:
+                    if _same(made, other):
+                        said = f"{made} is the input {other}"
+                        raise InputError(name, word, said, "another file, or --force")
+            if path.exists() and not option.kind(path):
+                said = f"{path} exists and is not a file that {name} writes"
+                raise InputError(name, word, said, "a file that does not exist, or --force")
         return run(**given)
 
     command.callback = checked
     return command
-
-
-def _check(name: str, params: list[click.Parameter], given: dict[str, Any], force: bool) -> None:
-    from longarm_comp.core.files import check_regular
-
-    named = [(p, path) for p in params for path in _parts(given.get(p.name or ""), Path)]
-    for _, path in named:
-        check_regular(path)
-    for p in params:
-        for value in _parts(given.get(p.name or ""), float):
-            if not math.isfinite(value):
-                raise InputError(name, p.opts[0], value, "a finite number")
-    read = [path for p, path in named if not isinstance(p, Output)]
-    for option, path in () if force else named:
-        if not isinstance(option, Output):
-            continue
-        word = option.opts[0]
-        for made in (path, *option.beside(path)):
-            for other in read:
-                if _same(made, other):
-                    said = f"{made} is the input {other}"
-                    raise InputError(name, word, said, "another file, or --force")
-        if path.exists() and not option.kind(path):
-            said = f"{path} exists and is not a file that {name} writes"
-            raise InputError(name, word, said, "a file that does not exist, or --force")
 
 
 def _parts(value: Any, kind: type) -> Iterator[Any]:

@@ -208,6 +208,7 @@ def compensate(
         return Commands(numbers, tuple(made[k] for k in range(len(to))), placements)
     at, came = (None, unknown) if history is None else last(history, model)
     for k, target in enumerate(to):
+        sides = np.sign(np.broadcast_to(contexts[k].approach or 0.0, model.arm.n)).astype(float)
         arrival = compensate_move(
             model,
             predictor,
@@ -215,7 +216,7 @@ def compensate(
             start=at,
             history=came,
             context_after=partial(after, contexts[k]),
-            sides=_sides(contexts[k], model.arm.n),
+            sides=sides if sides.any() else None,
             seed=None if seeds is None else seeds[k],
             position_only=position_only or target.ndim == 1,
             options=options,
@@ -255,12 +256,6 @@ def after(given: Context, arrived: History) -> Context:
     """The given circumstances, completed by the history that the move leaves in the joints."""
     fields = {k: getattr(given, k) or v for k, v in arrived.fields().items()}
     return dataclasses.replace(given, **fields)
-
-
-def _sides(given: Context, n: int) -> np.ndarray | None:
-    """(n,) requested sides of arrival; None if there are none."""
-    sides = np.sign(np.broadcast_to(given.approach or 0.0, n))
-    return np.array(sides, float) if sides.any() else None
 
 
 def last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
