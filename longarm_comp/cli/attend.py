@@ -1,4 +1,4 @@
-"""What a person sees and asks of a running arm, and faults of a simulated one, to rehearse."""
+"""Commands for a running arm: its state, hold, stop, reset, view, and faults to rehearse."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _SHOWN = ("name", "unit", "prior", "unknown", "lower", "upper")
 @options.kind_of
 @options.seed
 @options.without("network", "Train no network on the remaining error.")
-@options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosed)
+@options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosis_files)
 @options.effects
 @options.as_json
 def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:

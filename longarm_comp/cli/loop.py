@@ -108,7 +108,7 @@ def undo(model: Path) -> None:
 @options.pace
 @options.namespace
 @options.seed
-@options.written(
+@options.written_option(
     "-o/--output",
     "Folder for verify.json and verify.png.",
     outputs.folder("verify.json", "verify.png", told_by="verify.json"),

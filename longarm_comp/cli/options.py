@@ -107,7 +107,7 @@ floor = click.option(
 
 
 def _namespace(_: click.Context, __: click.Parameter, given: str | None) -> str | None:
-    """As the middleware takes it, without slashes at its ends."""
+    """Check a namespace as the middleware takes it, without slashes at its ends."""
     if given is None:
         return None
     parts = given.strip("/").split("/")
@@ -224,7 +224,7 @@ def output(
     """``-o PATH``; what of it may be overwritten says `outputs`."""
     # To click a default of None is a value, with which nothing is missing
     given: dict[str, Any] = {"required": True} if default is None else {"default": default}
-    return written("-o/--output", what, kind, beside=beside, **given)
+    return written_option("-o/--output", what, kind, beside=beside, **given)
 
 
 def without(name: str, what: str) -> _Decorator:
@@ -233,7 +233,7 @@ def without(name: str, what: str) -> _Decorator:
     return click.option(flag, name, is_flag=True, callback=lambda c, p, given: not given, help=what)
 
 
-def written(name: str, what: str, kind: Kind, **more: Any) -> _Decorator:
+def written_option(name: str, what: str, kind: Kind, **more: Any) -> _Decorator:
     """An option that names a further file or folder to write."""
     return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind, **more)
 

@@ -79,7 +79,7 @@ def _of_the_machine(error: OSError | MemoryError | RecursionError) -> str:
 
 
 def _of_ros(error: ModuleNotFoundError) -> bool:
-    """Whether a module is missing that comes with ROS 2 or is built for it."""
+    """True where a module is missing that comes with ROS 2 or is built for it."""
     name = (error.name or "").split(".")[0]
     return name in ("rclpy", "longarm_interfaces", "rpyutils") or name.endswith(
         ("_interfaces", "_msgs", "_srvs")

@@ -1,4 +1,4 @@
-"""What a command has to do with a person or a running arm: questions, signals, a client.
+"""Questions to the user, signals, and a client on the running graph.
 
 Questions are also flags: what is not given is asked, where there is somebody to ask.
 """
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def handle_signals(
     handler: Callable[..., Any], numbers: Sequence[int] = (signal.SIGINT, signal.SIGTERM)
 ) -> Iterator[None]:
-    """Signals are handled so meanwhile; the previous handlers are restored at the end.
+    """Handle signals so meanwhile; the previous handlers are restored at the end.
 
     `signal.default_int_handler` raises KeyboardInterrupt, so that what must be put back is.
     """
@@ -58,7 +58,7 @@ def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> I
 
 
 def user_agrees(question: str, yes: bool) -> bool:
-    """Whether the user says yes; asked on the terminal unless it was said with ``--yes``."""
+    """Ask for a yes on the terminal, unless it was said with ``--yes``."""
     if yes:
         return True
     try:

@@ -81,7 +81,7 @@ def marker(folder: Path | None, board: str | None, output: Path, **size: Any) ->
 
 
 @click.command()
-@options.written("--frames", "Folder for a picture of each.", outputs.never)
+@options.written_option("--frames", "Folder for a picture of each.", outputs.never)
 def webcams(frames: Path | None) -> None:
     """List the webcams, take a picture of each, and print the commands that publish two of them for
     ROS.

@@ -52,7 +52,7 @@ def record_of(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisReport:
         set_aside=record.ReportSetAside.model_validate(diagnosis.set_aside.record),
         next_poses=[q.tolist() for q in (*splitting, *diagnosis.next_q)],
         outliers=_outliers(diagnosis),
-        discovered=[_discovered(cause, diagnosis) for cause in diagnosis.causes],
+        discovered=[_describe_cause(cause, diagnosis) for cause in diagnosis.causes],
         none_of_these=diagnosis.none_of_these,
         written=record.Written(
             model=diagnosis.written,
@@ -97,7 +97,7 @@ def _provenance(seed: int, data_sha256: str, folds: int) -> record.ReportProvena
     )
 
 
-def _discovered(cause: Cause, diagnosis: Diagnosis) -> record.ReportDiscovered:
+def _describe_cause(cause: Cause, diagnosis: Diagnosis) -> record.ReportDiscovered:
     before, after = (diagnosis.proof.rows[k].rms for k in (WITH_EFFECTS, WITH_FUNCTIONS))
     at = [a.where.partition(", ") for a in cause.amounts]
     kept = diagnosis.written == WITH_FUNCTIONS

@@ -10,7 +10,7 @@ from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.findings import Finding
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.report import record
-from longarm_comp.report.words import change, interval, listed, millimetres, number, odds
+from longarm_comp.report.words import change, interval, join_names, millimetres, number, odds
 
 CERTAIN = 0.999
 """Probability from which on something is called certain; from `CREDIBLE` on it is likely."""
@@ -85,7 +85,7 @@ def _first(finding: Finding, report: record.DiagnosisReport) -> str:
     """Say what would decide a doubt; empty where there is none."""
     if len(finding.names) > 1:
         poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
-        return f"{poses} that it is {finding.name}, not {listed(finding.names[1:])}."
+        return f"{poses} that it is {finding.name}, not {join_names(finding.names[1:])}."
     if finding.unnamed:
         return f"a look at it shows the cause: {finding.unnamed}."
     if finding.doubts:
@@ -97,7 +97,7 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
     others = found.set[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, counting all functions that were tried."
     if others:
-        said += f" Places that explain it as well: {listed(others)}."
+        said += f" Places that explain it as well: {join_names(others)}."
     held = "Within the range of the data the new model.yaml compensates it."
     gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
     duty, why = _duty(gain, "you find something there that acts like this.", report)
@@ -132,7 +132,7 @@ def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
     others = finding.names[1:]
     because = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
     if others:
-        because.append(f"These data do not tell it from {listed(others)}")
+        because.append(f"These data do not tell it from {join_names(others)}")
     elif finding.runner_up is not None:
         margin = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         name = finding.runner_up.effect

@@ -1,4 +1,4 @@
-"""What the page shows beyond report.json, in m and rad; error = measured - predicted.
+"""The data of the page beyond report.json, in m and rad; error = measured - predicted.
 
 All parts are optional: a verdict of noise has no guilty input, one of bad_data no rows.
 """
@@ -121,7 +121,7 @@ def detail(diagnosis: Diagnosis, facts: Mapping[str, str]) -> Detail:
         detectable=_detectable(diagnosis),
         splits=tuple(_split(diagnosis, s) for s in diagnosis.split_by),
         encoders=_encoders(diagnosis, units),
-        marked=_marked(diagnosis),
+        marked=_mark_places(diagnosis),
         provenance=facts,
     )
 
@@ -247,7 +247,7 @@ def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
     return PageTable(caption, (*head, "Unit"), tuple(lines))
 
 
-def _marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
+def _mark_places(diagnosis: Diagnosis) -> tuple[Marked, ...]:
     """The arm at the held-out row that stretches it most, with the places of all that was found."""
     found = [f.terms for f in diagnosis.findings] + [c.terms for c in diagnosis.causes]
     if not found:

@@ -46,7 +46,7 @@ def data_uri(svg: bytes) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
 
 
-def _rendered(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
+def _render(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
     with rc():
         picture = data_uri(svg(draw()))
     return template(f"{page}.html.j2").render(picture=picture, **told)
@@ -65,7 +65,7 @@ def write_report(
             one of this report.
     """
     named = report.for_people()
-    drawn = _drawn(named, detail)
+    drawn = _draw_figures(named, detail)
     html = page(named, detail, drawn)
     target = Path(folder)
     files = {target / "plots" / f"{name}.svg": content for name, content in drawn.items()}
@@ -83,7 +83,7 @@ def write_report(
     return target / "report.html"
 
 
-def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
+def _draw_figures(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
     figures: dict[str, Figure] = {}
     rows, held, floor = detail.held_out, report.held_out, floor_of(report)
     sigma_mm = None if floor is None else floor.sigma_mm
@@ -146,7 +146,7 @@ def against(name: str) -> str:
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
     """The page of a loop (loop.json) with the errors (N, 3) tip - target, m, by name of the run."""
-    return _rendered("loop", lambda: at_the_tip(errors), loop=data)
+    return _render("loop", lambda: at_the_tip(errors), loop=data)
 
 
 _MODELS = {
@@ -159,7 +159,7 @@ _ROW_IN = 0.22
 
 def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
     """The page of a folder as text, with links to the diagnosis of each arm (row of fleet.json)."""
-    return _rendered(
+    return _render(
         "fleet", lambda: _errors_of_arms(arms), name=name, arms=arms, kinds=_kinds(arms),
         drifted=[arm for arm in arms if arm["drifted"]],
         failed=[arm for arm in arms if arm["verdict"] == "failed"],
@@ -206,7 +206,7 @@ def day_page(arm: str, bag: str, day: Day) -> str:
     """The page as text, self-contained; ``arm``, ``bag``: what they are called."""
     changes = [s for s in day.said if s.level == 0]
     troubles = [s for s in day.said if s.level > 0]
-    return _rendered(
+    return _render(
         "day", lambda: _errors_of_day(day, changes), arm=arm, bag=bag, hours=day.hours,
         rows=day.by_hour(), refused=day.refused.most_common(),
         changes=[(_clock(s.first_s), s.message) for s in changes],

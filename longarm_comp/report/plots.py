@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from longarm_comp.report.detail import Input, Marked, SeenRows
 from longarm_comp.report.noise_floor import normal_length
-from longarm_comp.report.record import mapped
+from longarm_comp.report.record import map_values
 from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, VERMILLION, Look
 
 _LEVELS = 8
@@ -204,7 +204,7 @@ def exaggeration(rows: SeenRows, stage: str) -> float:
 
 
 def scene_json(rows: SeenRows) -> str:
-    """What report.js draws and turns, as JSON that is safe to stand in a script element; m.
+    """Write what report.js draws and turns as JSON that is safe in a script element; m.
 
     Every stage has its arrows at a scale of its own.
     """
@@ -225,5 +225,5 @@ def scene_json(rows: SeenRows) -> str:
         "stages": stages,
     }
     # To a hundredth of a millimetre, to keep the file small
-    short = mapped(plain, float, lambda v: round(v, 5))
+    short = map_values(plain, float, lambda v: round(v, 5))
     return json.dumps(short, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

@@ -158,7 +158,7 @@ class Doubtful(ReportPart):
 
 
 class ReportProof(ReportPart):
-    """Whether what was found errs less, as commanded, at rows that it was fitted without."""
+    """The proof that what was found errs less, as commanded, at rows it was fitted without."""
 
     folds: int
     rows: int
@@ -167,7 +167,7 @@ class ReportProof(ReportPart):
 
 
 class SharedInput(ReportPart):
-    """What rows set aside have in common: an input, where in it, how many, by what chance."""
+    """A property that rows set aside share: an input, where in it, how many, by what chance."""
 
     input: str
     value: str
@@ -184,7 +184,7 @@ class ReportSetAside(ReportPart):
 
 
 class ReportProvenance(ReportPart):
-    """What is needed to repeat the diagnosis to the byte.
+    """The data needed to repeat the diagnosis to the byte.
 
     `holdout_uses` says how often each row was held out.
     """
@@ -219,7 +219,7 @@ class DiagnosisReport(ReportPart):
 
     def for_people(self) -> DiagnosisReport:
         """The same with joints by their names instead of by rows of arm.yaml."""
-        named: DiagnosisReport = mapped(self, str, lambda text: in_names(text, self.called))
+        named: DiagnosisReport = map_values(self, str, lambda text: in_names(text, self.called))
         return named
 
 
@@ -252,18 +252,18 @@ def text(report: DiagnosisReport) -> str:
     """report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
     plain = report.model_dump(mode="json", by_alias=True)
     # + 0.0: no negative zero
-    short = mapped(plain, float, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)
+    short = map_values(plain, float, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)
     return json.dumps(short, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def mapped(value: Any, kind: type[T], to: Callable[[T], T]) -> Any:
+def map_values(value: Any, kind: type[T], to: Callable[[T], T]) -> Any:
     """Apply `to` to every value of a kind, float or str, of records, lists and mappings."""
     if isinstance(value, kind):
         return to(value)
     if isinstance(value, BaseModel):
-        return value.model_copy(update={name: mapped(v, kind, to) for name, v in value})
+        return value.model_copy(update={name: map_values(v, kind, to) for name, v in value})
     if isinstance(value, list | tuple):
-        return type(value)(mapped(entry, kind, to) for entry in value)
+        return type(value)(map_values(entry, kind, to) for entry in value)
     if isinstance(value, dict):
-        return {key: mapped(entry, kind, to) for key, entry in value.items()}
+        return {key: map_values(entry, kind, to) for key, entry in value.items()}
     return value

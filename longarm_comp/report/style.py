@@ -71,7 +71,7 @@ SIGNED: Any = {
 
 
 def is_signed(path: Path) -> bool:
-    """Whether a picture tells that this package wrote it."""
+    """True where a picture tells that this package wrote it."""
     with path.open("rb") as file:
         return b"longarm" in file.read(4096)
 

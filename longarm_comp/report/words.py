@@ -66,7 +66,7 @@ def change(pair: tuple[float, float]) -> str:
     return f"{millimetres(pair[0]).removesuffix(' mm')} → {millimetres(pair[1])}"
 
 
-def listed(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """``a, b or c``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
@@ -115,14 +115,14 @@ def meaning(report: DiagnosisReport) -> str:
     """Say in a sentence what the verdict means."""
     n, open_ = len(report.findings), sum(f.name_open for f in report.findings)
     left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
-    explain = _counted(n, "physical effect") + (" explains" if n == 1 else " explain")
-    causes = _counted(unnamed, "cause") + " without a name"
+    explain = _count_of(n, "physical effect") + (" explains" if n == 1 else " explain")
+    causes = _count_of(unnamed, "cause") + " without a name"
     added = f"{causes.lower()} {'was' if unnamed == 1 else 'were'} found and added"
     if not unnamed:
         added = "none was added"
     part = explain
     if unnamed and n:
-        part = f"{_counted(n, 'physical effect')} and {causes.lower()} explain"
+        part = f"{_count_of(n, 'physical effect')} and {causes.lower()} explain"
     elif unnamed:
         part = f"{causes} explain{'s' * (unnamed == 1)}"
     of = f"{_count(open_).lower()} of them"
@@ -149,7 +149,7 @@ def _count(n: int) -> str:
     return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
 
 
-def _counted(n: int, what: str) -> str:
+def _count_of(n: int, what: str) -> str:
     return f"{_count(n)} {what}{'' if n == 1 else 's'}"
 
 
@@ -199,13 +199,13 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, t
     """List what these data cannot tell, and the effects that it is about."""
     made: list[tuple[str, tuple[str, ...]]] = []
     for split in detail.splits:
-        said = f"Whether it is {listed(split.members)}"
+        said = f"Whether it is {join_names(split.members)}"
         figure = f"expected odds {odds(split.expected_log_bayes_factor)}"
         would = f": {split.poses} poses in next_poses.csv would tell ({figure})."
         made.append((said + (would if split.poses else f". {split.reason}"), ()))
     sought = {split.members for split in detail.splits}
     made += [
-        (f"Whether it is {listed(f.names)}. No poses to decide it were looked for.", ())
+        (f"Whether it is {join_names(f.names)}. No poses to decide it were looked for.", ())
         for f in report.findings
         if len(f.names) > 1 and f.names not in sought
     ]

@@ -68,7 +68,7 @@ class _Change:
 
 @dataclass(frozen=True)
 class Applied:
-    """What `apply` did.
+    """The result of `apply`.
 
     Attributes:
         model, version: file of the model at work, and its version.
@@ -221,7 +221,7 @@ def _session(
         allowed = "--session, the session diagnosed"
         raise InputError(diagnosis, "session", named or "none named", allowed)
     known = before if provenance[inputs.MODEL_BEFORE] else None
-    rows = inputs.admitted(path, arm, known, note=note)
+    rows = inputs.admit_session(path, arm, known, note=note)
     if rows.hash != provenance.get("session_hash"):
         wanted = f"the session diagnosed, {str(provenance.get('session_hash'))[:12]}"
         raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
@@ -281,16 +281,16 @@ def put_to_work(
     aside = _keep(predictor)
     new = hashlib.sha256(content).hexdigest()
     if trained is not None:
-        trained.save(_kept(predictor, new))
+        trained.save(_kept_as(predictor, new))
     else:
-        _kept(predictor, new).unlink(missing_ok=True)  # of an earlier time that was taken back
+        _kept_as(predictor, new).unlink(missing_ok=True)  # of an earlier time that was taken back
     file_versions.put(model, content)
     finish(model, predictor)
     if aside is not None and trained is None:
         os.replace(predictor, aside)
     # Predictors of versions that `undo` no longer reaches
     versions = [path for path in (model, file_versions.previous(model)) if path.is_file()]
-    needed = {_kept(predictor, inputs.file_hash(path)) for path in versions}
+    needed = {_kept_as(predictor, inputs.file_hash(path)) for path in versions}
     for path in predictor.parent.glob(f"{predictor.stem}.of_*{predictor.suffix}"):
         if _KEPT.search(path.stem) and path not in needed and _trained_with(path):
             path.unlink()
@@ -313,14 +313,14 @@ def undo(model: Path) -> Path | None:
         back = [name for name in names if finish(model, name)]
         for name in names:
             if name.is_file() and _trained_with(name) == discarded:
-                os.replace(name, _kept(name, discarded))
+                os.replace(name, _kept_as(name, discarded))
     return back[0] if back else None
 
 
 def finish(model: Path, predictor: Path) -> bool:
     """Finish a change that was broken off; whether a predictor is at work again by it."""
     file_versions.settle(model)
-    fits = _kept(predictor, inputs.file_hash(model)) if model.is_file() else None
+    fits = _kept_as(predictor, inputs.file_hash(model)) if model.is_file() else None
     if fits is None or not fits.is_file():
         return False
     _keep(predictor)
@@ -332,12 +332,12 @@ def _keep(predictor: Path) -> Path | None:
     """A copy of the predictor at work under its model's name; None where there is none."""
     if not predictor.is_file():
         return None
-    aside = _kept(predictor, _trained_with(predictor) or inputs.file_hash(predictor))
+    aside = _kept_as(predictor, _trained_with(predictor) or inputs.file_hash(predictor))
     write_bytes(aside, predictor.read_bytes())
     return aside
 
 
-def _kept(predictor: Path, of: str) -> Path:
+def _kept_as(predictor: Path, of: str) -> Path:
     return predictor.with_name(f"{predictor.stem}.of_{of[:_HASH]}{predictor.suffix}")
 
 

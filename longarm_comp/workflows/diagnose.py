@@ -111,7 +111,7 @@ class DiagnosisResult:
         earlier = (target / "report.json").is_file()
         write_report(self.report, detail(self.diagnosis, self.facts), target)
         before, path = self.model_before, target / inputs.MODEL
-        stored = self._stored(target)
+        stored = self._model_file(target)
         if before is not None and before.resolve() != path.resolve():
             write_bytes(path, before.read_bytes())
         save_model(path, stored)
@@ -120,7 +120,7 @@ class DiagnosisResult:
                 (target / name).unlink(missing_ok=True)
         return target
 
-    def _stored(self, folder: Path) -> StoredModel:
+    def _model_file(self, folder: Path) -> StoredModel:
         found, model, at = self.diagnosis, self.model, self.session_file
         origin = self.model_before
         before = None if origin is None else read_stored(origin)
@@ -210,8 +210,8 @@ def diagnose(
         JobError: a fit diverged.
     """
     known = None if model is None else inputs.physics(arm, model)
-    whole = inputs.admitted(session, arm, known, FEW_POSES, note)
-    held_out = None if test is None else inputs.admitted(test, arm, known, 1, note)
+    whole = inputs.admit_session(session, arm, known, FEW_POSES, note)
+    held_out = None if test is None else inputs.admit_session(test, arm, known, 1, note)
     for rows in (whole, held_out):
         if rows is not None and not rows.placed.any():
             allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
@@ -271,5 +271,5 @@ def diagnose_files(
 
 
 def _path(given: inputs.SessionLike) -> Path:
-    """Where a session came from; of one in memory, its name."""
+    """The file of a session; of one in memory, its name."""
     return Path(given.source if isinstance(given, Session) else given)

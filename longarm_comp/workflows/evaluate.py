@@ -20,7 +20,7 @@ from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows import inputs
-from longarm_comp.workflows.train import expected
+from longarm_comp.workflows.train import expected_errors
 
 
 @dataclass(frozen=True, repr=False)
@@ -93,7 +93,7 @@ class Evaluation(ErrorTable):
 
     @property
     def notes(self) -> list[str]:
-        """What has to be known to read the table: the worst rows, and what was done."""
+        """Sentences that the reader of the table needs: the worst rows, and what was done."""
         last = list(self)[-1]
         worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
         said = [f"worst rows of {last}, by index: {', '.join(worst)}"]
@@ -135,7 +135,7 @@ def evaluate(
             is for another arm, or the predictor for another model.
     """
     calibrated = None if model is None else inputs.physics(arm, model)
-    session = inputs.admitted(test, arm, calibrated, min_poses=1, note=note, judge=True)
+    session = inputs.admit_session(test, arm, calibrated, min_poses=1, note=note, judge=True)
     rigid = standing(inputs.physics(arm, None, False), session)
     models, elsewhere = {"rigid": rigid.model}, rigid.elsewhere and not rigid.placed
     if arm.links:
@@ -153,7 +153,7 @@ def evaluate(
         else:
             learned = inputs.load_predictor(predictor, arm, model)
         beside = learned.provenance.beside_deflection
-        found = expected(learned, session)
+        found = expected_errors(learned, session)
         inside = np.asarray(found.in_domain)
         outside = int(found.outside.sum())
         refused = int((~inside).sum()) - outside

@@ -66,7 +66,7 @@ class FleetFinding:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What the diagnosis of one arm said.
+    """The result of one arm's diagnosis.
 
     Attributes:
         kind: number of its kind: arms of one table of rows share it.
@@ -91,7 +91,7 @@ class Diagnosed:
 
     @property
     def drifted(self) -> bool:
-        """Whether the model in use errs by much more than what a calibration of today leaves."""
+        """True where the model in use errs by much more than a calibration of today."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
         # Error of a model in use, in that of a calibration of today, from which the arm is another:
@@ -100,7 +100,7 @@ class Diagnosed:
 
     @property
     def row(self) -> dict[str, object]:
-        """As one row of fleet.json."""
+        """The row of fleet.json."""
         return {**asdict(self), "drifted": self.drifted}
 
 
@@ -179,7 +179,7 @@ def fleet(
         own = next((name for name in (ARM, MODEL) if (mine / name).exists()), "")
         if own and not (mine / "report.json").is_file():
             raise InputError(mine, "output", f"has {own}", "a new folder, or that of a diagnosis")
-    known, left = _known(output / WRITTEN), []
+    known, left = _read_known(output / WRITTEN), []
     for member, rows in zip(found, tables, strict=True):
         files = [p for p in (member.arm, member.session, member.model) if p is not None]
         made_of = repr((*options, *map(file_hash, files)))
@@ -189,8 +189,8 @@ def fleet(
             made[member.name] = replace(before, kind=kind)
         else:
             left.append((member, kind, key))
-    look = partial(_diagnosed, output=output, network=network, seed=seed)
-    for one in _worked(look, left, jobs, dask):
+    look = partial(_diagnose_arm, output=output, network=network, seed=seed)
+    for one in _diagnose_each(look, left, jobs, dask):
         made[one.name] = one
         _write(made.values(), output)
         progress(one.name, len(made) / len(found))
@@ -200,14 +200,14 @@ def fleet(
 
 
 def _table(path: Path) -> object:
-    """What arms of one kind share; of a file that is refused itself, it is told when diagnosed."""
+    """The DH table, which arms of one kind share; the path of a file that is refused."""
     try:
         return table(Arm.load(path))
     except LongarmError:
         return path
 
 
-def _known(path: Path) -> dict[str, Diagnosed]:
+def _read_known(path: Path) -> dict[str, Diagnosed]:
     """The arms of a fleet.json by name; none where it is not there or not of this version."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["arms"]
@@ -221,7 +221,7 @@ def _write(arms: Iterable[Diagnosed], output: Path) -> None:
     write_text(output / WRITTEN, text + "\n")
 
 
-def _worked(
+def _diagnose_each(
     look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int,
     dask: str | None,
 ) -> Iterator[Diagnosed]:  # fmt: skip
@@ -233,7 +233,7 @@ def _worked(
     os.environ.setdefault("PYTHONSAFEPATH", "1")
     if dask is not None:
         for one, made in spread(look, left, dask, workers=jobs, asked="fleet"):
-            yield _failed(*one, made) if isinstance(made, LongarmError) else made
+            yield _failed_arm(*one, made) if isinstance(made, LongarmError) else made
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         begun = {pool.submit(look, *one) for one in left}
@@ -241,12 +241,12 @@ def _worked(
             yield done.result()
 
 
-def _failed(member: _Member, kind: int, made_of: str, error: Exception) -> Diagnosed:
+def _failed_arm(member: _Member, kind: int, made_of: str, error: Exception) -> Diagnosed:
     why = str(error) if isinstance(error, LongarmError) else f"a fault of longarm: {error!r}"
     return Diagnosed(member.name, kind, str(member.session), 0, "failed", why, made_of=made_of)
 
 
-def _diagnosed(
+def _diagnose_arm(
     member: _Member, kind: int, made_of: str, *, output: Path, network: bool, seed: int
 ) -> Diagnosed:
     try:
@@ -258,7 +258,7 @@ def _diagnosed(
         if member.model is not None:
             in_use = 1e3 * evaluate(arm, member.session, model=member.model)["calibrated"].mean
     except Exception as error:  # of this arm alone: the others are still diagnosed
-        return _failed(member, kind, made_of, error)
+        return _failed_arm(member, kind, made_of, error)
     left = found.held_out
     findings = [
         FleetFinding(" or ".join(sorted(f.names)), place, f.tip_mm.median if f.tip_mm else 0.0)
@@ -277,14 +277,16 @@ def _diagnosed(
 
 
 def compare_arms(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
-    """The same, with what is found at arms of a kind told from what is one arm's own."""
+    """Mark what is found at half of the arms of a kind; the rest is an arm's own."""
     counts: Mapping[tuple[int, str, str], int] = Counter(
         (arm.kind, f.effect, f.where) for arm in arms for f in arm.findings
     )
     sizes = Counter(arm.kind for arm in arms)
-
-    def told(arm: Diagnosed, f: FleetFinding) -> FleetFinding:
-        count = counts[arm.kind, f.effect, f.where]
-        return replace(f, of_kind=count >= 2 and 2 * count >= sizes[arm.kind])
-
-    return [replace(arm, findings=tuple(told(arm, f) for f in arm.findings)) for arm in arms]
+    made = []
+    for arm in arms:
+        found = []
+        for f in arm.findings:
+            count = counts[arm.kind, f.effect, f.where]
+            found.append(replace(f, of_kind=count >= 2 and 2 * count >= sizes[arm.kind]))
+        made.append(replace(arm, findings=tuple(found)))
+    return made

@@ -53,7 +53,7 @@ Telling = bool | Callable[..., None]
 
 
 def teller(progress: Telling) -> Callable[..., None]:
-    """What is called with each step, and perhaps with the share that is done."""
+    """Make the function to call with each step, and perhaps with the share that is done."""
     if callable(progress):
         return progress
     if not progress:
@@ -71,7 +71,7 @@ def teller(progress: Telling) -> Callable[..., None]:
     return tell
 
 
-def admitted(
+def admit_session(
     given: SessionLike,
     arm: Arm,
     model: Model | None = None,
@@ -80,7 +80,7 @@ def admitted(
     *,
     judge: bool = False,
 ) -> Session:
-    """A session that passed admission. Findings of the admission are passed to ``note``.
+    """Read a session and admit it. Findings of the admission are passed to ``note``.
 
     Run-ups of unknown length are taken to be as long as the model was fitted with. Where rows
     judge a model, those that do not fit it are noted and not refused.

@@ -87,7 +87,7 @@ def plan(
             session = Path(report) / str(said)
             measured = measured or (session if said and session.exists() else None)
         known = inputs.physics(arm, model)
-        rows = None if measured is None else inputs.admitted(measured, arm, known, note=note)
+        rows = None if measured is None else inputs.admit_session(measured, arm, known, note=note)
         pool = None
         if measure == "touch":
             pool = touch_pool(known, points or {}, max(POOL, 4 * n), np.random.default_rng(seed))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     options.output(
         None,
         "JSON-lines file, one line per case. Cases in it are not run again.",
-        outputs.marked(b"{"),
+        outputs.with_marks(b"{"),
     ),
     shape.arm,
     click.option("--groups", default="none,single,pair,removed,outside", show_default=True),

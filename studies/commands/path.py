@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     shape.arms(8, "Simulated arms; every other one has play."),
     shape.number("--paths", 2, "Paths of every kind and speed, an arm."),
     options.seed,
-    options.written(
+    options.written_option(
         "-o/--output",
         "JSON-lines file, one line an arm. Arms in it are not run again.",
-        outputs.marked(b"{"),
+        outputs.with_marks(b"{"),
     ),
 )
 def command(

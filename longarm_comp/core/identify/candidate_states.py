@@ -127,7 +127,7 @@ def judge_candidates(
             why += "; a command is expected to err less without it"
             states[term.name, term.where] = gain, "rejected", why
     for at, one in best_forms(tried).items():
-        states[at] = one.log_bayes_factor, *_judged(search.need, findings, one)
+        states[at] = one.log_bayes_factor, *_judge(search.need, findings, one)
     ordered = sorted(states.items(), key=lambda item: (-item[1][0], *item[0]))
     made = [
         TriedCandidate(effect=name, where=where, log_bayes_factor=factor, state=state, why=why)
@@ -141,7 +141,7 @@ def judge_candidates(
     ]
 
 
-def _judged(need: float, findings: Sequence[Finding], one: Smallest) -> tuple[State, str]:
+def _judge(need: float, findings: Sequence[Finding], one: Smallest) -> tuple[State, str]:
     """State of a candidate that is not in the model, and why."""
     value = one.log_bayes_factor
     alike = [f for f in findings if one.candidate.name in f.names[1:]]

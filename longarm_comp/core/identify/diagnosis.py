@@ -112,7 +112,7 @@ class Diagnosis:
 
     @property
     def left_out(self) -> bool:
-        """Whether something was found that the model to use leaves out."""
+        """True where the model to use leaves out something that was found."""
         return self.written != list(self.fits)[-1]
 
     @cached_property
@@ -158,12 +158,12 @@ class Diagnosis:
 
     @property
     def seen_gain(self) -> Gain:
-        """Of the stages compared, as seen."""
+        """The gain between the stages compared, as seen."""
         return Gain.of(*(self.proof.errors[stage] for stage in self.compared))
 
     @property
     def commanded_gain(self) -> Gain:
-        """Of the stages compared, as a command would have it."""
+        """The gain between the stages compared, as a command would have it."""
         return Gain.of(*(self.proof.commanded[stage] for stage in self.compared))
 
     @property

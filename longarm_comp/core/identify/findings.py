@@ -120,12 +120,12 @@ class Finding(ReportPart):
 
     @property
     def name_open(self) -> bool:
-        """Whether it may as well be something else."""
+        """True where it may as well be something else."""
         return len(self.names) > 1 or bool(self.unnamed)
 
     @property
     def open(self) -> bool:
-        """Whether it may as well be something else, or not be there in another session."""
+        """True where it may as well be something else, or not be there in another session."""
         return self.name_open or self.probability < CREDIBLE
 
     @property

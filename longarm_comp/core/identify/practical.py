@@ -44,12 +44,12 @@ class Gain:
 
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
-        """From the (M, 3) errors of two models on the same rows; zeros of no rows."""
+        """Compute it from the (M, 3) errors of two models on the same rows; zeros of no rows."""
         return cls.between(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
 
     @classmethod
     def between(cls, long: np.ndarray, short: np.ndarray) -> Gain:
-        """From the (M,) lengths of the errors of two models on the same rows."""
+        """Compute it from the (M,) lengths of the errors of two models on the same rows."""
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
         gain = long - short
@@ -70,7 +70,7 @@ def tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
 def gains(
     held_out: Sequence[tuple[ModelFit, Session]], places: set[tuple[str, str]]
 ) -> tuple[Gain, Gain]:
-    """What the terms at some places bring on held-out rows: as seen, as a command would have it.
+    """Compute the gain by the terms at some places on held-out rows: as seen, as commanded.
 
     Args:
         held_out: fits without some rows, and these rows.
