@@ -18,7 +18,6 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.errors import InputError, JobError
@@ -131,7 +130,16 @@ def apply(
     target = followed(predictor or model.parent / inputs.PREDICTOR)
     finish(model, target)
     before = _before(stored.provenance, made, model, arm)
-    rows = _session(stored.provenance, diagnosis, session, before, arm, note)
+    named = str(stored.provenance.get(inputs.SESSION, ""))
+    path = session or Path(os.path.normpath(diagnosis / named))
+    if (session is None and not named) or not path.exists():
+        allowed = "--session, the session diagnosed"
+        raise InputError(diagnosis, "session", named or "none named", allowed)
+    known = before if stored.provenance[inputs.MODEL_BEFORE] else None
+    rows = inputs.admit_session(path, arm, known, note=note)
+    if rows.hash != stored.provenance.get("session_hash"):
+        wanted = f"the session diagnosed, {str(stored.provenance.get('session_hash'))[:12]}"
+        raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
     trained: TrainedPredictor | None = None
     refused = ""
     if network:
@@ -209,23 +217,6 @@ def _before(provenance: dict[str, str | int | float], made: Path, model: Path, a
             f"the model in use, {now[:12] or 'the declared arm'}: diagnose with --model {model}",
         )  # fmt: skip
     return at_work
-
-
-def _session(
-    provenance: dict[str, str | int | float], diagnosis: Path, given: Path | None, before: Model,
-    arm: Arm, note: inputs.Note,
-) -> Session:  # fmt: skip
-    named = str(provenance.get(inputs.SESSION, ""))
-    path = given or Path(os.path.normpath(diagnosis / named))
-    if (given is None and not named) or not path.exists():
-        allowed = "--session, the session diagnosed"
-        raise InputError(diagnosis, "session", named or "none named", allowed)
-    known = before if provenance[inputs.MODEL_BEFORE] else None
-    rows = inputs.admit_session(path, arm, known, note=note)
-    if rows.hash != provenance.get("session_hash"):
-        wanted = f"the session diagnosed, {str(provenance.get('session_hash'))[:12]}"
-        raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
-    return rows
 
 
 def changes(before: Model, after: Model, q: np.ndarray, context: Context | None) -> list[_Change]:
