@@ -37,7 +37,7 @@ from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.optimal_poses import Uncertainty
-from longarm_comp.report.assemble import record_of
+from longarm_comp.report.assemble import build_report
 from longarm_comp.report.detail import SPLITS, detail
 from longarm_comp.report.pages import write_report
 from longarm_comp.sessions.bag import read_bag
@@ -186,7 +186,7 @@ def test_a_servo_that_gives_way_is_named_by_its_reading() -> None:
 
 def test_a_report_says_what_the_encoders_say(tmp_path: Path) -> None:
     """What the servo gives way, and how little of it the model leaves."""
-    write_report(record_of(drooping(), "0" * 64), detail(drooping(), {}), tmp_path)
+    write_report(build_report(drooping(), "0" * 64), detail(drooping(), {}), tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "What the encoders say" in page
     lines = detail(drooping(), {}).encoders

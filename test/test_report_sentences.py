@@ -26,7 +26,7 @@ from longarm_comp.core.identify.practical import gains, tip_shift
 from longarm_comp.core.identify.proof import WITH_FUNCTIONS
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, record, words
-from longarm_comp.report.assemble import record_of
+from longarm_comp.report.assemble import build_report
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.pages import page as rendered
@@ -92,7 +92,7 @@ def told(request: pytest.FixtureRequest) -> list[Told]:
     with pytest.MonkeyPatch.context() as patched:  # what no sentence here is about
         patched.setattr(diagnosis, "detectable", lambda *_: ())
         for found in (*bases, *every):
-            report = record_of(found, "0" * 64)
+            report = build_report(found, "0" * 64)
             made.append((report, Page(rendered(report.for_people(), Detail(), {}))))
     return made
 

@@ -58,10 +58,6 @@ def path_option(name: str, what: str, required: bool = False) -> _Decorator:
     return click.option(name, type=_PATH, required=required, help=what)
 
 
-def _print_as_json(context: click.Context, _: click.Parameter, given: bool) -> None:
-    context.meta[JSON] = given
-
-
 model = path_option("--model", "Calibrated model.yaml.")
 predictor = path_option("--predictor", "Trained predictor file.")
 seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="Random seed.")
@@ -72,7 +68,7 @@ as_json = click.option(
     "--json",
     is_flag=True,
     expose_value=False,
-    callback=_print_as_json,
+    callback=lambda context, _, given: context.meta.update({JSON: given}),
     help="Print results as JSON.",
 )
 

@@ -68,24 +68,6 @@ def root() -> click.Group:
     return click.version_option(__version__, prog_name="longarm")(group)
 
 
-def _of_the_machine(error: OSError | MemoryError | RecursionError) -> str:
-    """One line for an error that neither the user nor this program caused."""
-    if isinstance(error, OSError):
-        named = [str(name) for name in (error.filename, error.filename2) if name is not None]
-        return ": ".join([*named, error.strerror or str(error)])
-    if isinstance(error, MemoryError):
-        return "not enough memory for this input"
-    return "the input is nested too deeply"
-
-
-def _of_ros(error: ModuleNotFoundError) -> bool:
-    """True where a module is missing that comes with ROS 2 or is built for it."""
-    name = (error.name or "").split(".")[0]
-    return name in ("rclpy", "longarm_interfaces", "rpyutils") or name.endswith(
-        ("_interfaces", "_msgs", "_srvs")
-    )
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
     return run_command(root(), arguments, "longarm")
 
@@ -116,13 +98,21 @@ def run_command(
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return JobError.exit_code
     except ModuleNotFoundError as error:
-        if not _of_ros(error):
+        name = (error.name or "").split(".")[0]
+        built_for_ros = name.endswith(("_interfaces", "_msgs", "_srvs"))
+        if not built_for_ros and name not in ("rclpy", "rpyutils"):
             raise
         way = "source ROS 2 Jazzy and its workspace, or run `make setup` in a checkout"
         click.echo(f"longarm: this command needs ROS 2 ({error.name} is missing): {way}", err=True)
         return JobError.exit_code
     except (OSError, MemoryError, RecursionError) as error:
-        click.echo(f"longarm: {_of_the_machine(error)}", err=True)
+        said = "the input is nested too deeply"
+        if isinstance(error, OSError):
+            named = [str(name) for name in (error.filename, error.filename2) if name is not None]
+            said = ": ".join([*named, error.strerror or str(error)])
+        elif isinstance(error, MemoryError):
+            said = "not enough memory for this input"
+        click.echo(f"longarm: {said}", err=True)
         return JobError.exit_code
     except click.ClickException as error:
         error.show()

@@ -18,7 +18,7 @@ from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
 from longarm_comp.version import __version__
 
 
-def record_of(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisReport:
+def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisReport:
     """Build report.json of a diagnosis of rows with a hash."""
     structure, noise, proof = diagnosis.structure, diagnosis.search.noise, diagnosis.proof
     # Noise of the first sensor, m, where it tells all of a place

@@ -29,7 +29,7 @@ from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
-from longarm_comp.report.assemble import record_of, refused_report
+from longarm_comp.report.assemble import build_report, refused_report
 from longarm_comp.report.detail import SPLITS, Detail, detail
 from longarm_comp.report.pages import write_report
 from longarm_comp.report.record import DiagnosisReport
@@ -99,7 +99,7 @@ class DiagnosisResult:
     @cached_property
     def report(self) -> DiagnosisReport:
         """The record that report.json holds."""
-        return record_of(self.diagnosis, self.session_hash)
+        return build_report(self.diagnosis, self.session_hash)
 
     def save(self, folder: inputs.FilePath) -> Path:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
