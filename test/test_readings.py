@@ -33,12 +33,12 @@ from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, ServoDeadband
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.diagnosis import SPLITS, Diagnosis
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.optimal_poses import Uncertainty
 from longarm_comp.report.assemble import build_report
-from longarm_comp.report.detail import SPLITS, detail
+from longarm_comp.report.detail import detail
 from longarm_comp.report.pages import write_report
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv

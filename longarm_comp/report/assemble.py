@@ -13,7 +13,6 @@ from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import left_in_words
 from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
 from longarm_comp.report import record
-from longarm_comp.report.detail import SPLITS
 from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
 from longarm_comp.version import __version__
 
@@ -26,7 +25,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
     whole = diagnosis.train.blocks[0].kind in ("position", "touch") and np.isfinite(sigma).all()
     x, y, z = (1e3 * float(s) for s in sigma) if whole else (0.0, 0.0, 0.0)
     sigma_mm = (x, y, z) if whole else None
-    splitting = [q for by in diagnosis.split_by if by.log_bayes_factor >= SPLITS for q in by.q]
+    splitting = [q for by in diagnosis.splits for q in by.q]
     return record.DiagnosisReport(
         schema="longarm/diagnosis/1",
         verdict=diagnosis.verdict,

@@ -15,15 +15,13 @@ from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.candidate_states import best_forms
-from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.diagnosis import SPLITS, Diagnosis
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import unstack
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
 
-SPLITS = 3.0
-"""Smallest expected log odds for which poses are worth measuring."""
 _UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
 Line = tuple[str | float | None, ...]
 

@@ -30,7 +30,7 @@ from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
 from longarm_comp.report.assemble import build_report, refused_report
-from longarm_comp.report.detail import SPLITS, Detail, detail
+from longarm_comp.report.detail import Detail, detail
 from longarm_comp.report.pages import write_report
 from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.sessions.poses import FILE, write_poses
@@ -167,8 +167,7 @@ class DiagnosisResult:
 
     def _write_next(self, path: Path) -> bool:
         """Write the poses that separate effects, or settle a doubt, if there are any."""
-        splits = [s for s in self.diagnosis.split_by if s.log_bayes_factor >= SPLITS]
-        more = self.diagnosis.next_q
+        splits, more = self.diagnosis.splits, self.diagnosis.next_q
         if not splits and not len(more):
             return False
         q = np.concatenate([*(s.q for s in splits), more])

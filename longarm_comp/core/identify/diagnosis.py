@@ -40,6 +40,9 @@ from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
 
+SPLITS = 3.0
+"""Smallest expected log odds for which poses are worth measuring."""
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -137,6 +140,11 @@ class Diagnosis:
         return judge_candidates(
             self.search, self.findings, written, self.smallest, self.not_testable
         )
+
+    @property
+    def splits(self) -> list[SplittingPoses]:
+        """Poses that are worth measuring, as they would tell two names apart."""
+        return [by for by in self.split_by if by.log_bayes_factor >= SPLITS]
 
     @property
     def verdict(self) -> str:
