@@ -115,7 +115,7 @@ class Finding(ReportPart):
     action: str = ""
     parts: Annotated[
         tuple[FoundEffect, ...], GetPydanticSchema(lambda _, handler: handler(Any))
-    ] = Field(default=(), exclude=True)
+    ] = Field(default=(), exclude=True, repr=False)
     left_out: bool = Field(default=False, exclude=True)
 
     @property
