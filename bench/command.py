@@ -20,7 +20,7 @@ _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
 
 @click.command()
 @click.argument("names", nargs=-1, metavar="[NAMES]")
-@options.written(
+@options.written_option(
     "-o/--output",
     "Folder for results.json and results.png.",
     outputs.folder("results.json", "results.png", told_by="results.json"),

@@ -80,7 +80,7 @@ def read_or_make_day(
     click.option("--quiet", is_flag=True, help="No play grows."),
     click.option("--fast", is_flag=True, help="Without the ways that diagnose during the day."),
     options.seed,
-    options.written(
+    options.written_option(
         "-o/--output",
         "Folder for day.json, day.png and a file an arm, from which a stopped study continues.",
         outputs.folder("day.json", "day.png", told_by="day.json"),

@@ -129,7 +129,7 @@ def _run_cases(
     options.output(
         None,
         "JSON-lines file, one line per case. Cases in it are not run again.",
-        outputs.marked(b"{"),
+        outputs.with_marks(b"{"),
     ),
     arm_option,
     click.option("--groups", default="none,single,pair,removed,outside", show_default=True),

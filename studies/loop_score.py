@@ -17,7 +17,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.findings import EffectFinding
+from longarm_comp.core.identify.findings import Finding
 from longarm_comp.core.model.model import Model
 from studies.loop_setting import LoopSetting
 from studies.loop_truth import places, values
@@ -155,7 +155,7 @@ def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
     return 1e3 * float(np.sqrt((error**2).sum(axis=1).mean()))
 
 
-def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit | None) -> bool:
+def _minimal(setting: LoopSetting, sets: Sequence[Finding], best: ModelFit | None) -> bool:
     """Return whether no member of a set can be told from the truth by these rows."""
     if not sets or best is None:
         return best is not None
@@ -200,7 +200,7 @@ def _is_located(setting: LoopSetting, found: Diagnosis) -> bool | None:
     return all(answers) if answers else None
 
 
-def _stated_places(found: Diagnosis, finding: EffectFinding, name: str) -> set[str]:
+def _stated_places(found: Diagnosis, finding: Finding, name: str) -> set[str]:
     """Places of an effect in a finding: its strongest place, or those of the alternative."""
     if finding.name == name:
         return {_strongest(found, finding.terms)}

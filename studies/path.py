@@ -250,10 +250,10 @@ def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     arms_option(8, "Simulated arms; every other one has play."),
     whole_number("--paths", 2, "Paths of every kind and speed, an arm."),
     options.seed,
-    options.written(
+    options.written_option(
         "-o/--output",
         "JSON-lines file, one line an arm. Arms in it are not run again.",
-        outputs.marked(b"{"),
+        outputs.with_marks(b"{"),
     ),
 )
 def command(arm: Arm, arms: int, paths: int, seed: int, output: Path | None, show: Show) -> Figures:

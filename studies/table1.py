@@ -114,7 +114,7 @@ def contradictions(table: Sequence[dict[str, Any]]) -> list[str]:
         "the grid in its order.",
     ),
     options.seed,
-    options.written(
+    options.written_option(
         "-o/--output",
         "Folder for table1.json and table1.png.",
         outputs.folder("table1.json", "table1.png", told_by="table1.json"),

@@ -17,7 +17,7 @@ from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.report import record
-from longarm_comp.workflows.inputs import admitted, file_hash
+from longarm_comp.workflows.inputs import admit_session, file_hash
 from longarm_comp.workflows.train import TrainedPredictor, train
 
 FOUND = Model(ARM, (*JointZero.for_arm(ARM), FrictionHysteresis(1, width=0.004)))
@@ -38,7 +38,7 @@ def writer(work: Path, tmp_path: Path) -> Callable[..., Path]:
         shutil.copy(work / "samples.csv", tmp_path / "samples.csv")
         known = None if before is None else load_model(before, ARM)
         provenance = {
-            "session_hash": admitted(tmp_path / "samples.csv", ARM, known).hash,
+            "session_hash": admit_session(tmp_path / "samples.csv", ARM, known).hash,
             "model_before": "" if before is None else file_hash(before),
             "session": "../samples.csv",
             **more,
@@ -46,7 +46,7 @@ def writer(work: Path, tmp_path: Path) -> Callable[..., Path]:
         version = 1 if before is None else read_stored(before).version + 1
         save_model(folder / "model.yaml", store(model, version=version, provenance=provenance))
         made, _ = getattr(report_samples, verdict)(np.random.default_rng(1))
-        (folder / "report.json").write_text(record.text(record.checked(made)))
+        (folder / "report.json").write_text(record.text(record.parse_report(made)))
         return folder
 
     return write

@@ -16,11 +16,10 @@ from hidden_arm import at, session, white
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.posterior.found import Rival
+from longarm_comp.core.identify.findings import Finding, RunnerUp
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives, loads
@@ -111,7 +110,7 @@ def drawn(seed: int, base: Diagnosis) -> Diagnosis:
     return dataclasses.replace(
         base,
         search=dataclasses.replace(base.search, noise=noise),
-        findings=tuple(varied(f, rng) for f in found),
+        findings=tuple(varied(f, rng, written) for f in found),
         structure=structure,
         proof=dataclasses.replace(
             base.proof,
@@ -126,20 +125,21 @@ def drawn(seed: int, base: Diagnosis) -> Diagnosis:
     )
 
 
-def varied(finding: Any, rng: np.random.Generator) -> Any:
+def varied(finding: Finding, rng: np.random.Generator, written: str) -> Finding:
     """A finding with other odds, and sometimes a name that cannot be told from it."""
     odds, chance = float(rng.uniform(0, 60)), float(rng.uniform(0, 0.5))
-    other_name = "joint_gain" if "bearing_tilt" in finding.names else "bearing_tilt"
-    best = Rival(Candidate(other_name, finding.terms), odds - float(rng.uniform(0, 20)), chance)
-    other = (*finding.alternatives, *((best,) if chance > 0.05 else ()))
-    had = tuple((name, (1 - chance) * p) for name, p in finding.chances)
-    chances = (*had, (other_name, chance))
-    sure = float(rng.choice([0.96, 0.9995]))
-    return dataclasses.replace(
-        finding,
-        log_bayes_factor=odds,
-        probability=sure,
-        chances=chances,
-        runner_up=best,
-        alternatives=other,
-    )
+    other = "joint_gain" if "bearing_tilt" in finding.names else "bearing_tilt"
+    best = RunnerUp(effect=other, log_bayes_factor=odds - float(rng.uniform(0, 20)))
+    names = (*finding.names, other) if chance > 0.05 else finding.names
+    chances = {name: (1 - chance) * p for name, p in finding.chances} | {other: chance}
+    changed: dict[str, Any] = {
+        "log_bayes_factor": odds,
+        "probability": float(rng.choice([0.96, 0.9995])),
+        "names": names,
+        "set_probability": {name: chances[name] for name in names},
+        "runner_up": best,
+    }
+    if written == "calibrated":
+        bare = tuple(p.model_copy(update={"ci95": None}) for p in finding.parameters)
+        changed |= {"parameters": bare, "compensated": False, "left_out": True}
+    return finding.model_copy(update=changed)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from report_samples import VERDICTS, Diagnosis
 
+from longarm_comp.report.detail import Detail
 from longarm_comp.report.pages import write_report
+from longarm_comp.report.record import parse_report
 
 SEED = 5
 
@@ -18,10 +21,15 @@ def sample(verdict: str) -> Diagnosis:
     return VERDICTS[verdict](np.random.default_rng(SEED))
 
 
+def write_sample(report: dict[str, Any], detail: Detail, folder: Path) -> None:
+    """The report of a record that is handed in as a dict."""
+    write_report(parse_report(report), detail, folder)
+
+
 def write_all(folder: Path) -> None:
     """The report of every verdict, in a folder of its name."""
     for verdict in VERDICTS:
-        write_report(*sample(verdict), folder / verdict)
+        write_sample(*sample(verdict), folder / verdict)
 
 
 class Page(HTMLParser):

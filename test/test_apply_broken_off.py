@@ -20,7 +20,7 @@ from small_arm import ARM
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.workflows.apply import apply, undo
-from longarm_comp.workflows.inputs import admitted, load_predictor
+from longarm_comp.workflows.inputs import admit_session, load_predictor
 
 STEPS = ("replace", "unlink")
 """Of `os`: what changes a folder. Bytes are written to files that nobody reads yet."""
@@ -75,7 +75,7 @@ class Versions:
         self.one = self.model.read_bytes(), self.predictor.read_bytes()
         self.two = (self.second / "model.yaml").read_bytes()
         samples = self.second.parent / "samples.csv"
-        self.session = admitted(samples, ARM, load_model(self.model, ARM))
+        self.session = admit_session(samples, ARM, load_model(self.model, ARM))
         model = self.second / "model.yaml"
         self.trained = small_networks()(ARM, self.session, model=model)
         self.start = bytes_of(self.model.parent)
@@ -91,7 +91,9 @@ class Versions:
         """With the session that was read and the network that was trained once."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("longarm_comp.workflows.apply.train", lambda *a, **k: self.trained)
-            patch.setattr("longarm_comp.workflows.inputs.admitted", lambda *a, **k: self.session)
+            patch.setattr(
+                "longarm_comp.workflows.inputs.admit_session", lambda *a, **k: self.session
+            )
             apply(self.second, ARM, self.model, network=network)
 
     def check(self, network: bool) -> None:

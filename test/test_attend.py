@@ -123,7 +123,7 @@ def test_a_hand_guides_the_arm_while_touches_are_taken(
         guided.append(to)
         return ""
 
-    monkeypatch.setattr(collect, "_asked", asked)
+    monkeypatch.setattr(collect, "_ask_line", asked)
     out = tmp_path / "touches.csv"
     assert shell("touch", tmp_path / "arm.yaml", "-o", out, "--by-hand", "--json") == 0, shell.err
     found = la.read_session(out, TWO_JOINTS)

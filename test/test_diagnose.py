@@ -22,7 +22,7 @@ from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.run_ups import as_fitted
 from longarm_comp.core.model.model_file import load_model, undo
-from longarm_comp.report.record import checked
+from longarm_comp.report.record import parse_report
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.hidden import drives
 from studies.real_sessions import justin, laser_tracked
@@ -44,7 +44,7 @@ def diagnosed(*words: object) -> int:
 
 def report(folder: Path) -> dict[str, Any]:
     made: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    checked(made)
+    parse_report(made)
     return made
 
 

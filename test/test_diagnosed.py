@@ -26,7 +26,6 @@ from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
-from longarm_comp.report.assemble import assemble
 from longarm_comp.sim.hidden import drives
 
 
@@ -53,7 +52,7 @@ def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool)
     assert (found.verdict != "noise") == named
     if named:
         assert found.findings[0].chances[0][1] > 0.8
-        low, high = next((i.low, i.high) for i in found.intervals_of(found.findings[0]).values())
+        low, high = found.findings[0].parameters[0].ci95 or (0.0, 0.0)
         assert low < gain < high
 
 
@@ -168,14 +167,10 @@ def test_a_value_at_its_bound_is_not_shown_as_an_interval() -> None:
     found = diagnose(DEMO, of_truth(truth, 200, seed=6), kinds=(BearingTilt, GearEccentricity))
     (finding,) = found.findings
     assert finding.name == "bearing_tilt"
-    by_name = {p: i for (_, _, p), i in found.intervals_of(finding).items()}
-    assert by_name["about_x"].at_bound
-    assert not by_name["about_y"].at_bound
-    assert by_name["about_y"].low < 0.01 < by_name["about_y"].high
-    assert "about_x" not in found.summary
-    shown = {p["name"]: p["ci95"] for p in assemble(found, "")[0]["findings"][0]["parameters"]}
+    shown = {p.name: p.ci95 for p in finding.parameters}
     assert shown["about_x"] is None
-    assert shown["about_y"] is not None
+    assert shown["about_y"] is not None and shown["about_y"][0] < 0.01 < shown["about_y"][1]
+    assert "about_x" not in found.summary
 
 
 def test_steps_are_found_where_the_poses_stand_between_two() -> None:
@@ -223,8 +218,8 @@ def test_only_causes_of_what_measures_are_tried_and_said(instrument: str | None)
     assert tried == {"joint_gain"} | views | drift
     if drift:
         found = diagnose(arm, rows, kinds=(CameraDrift,))
-        (finding,) = assemble(found, "")[0]["findings"]
+        (finding,) = found.findings
         word = {None: "what measures", "total_station": "tripod"}.get(instrument, instrument)
-        assert finding["effect"] == "camera_drift"
-        assert word in finding["action"]
-        assert "camera" not in finding["action"] or instrument == "camera"
+        assert finding.name == "camera_drift"
+        assert word in finding.action
+        assert "camera" not in finding.action or instrument == "camera"

@@ -11,7 +11,7 @@ from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
-from longarm_comp.core.identify.findings import findings
+from longarm_comp.core.identify.findings import make_findings
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 
 GEAR = Candidate("gear_eccentricity", (GearEccentricity(5),))
@@ -44,7 +44,7 @@ def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
 
 def test_single_effects_of_one_name_are_one_finding_and_the_strongest_is_first() -> None:
     soft = FoundEffect((JointCompliance(3),), 0.99, 50.0)
-    first, second = findings([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
+    first, second = make_findings([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
     assert (first.name, first.where) == ("joint_gain", ("joint 2", "joint 5"))
     assert first.log_bayes_factor == 70.0
     assert first.probability == pytest.approx(1.0 - 0.1 * 0.1)
@@ -57,7 +57,9 @@ def test_single_effects_of_one_name_are_one_finding_and_the_strongest_is_first()
 
 
 def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
-    (found,) = findings([gain(2, ("gear_eccentricity", 0.5)), gain(5, ("gear_eccentricity", 0.1))])
+    (found,) = make_findings(
+        [gain(2, ("gear_eccentricity", 0.5)), gain(5, ("gear_eccentricity", 0.1))]
+    )
     assert found.names == ("joint_gain", "gear_eccentricity")
     assert found.open
     assert dict(found.chances)["gear_eccentricity"] == pytest.approx(0.3)
@@ -70,21 +72,21 @@ def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
 
 def test_a_name_that_may_stand_for_one_part_only_is_a_partial_alias() -> None:
     parts = [gain(2, factor=10.0), gain(5, ("gear_eccentricity", 0.3), factor=30.0)]
-    (found,) = findings(parts)
+    (found,) = make_findings(parts)
     assert found.names == ("joint_gain",)
     assert not found.open
     assert [(p.part, p.name) for p in found.partial_aliases] == [
         ("part at joint 5", "gear_eccentricity")
     ]
     assert found.runner_up is not None
-    assert found.runner_up.candidate is GEAR
+    assert found.runner_up.effect == GEAR.name
     assert dict(found.chances)["gear_eccentricity"] == pytest.approx(0.3 * 30.0 / 40.0)
 
 
 def test_the_runner_up_is_the_most_probable_other_name() -> None:
-    (found,) = findings([gain(5, ("bearing_tilt", 0.3), ("gear_eccentricity", 0.2))])
+    (found,) = make_findings([gain(5, ("bearing_tilt", 0.3), ("gear_eccentricity", 0.2))])
     assert found.runner_up is not None
-    assert found.runner_up.candidate is TILT
+    assert found.runner_up.effect == TILT.name
     assert [a.candidate.name for a in found.alternatives] == ["bearing_tilt", "gear_eccentricity"]
 
 
@@ -120,20 +122,20 @@ def test_a_fit_in_its_place_decides_between_an_effect_and_its_rival(
 
 
 def test_a_function_that_may_be_the_cause_opens_a_name_and_is_no_name() -> None:
-    (found,) = findings([gain(5, ("discovered", 0.3))])
+    (found,) = make_findings([gain(5, ("discovered", 0.3))])
     assert found.names == ("joint_gain",)
     assert found.open
     assert "joint 5, turn z, linear(q5)" in found.unnamed
     sure = replace(gain(5, ("discovered", 0.01)), there=0.99)
-    assert not findings([sure])[0].open
-    assert findings([replace(sure, there=0.9)])[0].open, "another session may not show it"
-    assert findings([sure])[0].unnamed == ""
+    assert not make_findings([sure])[0].open
+    assert make_findings([replace(sure, there=0.9)])[0].open, "another session may not show it"
+    assert make_findings([sure])[0].unnamed == ""
 
 
 def test_a_function_alone_is_no_finding() -> None:
     (term,) = WAVE.terms
     alone = FoundEffect((term,), 0.99, 40.0)
-    assert findings([alone]) == ()
+    assert make_findings([alone]) == ()
     assert alone.unnamed
     assert alone.chance_unnamed == 1.0
     assert gain(5, ("discovered", 0.3)).chance_unnamed == pytest.approx(0.3)

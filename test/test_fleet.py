@@ -22,7 +22,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.pages import fleet_page
 from longarm_comp.sessions.csv import write_csv
-from longarm_comp.workflows.fleet import Diagnosed, Finding, compared, fleet, members
+from longarm_comp.workflows.fleet import Diagnosed, FleetFinding, compare_arms, fleet, members
 from studies.fleet import command as study
 
 
@@ -118,10 +118,10 @@ def test_one_arm_yaml_stands_for_arms_of_a_kind(folders: Path, tmp_path: Path) -
 def test_what_most_arms_of_a_kind_have_is_the_kinds() -> None:
     def arm(name: str, kind: int, *found: str) -> Diagnosed:
         size = "abcd".index(name) + 1.0
-        mine = tuple(Finding(effect, "joint 2", size) for effect in found)
+        mine = tuple(FleetFinding(effect, "joint 2", size) for effect in found)
         return Diagnosed(name, kind, "s", 10, "named", "", findings=mine)
 
-    arms = compared([
+    arms = compare_arms([
         arm("a", 0, "play", "give"), arm("b", 0, "play"), arm("c", 0), arm("d", 3, "give"),
     ])  # fmt: skip
     told = {(a.name, f.effect): f.of_kind for a in arms for f in a.findings}

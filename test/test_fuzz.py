@@ -308,7 +308,7 @@ def test_damaged_files_of_the_graph_and_of_reports(
     """What the nodes and `apply` read, given to its loader: read, or refused as bad input."""
     if source == "report.json":
         report, _ = report_samples.named(np.random.default_rng(0))
-        whole = record.text(record.checked(report)).encode()
+        whole = record.text(record.parse_report(report)).encode()
     else:
         whole = (demo_arm_path.parent / source).read_bytes()
     path = tmp_path / source

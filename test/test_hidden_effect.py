@@ -19,10 +19,10 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
+from longarm_comp.core.identify.candidate_states import detectable
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.model.model import Model
-from longarm_comp.report.candidate_states import detectable
 from longarm_comp.sim.hidden import drives, geometry
 from studies.many import compensate_arrays
 

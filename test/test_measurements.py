@@ -45,7 +45,7 @@ from longarm_comp.core.effects.placements import (
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.report.record import checked
+from longarm_comp.report.record import parse_report
 from longarm_comp.sessions.csv import read_csv, write_csv
 
 GOOD = 1.5e-4
@@ -250,7 +250,7 @@ def test_diagnose_names_the_effect_from_poses_and_from_a_mixture(kind: str, tmp_
     assert miss(found.model, GAIN) < GOOD
     assert not found.diagnosis.structure.flag
     found.save(tmp_path / "out")
-    checked(found.report())
+    parse_report(found.report.model_dump(by_alias=True, mode="json"))
 
 
 def test_what_cannot_be_is_refused() -> None:

@@ -178,5 +178,4 @@ def test_what_is_said_of_a_finding_beside_it_is_what_is_written() -> None:
     (gain,) = (f for f in diagnosis.findings if f.name == "joint_gain")
     written = {t.key: t for t in diagnosis.model.terms}
     assert [written[t.key] for t in gain.terms] == list(gain.terms)
-    ends = diagnosis.intervals_of(gain)
-    assert [i.value for i in ends.values()] == [t.gain for t in gain.terms]
+    assert [p.value for p in gain.parameters] == [t.gain for t in gain.terms]

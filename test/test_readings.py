@@ -34,13 +34,12 @@ from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, ServoDeadband
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.diagnosis import SPLITS, Diagnosis
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.optimal_poses import Uncertainty
-from longarm_comp.report.assemble import assemble
-from longarm_comp.report.candidate_states import sizes
-from longarm_comp.report.detail import SPLITS, detail
+from longarm_comp.report.assemble import build_report
+from longarm_comp.report.detail import detail
 from longarm_comp.report.pages import write_report
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
@@ -180,10 +179,10 @@ def test_a_servo_that_gives_way_is_named_by_its_reading() -> None:
 
 def test_a_report_says_what_the_encoders_say(tmp_path: Path) -> None:
     """What the servo gives way, and how little of it the model leaves."""
-    write_report(*assemble(drooping(), "0" * 64), tmp_path)
+    write_report(build_report(drooping(), "0" * 64), detail(drooping(), {}), tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "What the encoders say" in page
-    lines = detail(drooping(), sizes(drooping()), {}).encoders
+    lines = detail(drooping(), {}).encoders
     assert lines is not None and [line[0] for line in lines.rows] == list(ARM.joint_names)
     rows = drooping().fit.session.take(drooping().fit.weights > 0)
     for k, (_, mean, _, _, left, noise, unit) in enumerate(lines.rows):
@@ -232,7 +231,7 @@ def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
     diagnosis = diagnose(ARM, session((soft(3),), encoders=False))
     (found,) = diagnosis.findings
     assert {"joint_compliance", "servo_droop"} <= set(found.names)
-    page = detail(diagnosis, sizes(diagnosis), {})
+    page = detail(diagnosis, {})
     assert not page.encoders
     said = [s.reason for s in page.splits if "servo_droop" in s.reason]
     assert said and all("(read_q3)" in reason for reason in said)
@@ -247,7 +246,7 @@ def test_no_pose_splits_two_names_of_one_physics_at_some_joints() -> None:
     assert other.where == finding.where
     (split,) = found.split_by
     assert split.log_bayes_factor < SPLITS
-    (said,) = detail(found, sizes(found), {}).splits
+    (said,) = detail(found, {}).splits
     assert said.poses == 0 and "(read_q2, read_q4)" in said.reason
 
 

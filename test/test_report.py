@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from report_pages import page_of, sample
+from report_pages import page_of, sample, write_sample
 from report_samples import VERDICTS
 
 from longarm_comp.core.arm.arm import Arm
@@ -22,7 +22,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.report import cards, record, words
 from longarm_comp.report.detail import Input, SeenRows
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.pages import write_report
 
 SECTIONS = [
     *("verdict", "todo", "findings", "untested", "errors", "distribution", "scene", "guilty"),
@@ -61,7 +60,7 @@ def test_a_joint_is_said_by_the_number_that_a_mechanic_knows() -> None:
     report, _ = sample("named")
     report |= {"called": {"joint 4": "luff (q2)"}, "summary": "play at joint 4, joint 41"}
     report["findings"][0] |= {"where": ["joint 4"]}
-    said = record.checked(report).for_people()
+    said = record.parse_report(report).for_people()
     (card, *_) = cards.cards(said)
     assert card.title == "Play, luff (q2)" and said.summary == "play at luff (q2), joint 41"
 
@@ -93,7 +92,7 @@ def test_same_diagnosis_gives_same_bytes_whatever_the_order_of_keys(
     reports: Path, tmp_path: Path
 ) -> None:
     report, detail = sample("set")
-    write_report(dict(reversed(report.items())), detail, tmp_path)
+    write_sample(dict(reversed(report.items())), detail, tmp_path)
     files = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*") if p.is_file())
     assert len(files) == 6
     for file in files:
@@ -104,15 +103,15 @@ def test_plots_of_an_earlier_report_go(tmp_path: Path) -> None:
     (tmp_path / "plots").mkdir()
     (tmp_path / "plots" / "against_q5.svg").write_text("<svg>longarm</svg>")
     (tmp_path / "plots" / "place_1.svg").write_text("<svg>mine</svg>")
-    write_report(*sample("bad_data"), tmp_path)
+    write_sample(*sample("bad_data"), tmp_path)
     assert [path.name for path in (tmp_path / "plots").iterdir()] == ["place_1.svg"]
     with pytest.raises(InputError, match=r"place_1\.svg: plot: 'exists and is no plot"):
-        write_report(*sample("named"), tmp_path)
+        write_sample(*sample("named"), tmp_path)
     assert (tmp_path / "plots" / "place_1.svg").read_text() == "<svg>mine</svg>"
     (tmp_path / "plots" / "place_1.svg").unlink()
-    write_report(*sample("named"), tmp_path)
+    write_sample(*sample("named"), tmp_path)
     made = [path for path in (tmp_path / "plots").iterdir() if path.stem.startswith("place")]
-    write_report(*sample("bad_data"), tmp_path)
+    write_sample(*sample("bad_data"), tmp_path)
     assert made and not list((tmp_path / "plots").iterdir())  # all that it drew before
 
 
@@ -183,7 +182,7 @@ def is_head(line: list[str]) -> bool:
 def test_noise_floor_is_that_of_gaussian_noise(rng: np.random.Generator) -> None:
     report, _ = sample("named")
     report = report | {"noise": {"sigma_mm": [0.3, 0.3, 0.3], "source": "repeats", "rho": 0.0}}
-    floor = floor_of(record.checked(report))
+    floor = floor_of(record.parse_report(report))
     drawn = rng.normal(0, 0.3, (20_000, 60, 3))
     length = np.linalg.norm(drawn, axis=-1)
     found = [
@@ -233,7 +232,7 @@ def test_every_text_is_escaped(tmp_path: Path) -> None:
         provenance={evil: evil},
         held_out=dataclasses.replace(detail.held_out, inputs=inputs),
     )
-    write_report(report, detail, tmp_path)
+    write_sample(report, detail, tmp_path)
     page = page_of(tmp_path)
     text = (tmp_path / "report.html").read_text("utf-8")
     assert not page.faults
@@ -270,9 +269,9 @@ def test_one_row_without_error_and_no_row_at_all_are_drawn(tmp_path: Path) -> No
     row = dict.fromkeys(report["held_out"]["rows"][0], 0.0) | {"model": "calibrated"}
     report["held_out"] |= {"n": 1, "rows": [row]}
     detail = dataclasses.replace(detail, held_out=one, guilty=("q1",))
-    write_report(report, detail, tmp_path)
+    write_sample(report, detail, tmp_path)
     assert page_of(tmp_path).tables["errors"][1] == ["calibratedafter", *["0.000"] * 8]
     empty = SeenRows(np.zeros(0, int), origin[:0], {"calibrated": origin[:0]})
     report["held_out"] = {"n": 0, "rows": [], "before_after_ci95_mm": None}
-    write_report(report, dataclasses.replace(detail, held_out=empty), tmp_path)
+    write_sample(report, dataclasses.replace(detail, held_out=empty), tmp_path)
     assert "No held-out rows were used." in page_of(tmp_path).words()

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from report_pages import sample
+from report_pages import sample, write_sample
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.report.pages import write_report
 
 BAD: list[tuple[str, tuple[str | int, ...], Any, str]] = [
     ("not a number", ("held_out", "rows", 0, "mean_mm"), float("nan"), "mean_mm"),
@@ -36,7 +35,7 @@ def test_bad_record_is_refused_and_nothing_written(
         node = node[step]
     node[path[-1]] = value
     with pytest.raises(InputError) as caught:
-        write_report(report, detail, tmp_path)
+        write_sample(report, detail, tmp_path)
     assert said in str(caught.value)
     assert not list(tmp_path.iterdir())
 
@@ -45,10 +44,10 @@ def test_missing_key_is_named(tmp_path: Path) -> None:
     report, detail = sample("named")
     del report["noise"]
     with pytest.raises(InputError, match=r"report\.json: noise: .*required"):
-        write_report(report, detail, tmp_path)
+        write_sample(report, detail, tmp_path)
 
 
 def test_unwritable_folder_is_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="output folder"):
-        write_report(*sample("bad_data"), tmp_path / "file")
+        write_sample(*sample("bad_data"), tmp_path / "file")

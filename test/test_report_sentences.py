@@ -21,10 +21,12 @@ from report_pages import Page
 
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.identify.practical import practical
+from longarm_comp.core.identify import diagnosis
+from longarm_comp.core.identify.practical import gains, tip_shift
 from longarm_comp.core.identify.proof import WITH_FUNCTIONS
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import assemble, cards, record, words
+from longarm_comp.report import cards, record, words
+from longarm_comp.report.assemble import build_report
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.pages import page as rendered
@@ -42,21 +44,24 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     """The rest fitted again to first order, against a whole fit; the size as a sum by hand."""
     found, fitted = real(), real().fit
     (drift,) = (f for f in found.findings if f.name == "camera_drift")
-    (made,) = practical(fitted, [drift.terms], found.fullest)
+    places = {t.key for t in drift.terms}
+    fullest = [(list(fold.fits.values())[-1], fold.rows) for fold in found.folds]
+    seen, commanded = gains(fullest, places)
     rate = np.array([getattr(drift.terms[0], axis) for axis in "xyz"])
     hours = fitted.session.columns["t_s"] / 3600
-    assert made.tip_m == pytest.approx(hours * np.linalg.norm(rate), rel=1e-6, abs=1e-7)
+    tip_m = hours * np.linalg.norm(rate)
+    assert tip_shift(fitted, places) == pytest.approx(tip_m, rel=1e-6, abs=1e-7)
     left = []
-    for kept, rows in found.fullest:
+    for kept, rows in fullest:
         bare = dataclasses.replace(kept.model, biases=())
         again = fit(bare, kept.session, **kept.judged)
         left.append(np.linalg.norm(errors(again.model, rows), axis=1))
     left = np.concatenate(left).mean()
-    assert made.seen.before == pytest.approx(left, rel=0.02)
-    assert made.seen.after == pytest.approx(found.proof.rows["with_effects"].mean)
-    assert made.seen.before > 1.5 * made.seen.after
-    assert made.commanded.before == pytest.approx(made.seen.before)
-    assert made.commanded.after > 1.5 * made.seen.after
+    assert seen.before == pytest.approx(left, rel=0.02)
+    assert seen.after == pytest.approx(found.proof.rows["with_effects"].mean)
+    assert seen.before > 1.5 * seen.after
+    assert commanded.before == pytest.approx(seen.before)
+    assert commanded.after > 1.5 * seen.after
 
 
 Told = tuple[record.DiagnosisReport, Page]
@@ -81,22 +86,14 @@ def told(request: pytest.FixtureRequest) -> list[Told]:
     made_of, seeds = SETS[request.param]
     data = [request.getfixturevalue("justin_data")] if request.param == "Justin" else []
     bases = [one(*data) for one in made_of]
-    every, made = {}, []
-    for base in bases:
-        terms = [f.terms for f in base.findings]
-        of_each = practical(base.fit, terms, base.fullest)
-        every |= {one[0].key: size for one, size in zip(terms, of_each, strict=True)}
-    with pytest.MonkeyPatch.context() as patched:  # the same fit, so the same each time
-        patched.setattr(
-            assemble,
-            "practical",
-            lambda fit, found, _: [every[terms[0].key] for terms in found],
-        )
-        found = [base for base in bases if base.findings]
-        every_one = [drawn(seed, found[seed % len(found)]) for seed in seeds if found]
-        for found in (*bases, *every_one):
-            report = record.checked(assemble.record_of(found, (), "0" * 64))
-            made.append((report, Page(rendered(report, Detail(), {}))))
+    rich = [base for base in bases if base.findings]
+    every = [drawn(seed, rich[seed % len(rich)]) for seed in seeds if rich]
+    made = []
+    with pytest.MonkeyPatch.context() as patched:  # what no sentence here is about
+        patched.setattr(diagnosis, "detectable", lambda *_: ())
+        for found in (*bases, *every):
+            report = build_report(found, "0" * 64)
+            made.append((report, Page(rendered(report.for_people(), Detail(), {}))))
     return made
 
 
@@ -285,7 +282,7 @@ def test_cards_say_what_their_numbers_say(told: list[Told]) -> None:
                 finding.commanded_mm[1] >= 0.95 * finding.commanded_mm[0]
             )
             assert numbers(card.tip)[0] == pytest.approx(finding.tip_mm.median, abs=6e-3)
-            assert ("the name is open" in card.sure) == (len(finding.set) > 1)
+            assert ("the name is open" in card.sure) == (len(finding.names) > 1)
             assert card.sure.startswith("certain") == (finding.probability >= 0.999)
             assert ("compensates it" in card.software) == finding.compensated
 
@@ -299,12 +296,12 @@ def test_what_is_to_do_follows_from_the_numbers(told: list[Told]) -> None:
         for finding, card in zip(report.findings, named(report), strict=True):
             assert finding.seen_mm is not None
             gain = finding.seen_mm[0] - finding.seen_mm[1]
-            doubt = finding.open or finding.doubts or finding.probability < 0.999
+            doubt = finding.name_open or finding.doubts or finding.probability < 0.999
             worth = gain >= max(0.5, noise)
             wanted = ("Do only if" if doubt else "Do") if worth else "Leave alone"
             assert card.duty == wanted and card in listed[wanted]
-            assert (finding.action in cards.said(card)) == worth
-            assert cards.said(card) in page.words()
+            assert (finding.action in cards.advice(card)) == worth
+            assert cards.advice(card) in page.words()
             if wanted != "Do only if":
                 assert numbers(card.because_of)[0] == pytest.approx(max(gain, 0.0), abs=6e-3)
 

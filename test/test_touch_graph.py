@@ -38,7 +38,7 @@ def pressed(arm: QuickArm, monkeypatch: pytest.MonkeyPatch, keys: list[str | np.
         arm.stand(key)
         return ""
 
-    monkeypatch.setattr(collect, "_asked", asked)
+    monkeypatch.setattr(collect, "_ask_line", asked)
 
 
 def run(*words: str) -> str:
@@ -148,7 +148,7 @@ def test_a_touch_outside_the_socket_is_refused(
             arm.stand(q)
             return ""
 
-        monkeypatch.setattr(collect, "_asked", asked)
+        monkeypatch.setattr(collect, "_ask_line", asked)
         said = run("-o", str(out), "--name", "a")
     assert "touch a: the ball sits in no socket; nothing was recorded" in said
     np.testing.assert_allclose(la.read_session(out, ARM).q, [ARM.mid + 0.1], atol=1e-9)

@@ -25,7 +25,7 @@ from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.proof import Fold, prove
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
-from longarm_comp.report.record import checked
+from longarm_comp.report.record import parse_report, text
 from longarm_comp.workflows.diagnose import DiagnosisResult
 from studies.outside import PumpShake, RubberStop
 
@@ -136,8 +136,7 @@ def test_a_diagnosis_says_what_it_found_without_a_name(stopped: DiagnosisResult)
     means = {k: np.linalg.norm(v, axis=1).mean() for k, v in found.proof.errors.items()}
     assert means["with_functions"] < 0.3 * means["calibrated"]
     assert means["with_effects"] == pytest.approx(means["calibrated"], rel=1e-6)
-    checked(stopped.report())
-    json.dumps(stopped.report())
+    parse_report(json.loads(text(stopped.report)))
 
 
 def test_what_was_found_is_in_the_written_model(stopped: DiagnosisResult, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a person sees and asks of a running arm, and faults of a simulated one, to rehearse."""
+"""Commands for a running arm: its state, hold, stop, reset, view, and faults to rehearse."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, say
-from longarm_comp.cli.signals import agreed, on_graph
+from longarm_comp.cli.signals import on_graph, user_agrees
 from longarm_comp.core.errors import JobError
 
 
@@ -90,7 +90,7 @@ def reset(namespace: str, kept: bool, yes: bool) -> None:
         standing = kept_stops(state_folder())
         for stop in standing:
             note(str(stop))
-            if agreed("End it?", yes):
+            if user_agrees("End it?", yes):
                 stop.file.unlink(missing_ok=True)
         note("nothing to reset" if not standing else "a driver that runs stays as it is")
         return

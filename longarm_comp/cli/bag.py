@@ -9,6 +9,8 @@ import click
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, print_table
 
+_DAY = outputs.with_marks(b"<!doctype html>", b"A day of work")
+
 
 @click.command()
 @options.output(None, "Bag folder to record.", outputs.left_to_the_command)
@@ -104,7 +106,7 @@ def to_csv(arm: options.Arm, bag: Path, output: Path, namespace: str | None) -> 
 @click.command()
 @options.arm
 @options.bag
-@options.output("day.html", "Page to write.", outputs.marked(b"<!doctype html>", b"A day of work"))
+@options.output("day.html", "Page to write.", _DAY)
 @options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
 @options.as_json
 def day_report(arm: options.Arm, bag: Path, output: Path, namespace: str | None) -> None:

@@ -12,7 +12,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_table, progress
-from longarm_comp.cli.signals import handled, on_graph
+from longarm_comp.cli.signals import handle_signals, on_graph
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -26,13 +26,15 @@ _HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; 
 @click.command()
 @options.arm_file
 @options.path_argument("poses", "POSES")
-@options.written("-o/--output", "Bag folder to record.", outputs.left_to_the_command)
+@options.written_option("-o/--output", "Bag folder to record.", outputs.left_to_the_command)
 @options.flag("--dry-run", "Move nothing; print what the plan would do.")
 @options.floor
 @options.choice(
-    "--sides", ["plan", "random", "both"], default="plan",
+    "--sides",
+    ["plan", "random", "both"],
+    default="plan",
     what="Sides of arrival: of the plan, random, or both of the plan and opposite.",
-)  # fmt: skip
+)
 @click.option("--repeats", default=0, help="Poses that are visited two more times.")
 @options.flag("--in-order", "Drive in the order of the file instead of a random order.")
 @options.pace
@@ -115,7 +117,7 @@ def _drive(
 
     last: list[Progress] = []
 
-    def kept() -> str:
+    def say_kept() -> str:
         if not last or not (output / "metadata.yaml").is_file():
             return ""
         made, seen = len(last[-1].made), last[-1].seen
@@ -127,7 +129,7 @@ def _drive(
         show(str(now), now.share)
 
     with (
-        kept_if_broken_off(kept),
+        kept_if_broken_off(say_kept),
         on_graph("collect", namespace, arm) as client,
         progress("collect", lines=True) as show,
     ):
@@ -171,8 +173,7 @@ def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None
     help="Standard deviation of these distances.",
 )
 @options.flag(
-    "--by-hand",
-    "Switch the torque off meanwhile: hold the arm before you start, and at the end.",
+    "--by-hand", "Switch the torque off meanwhile: hold the arm before you start, and at the end."
 )
 @options.flag("--resume", "Add to an existing session.")
 @options.namespace
@@ -211,16 +212,16 @@ def touch(
 
     written = len(touches.rows)
 
-    def kept() -> str:
+    def say_kept() -> str:
         return f"{output} keeps {written} touches; --resume adds to them" if written else ""
 
     with (
-        kept_if_broken_off(kept),
+        kept_if_broken_off(say_kept),
         on_graph("touch", namespace, arm) as client,
         limp(client) if by_hand else nullcontext(""),
     ):
         note(_HELP)
-        column, line = "touch", _asked(f"touch {name}", client.stop)
+        column, line = "touch", _ask_line(f"touch {name}", client.stop)
         while line != "end":
             if not line:
                 try:
@@ -236,16 +237,16 @@ def touch(
             else:
                 column, name = "touch", line
             if line in ("", "undo"):
-                _kept(touches, output)
+                _keep_touches(touches, output)
                 written = len(touches.rows)
-            line = _asked(f"{column} {name}", client.stop)
+            line = _ask_line(f"{column} {name}", client.stop)
     print_json({"output": output, "rows": written})
     file = click.get_current_context().params["arm"]
     done = f"{written} touches in {output}; next: longarm calibrate {file} {output}"
     note(done if written else "no touch was recorded, nothing is written")
 
 
-def _asked(prompt: str, stop: Event) -> str:
+def _ask_line(prompt: str, stop: Event) -> str:
     """The next line; the end of the input ends the session, and a signal waits for no key."""
 
     def now(*_: object) -> None:
@@ -253,7 +254,7 @@ def _asked(prompt: str, stop: Event) -> str:
         raise KeyboardInterrupt
 
     try:
-        with handled(now):
+        with handle_signals(now):
             return str(click.prompt(prompt, default="", show_default=False, err=True)).strip()
     except click.Abort:
         if stop.is_set():
@@ -261,7 +262,7 @@ def _asked(prompt: str, stop: Event) -> str:
         return "end"
 
 
-def _kept(touches: TouchLog, output: Path) -> None:
+def _keep_touches(touches: TouchLog, output: Path) -> None:
     from longarm_comp.sessions.csv import write_csv
 
     if not touches.rows:

@@ -23,17 +23,23 @@ from longarm_comp.core.errors import InputError, JobError
 )
 @click.option("--max-acceleration", type=float, help="The same, rad/s^2 or m/s^2.")
 @click.option(
-    "--max-longer", type=click.FloatRange(0.0),
+    "--max-longer",
+    type=click.FloatRange(0.0),
     help="Share of time that play may add to --path; 0: exact times. Default 1.",
-)  # fmt: skip
+)
 @options.model
 @options.predictor
 @options.known_network
-@options.choice("--method", ["none", "deflection", "network", "both"],
-                "What to compensate; default: all that the given files allow.")  # fmt: skip
-@options.choice("--frame", ["base", "measured"],
-                "Frame of the targets: the arm's own base, or that of the measurements of MODEL."
-                )  # fmt: skip
+@options.choice(
+    "--method",
+    ["none", "deflection", "network", "both"],
+    "What to compensate; default: all that the given files allow.",
+)
+@options.choice(
+    "--frame",
+    ["base", "measured"],
+    "Frame of the targets: the arm's own base, or that of the measurements of MODEL.",
+)
 @click.option("--seed-q", help="Joints to start from, q1,..,qn (rad, m); default mid-range.")
 @click.option(
     "--lock", "locked", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed."
@@ -46,9 +52,10 @@ from longarm_comp.core.errors import InputError, JobError
 @options.flag("--position-only", "Leave the orientation free.")
 @options.flag("--single-pass", "Correct once, as the paper does.")
 @click.option(
-    "--realisable/--no-realisable", default=True,
+    "--realisable/--no-realisable",
+    default=True,
     help="Choose joints together among the servo steps of ARM; off for paths.",
-)  # fmt: skip
+)
 @options.output("commands.csv", "Joint commands to write.", outputs.COMMANDS)
 @options.like
 @options.effects

@@ -26,7 +26,7 @@ _SHOWN = ("name", "unit", "prior", "unknown", "lower", "upper")
 @options.kind_of
 @options.seed
 @options.without("network", "Train no network on the remaining error.")
-@options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosed)
+@options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosis_files)
 @options.effects
 @options.as_json
 def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
@@ -42,26 +42,28 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
       longarm diagnose arm.yaml bag --model model.yaml -o diagnosis
       longarm diagnose arm.yaml samples.csv -o diagnosis --kind-of others/*.yaml
     """
-    from longarm_comp.report.cards import said, to_do
-    from longarm_comp.report.record import checked
+    from longarm_comp.report.cards import advice, to_do
     from longarm_comp.workflows.diagnose import diagnose_files
 
     with progress("diagnose") as show:
         found = diagnose_files(arm, session, output, note=note, progress=show, **how)
-    report = found.report()
-    print_json({"output": str(output), **report})
-    rows = report["held_out"]["rows"]
+    report = found.report
+    print_json({"output": str(output), **report.model_dump(mode="json", by_alias=True)})
+    rows = [row.model_dump() for row in report.held_out.rows]
     absent = {name for name in rows[0] if all(row[name] is None for row in rows)}
     shown = [{k: v for k, v in row.items() if k not in absent} for row in rows]
-    print_rows(f"Held-out errors ({report['held_out']['n']} rows)", shown)
-    keys = ("where", "name", "value", "ci95", "unit")
-    added = [(f["effect"], *map(p.get, keys)) for f in report["findings"] for p in f["parameters"]]
-    print_effects("Effects added", report["called"], added)
-    for duty, held in to_do(checked(report).for_people()).items():
+    print_rows(f"Held-out errors ({report.held_out.n} rows)", shown)
+    added = [
+        (f.name, p.where, p.name, p.value, p.ci95, p.unit)
+        for f in report.findings
+        for p in f.parameters
+    ]
+    print_effects("Effects added", report.called, added)
+    for duty, held in to_do(report.for_people()).items():
         for card in held:
             size = "; ".join(filter(None, (card.tip, card.sure, f"{card.figure} {card.improves}")))
-            say(f"{duty.lower()}: {card.title} ({size}): {said(card)} {card.software}")
-    say(f"{report['verdict']}: {report['summary']}")
+            say(f"{duty.lower()}: {card.title} ({size}): {advice(card)} {card.software}")
+    say(f"{report.verdict}: {report.summary}")
     note(found.diagnosis.set_aside.describe(found.diagnosis.fit.session))
     note(f"report in {output / 'report.html'}, model in {output / 'model.yaml'}")
 

@@ -24,9 +24,12 @@ from longarm_comp.cli.signals import by_name
     "--units", default="", metavar="mm,deg", help="Units of columns whose names have none."
 )
 @click.option(
-    "--map", "pairs", multiple=True, metavar="A=q1,...",
+    "--map",
+    "pairs",
+    multiple=True,
+    metavar="A=q1,...",
     help="Meaning of columns, also with a unit: A=q3:mm. Repeat for more.",
-)  # fmt: skip
+)
 @click.option("--rotation", metavar="CONVENTION:COLUMNS", help="Orientation; see below.")
 @options.path_option("--arm", "arm.yaml: names the joints and says which slide.")
 @options.path_option("--like", "Mapping of an earlier file of the same kind, instead of the above.")

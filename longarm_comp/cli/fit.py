@@ -97,12 +97,14 @@ def _three(values: Sequence[float], digits: int) -> str:
 @options.arm
 @options.session
 @options.model
-@options.output("predictor.npz", "Predictor to write.", outputs.PREDICTOR)
+@options.output("predictor.npz", "Predictor to write.", outputs.is_predictor)
 @options.choice("--init", ["ssa", "xavier"], "Initial weights; default: ssa.")
 @options.choice(
-    "--inputs", ["context", "joints"], default="context",
+    "--inputs",
+    ["context", "joints"],
+    default="context",
     what="context: joints, approach, temperature, payload; joints: as in the paper.",
-)  # fmt: skip
+)
 @click.option(
     "--ensemble", type=click.IntRange(min=1), default=5, help="Number of networks in the ensemble."
 )
@@ -110,8 +112,12 @@ def _three(values: Sequence[float], digits: int) -> str:
     "--hidden", type=click.IntRange(min=1), help="Hidden units; default: chosen by evidence."
 )
 @options.without("deflection", 'The paper\'s "network only": rigid physics.')
-@options.choice("--device", ["auto", "cpu", "cuda"], default="auto",
-                what="Where to train; auto: a GPU if torch sees one.")  # fmt: skip
+@options.choice(
+    "--device",
+    ["auto", "cpu", "cuda"],
+    default="auto",
+    what="Where to train; auto: a GPU if torch sees one.",
+)
 @options.network
 @options.seed
 @options.effects

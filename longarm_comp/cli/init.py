@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -28,8 +27,14 @@ from longarm_comp.core.errors import InputError, JobError
     metavar="ROW",
     help="A row of the DH table, base to tip: 'type=revolute alpha=90 a=0.1 d=0 limits=-30..30'.",
 )
-@click.option("--tip-at", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="X Y Z",
-              help="Tip in the last frame, m.")  # fmt: skip
+@click.option(
+    "--tip-at",
+    nargs=3,
+    type=float,
+    default=(0.0, 0.0, 0.0),
+    metavar="X Y Z",
+    help="Tip in the last frame, m.",
+)
 @click.option("--payload", type=float, default=0.0, help="Carried mass, kg.")
 @click.option(
     "--range",
@@ -90,7 +95,11 @@ def command(
     from longarm_comp.urdf import chain_ends, import_urdf
 
     make.check_free(out)
-    _one_source(urdf, like, arm, rows)
+    sources = {"--urdf": urdf, "--like": like, "--arm": arm, "--joint": rows}
+    given = [option for option, value in sources.items() if value]
+    if len(given) != 1:
+        allowed = "one of --urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
+        raise InputError("init", "source", " and ".join(given) or "none", allowed)
     if like is not None:
         files = make.demonstration()
     else:
@@ -130,14 +139,6 @@ def command(
 _RANGES = """
 Turning joints have {:g} deg at most: a first session drives through all
 of the limits. Widen them where nothing is in the way and the marker is seen."""
-
-
-def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Sequence[str]) -> None:
-    given = [k for k, v in zip(("--urdf", "--like", "--arm", "--joint"), (urdf, like, arm, rows),
-                               strict=True) if v]  # fmt: skip
-    if len(given) != 1:
-        allowed = "one of --urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
-        raise InputError("init", "source", " and ".join(given) or "none", allowed)
 
 
 @click.command()

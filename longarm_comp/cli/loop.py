@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress, say
-from longarm_comp.cli.signals import agreed, on_graph
+from longarm_comp.cli.signals import on_graph, user_agrees
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
@@ -97,16 +97,18 @@ def undo(model: Path) -> None:
 @click.command()
 @options.arm
 @options.path_option("--targets", "CSV with x, y, z (m); default: random targets.")
-@click.option("-n", "count", type=click.IntRange(min=2), default=40,
-              help="Random targets.")  # fmt: skip
+@click.option("-n", "count", type=click.IntRange(min=2), default=40, help="Random targets.")
 @options.path_option("--model", "Model whose tip gives random targets; default: ARM.")
-@options.choice("--method", ["deflection", "network", "both"],
-                "Compensation to measure; default: that of the running node.")  # fmt: skip
+@options.choice(
+    "--method",
+    ["deflection", "network", "both"],
+    "Compensation to measure; default: that of the running node.",
+)
 @options.choice("--by", ["cameras", "readings"], "What measures the tip.", default="cameras")
 @options.pace
 @options.namespace
 @options.seed
-@options.written(
+@options.written_option(
     "-o/--output",
     "Folder for verify.json and verify.png.",
     outputs.folder("verify.json", "verify.png", told_by="verify.json"),
@@ -234,7 +236,7 @@ def loop(
 
     def agree(report: DiagnosisReport) -> bool:
         note(f"{report.verdict}: {report.summary}")
-        return agreed("Apply this to the model in use?", yes)
+        return user_agrees("Apply this to the model in use?", yes)
 
     kept = f"{output} keeps what was done; continue with --resume"
     with (

@@ -20,9 +20,11 @@ from longarm_comp.cli.output import note, print_json, print_rows
 @options.model
 @click.option("--move", default=0.5, help="Time of a move, s.")
 @click.option(
-    "--damping", type=float, metavar="SHARE",
+    "--damping",
+    type=float,
+    metavar="SHARE",
     help="Share of critical damping; default: that of arm.yaml, else 0.01.",
-)  # fmt: skip
+)
 @options.path_option(
     "--ring",
     "After a move to the first pose: CSV with t_s and x,y,z, or read_q1..qn; or a bag, after its "

@@ -58,10 +58,6 @@ def path_option(name: str, what: str, required: bool = False) -> _Decorator:
     return click.option(name, type=_PATH, required=required, help=what)
 
 
-def _print_as_json(context: click.Context, _: click.Parameter, given: bool) -> None:
-    context.meta[JSON] = given
-
-
 model = path_option("--model", "Calibrated model.yaml.")
 predictor = path_option("--predictor", "Trained predictor file.")
 seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="Random seed.")
@@ -69,9 +65,12 @@ dask = click.option(
     "--dask", metavar="ADDRESS", help="Dask scheduler, or 'local': one with --jobs workers."
 )
 as_json = click.option(
-    "--json", is_flag=True, expose_value=False, callback=_print_as_json,
+    "--json",
+    is_flag=True,
+    expose_value=False,
+    callback=lambda context, _, given: context.meta.update({JSON: given}),
     help="Print results as JSON.",
-)  # fmt: skip
+)
 
 
 def several(*added: _Decorator) -> _Decorator:
@@ -104,7 +103,7 @@ floor = click.option(
 
 
 def _namespace(_: click.Context, __: click.Parameter, given: str | None) -> str | None:
-    """As the middleware takes it, without slashes at its ends."""
+    """Check a namespace as the middleware takes it, without slashes at its ends."""
     if given is None:
         return None
     parts = given.strip("/").split("/")
@@ -193,14 +192,20 @@ def _execute_network(_: click.Context, __: click.Parameter, given: str | Path | 
 
 _NETWORK_FILE = "Python file of the predictor's network, if not the paper's; it is executed."
 network = click.option(
-    "--network", metavar="FILE|NAME", callback=_execute_network,
+    "--network",
+    metavar="FILE|NAME",
+    callback=_execute_network,
     help="Another network to train (docs/your_own_network.md): a Python file, which is executed, "
     "or the name of an installed one.",
-)  # fmt: skip
+)
 known_network = click.option(
-    "--network", type=_PATH, metavar="FILE", callback=_execute_network, expose_value=False,
+    "--network",
+    type=_PATH,
+    metavar="FILE",
+    callback=_execute_network,
+    expose_value=False,
     help=_NETWORK_FILE,
-)  # fmt: skip
+)
 network_file = click.option("--network", type=_PATH, metavar="FILE", help=_NETWORK_FILE)
 """The same for a command that passes it on."""
 effects = _effects(expose=False)
@@ -215,7 +220,7 @@ def output(
     """``-o PATH``; what of it may be overwritten says `outputs`."""
     # To click a default of None is a value, with which nothing is missing
     given: dict[str, Any] = {"required": True} if default is None else {"default": default}
-    return written("-o/--output", what, kind, beside=beside, **given)
+    return written_option("-o/--output", what, kind, beside=beside, **given)
 
 
 def without(name: str, what: str) -> _Decorator:
@@ -224,7 +229,7 @@ def without(name: str, what: str) -> _Decorator:
     return click.option(flag, name, is_flag=True, callback=lambda c, p, given: not given, help=what)
 
 
-def written(name: str, what: str, kind: Kind, **more: Any) -> _Decorator:
+def written_option(name: str, what: str, kind: Kind, **more: Any) -> _Decorator:
     """An option that names a further file or folder to write."""
     return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind, **more)
 

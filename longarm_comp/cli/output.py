@@ -109,7 +109,15 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
     Where stderr is no terminal nothing is said, or with ``lines`` a line now and then.
     """
     if not sys.stderr.isatty():
-        yield _now_and_then(label) if lines else lambda *_: None
+        said = -math.inf
+
+        def tell(text: str, share: float | None = None) -> None:
+            nonlocal said
+            if lines and time.monotonic() - said >= _QUIET_S:
+                said = time.monotonic()
+                note(f"{label}: {text}")
+
+        yield tell
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -124,18 +132,6 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
             bar.update(task, description=described, total=total, completed=share)
 
         yield update
-
-
-def _now_and_then(label: str) -> Callable[..., None]:
-    said = -math.inf
-
-    def tell(text: str, share: float | None = None) -> None:
-        nonlocal said
-        if time.monotonic() - said >= _QUIET_S:
-            said = time.monotonic()
-            note(f"{label}: {text}")
-
-    return tell
 
 
 def _cell(value: object) -> str:

@@ -25,11 +25,11 @@ Kind = Callable[[Path], bool]
 
 
 def never(path: Path) -> bool:
-    """Of what people go on to edit."""
+    """Replace nothing: people go on to edit it."""
     return False
 
 
-def marked(*marks: bytes) -> Kind:
+def with_marks(*marks: bytes) -> Kind:
     """A file in whose first or last bytes all of these stand."""
 
     def ours(path: Path) -> bool:
@@ -68,21 +68,20 @@ def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
 
 
 def left_to_the_command(path: Path) -> bool:
-    """Of folders and bags that the command itself refuses where they exist, or resumes."""
+    """Leave it to the command, which refuses a folder or bag that exists, or resumes it."""
     return True
 
 
-MODEL = marked(b"# Written by longarm")
-_NPZ, _SAFETENSORS = marked(b"PK\x03\x04", b"header.npy"), marked(b"longarm/predictor")
+MODEL = with_marks(b"# Written by longarm")
+_NPZ, _SAFETENSORS = with_marks(b"PK\x03\x04", b"header.npy"), with_marks(b"longarm/predictor")
 
 
-def predictor(path: Path) -> bool:
-    """A predictor of the paper's network, or of another."""
+def is_predictor(path: Path) -> bool:
+    """Recognise a predictor of the paper's network, or of another."""
     return _NPZ(path) or _SAFETENSORS(path)
 
 
-PREDICTOR = predictor
-URDF = marked(b"<robot", b"written by longarm export-urdf")
+URDF = with_marks(b"<robot", b"written by longarm export-urdf")
 
 
 def session(path: Path) -> bool:
@@ -96,7 +95,7 @@ def session(path: Path) -> bool:
 
 POSES = table("q1", without="repeat_id")
 COMMANDS = table("q1", "status", "predicted_error_x")
-PICTURE = marked(b"longarm")
+PICTURE = with_marks(b"longarm")
 _DIAGNOSED = "report.json", "report.html", "model.yaml", "predictor.npz", "next_poses.csv"
 DIAGNOSIS = folder(*_DIAGNOSED, told_by="report.json", schema="longarm/diagnosis/1")
 
@@ -109,7 +108,7 @@ def json_text(data: object) -> str:
     return written.decode()
 
 
-def diagnosed(path: Path) -> list[Path]:
+def diagnosis_files(path: Path) -> list[Path]:
     return [path / name for name in _DIAGNOSED]
 
 
@@ -137,8 +136,8 @@ class Output(click.Option):
         self.kind, self.beside = kind, beside or (lambda path: [])
 
 
-def guarded(command: click.Command, name: str) -> click.Command:
-    """The command, which keeps the rule before it does anything."""
+def guard_outputs(command: click.Command, name: str) -> click.Command:
+    """Make a command keep the rule before it does anything."""
     run = command.callback
     assert run is not None
     for option in command.params:
@@ -151,41 +150,38 @@ def guarded(command: click.Command, name: str) -> click.Command:
         what = "Overwrite what exists, also an input."
         command.params.append(click.Option(["--force"], is_flag=True, help=what))
 
-    def checked(*, force: bool = False, **given: Any) -> Any:
-        _check(name, command.params, given, force)
+    def run_checked(*, force: bool = False, **given: Any) -> Any:
+        from longarm_comp.core.files import check_regular
+
+        params = command.params
+        named = [(p, path) for p in params for path in _parts(given.get(p.name or ""), Path)]
+        for _, path in named:
+            check_regular(path)
+        for p in params:
+            for value in _parts(given.get(p.name or ""), float):
+                if not math.isfinite(value):
+                    raise InputError(name, p.opts[0], value, "a finite number")
+        read = [path for p, path in named if not isinstance(p, Output)]
+        for option, path in () if force else named:
+            if not isinstance(option, Output):
+                continue
+            word = option.opts[0]
+            for made in (path, *option.beside(path)):
+                for other in read:
+                    if _same(made, other):
+                        said = f"{made} is the input {other}"
+                        raise InputError(name, word, said, "another file, or --force")
+            if path.exists() and not option.kind(path):
+                said = f"{path} exists and is not a file that {name} writes"
+                raise InputError(name, word, said, "a file that does not exist, or --force")
         return run(**given)
 
-    command.callback = checked
+    command.callback = run_checked
     return command
 
 
-def _check(name: str, params: list[click.Parameter], given: dict[str, Any], force: bool) -> None:
-    from longarm_comp.core.files import check_regular
-
-    named = [(p, path) for p in params for path in _parts(given.get(p.name or ""), Path)]
-    for _, path in named:
-        check_regular(path)
-    for p in params:
-        for value in _parts(given.get(p.name or ""), float):
-            if not math.isfinite(value):
-                raise InputError(name, p.opts[0], value, "a finite number")
-    read = [path for p, path in named if not isinstance(p, Output)]
-    for option, path in () if force else named:
-        if not isinstance(option, Output):
-            continue
-        word = option.opts[0]
-        for made in (path, *option.beside(path)):
-            for other in read:
-                if _same(made, other):
-                    said = f"{made} is the input {other}"
-                    raise InputError(name, word, said, "another file, or --force")
-        if path.exists() and not option.kind(path):
-            said = f"{path} exists and is not a file that {name} writes"
-            raise InputError(name, word, said, "a file that does not exist, or --force")
-
-
 def _parts(value: Any, kind: type) -> Iterator[Any]:
-    """What is of a kind in a value, or in tuples and lists of it."""
+    """Find what is of a kind in a value, or in tuples and lists of it."""
     if isinstance(value, kind):
         yield value
     elif isinstance(value, tuple | list):
@@ -194,7 +190,7 @@ def _parts(value: Any, kind: type) -> Iterator[Any]:
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Whether both are one file, links followed; or a folder that is written holds the other."""
+    """Compare two files, links followed; they need not exist."""
     try:
         return one.samefile(other)
     except OSError:  # one does not exist

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +83,15 @@ def command(
     declared = Arm.load(arm)
     form, output = options.form_of(like, output)
     given |= {"kind": kind, "measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
-    given |= {"seen": _sees(arm) if seen else None, "points": {n: place for n, *place in points}}
+    given |= {"points": {name: place for name, *place in points}}
+    if seen:
+        from longarm_comp.arm_folder.head import view_beside
+
+        view = view_beside(arm)
+        if view is None:
+            files = "stereo_bridge.yaml and simulated_arm.yaml beside ARM"
+            raise InputError("plan", "--seen", "no cameras", f"{files} (longarm init writes them)")
+        given["seen"] = lambda tips: np.array([not why for why in view.unseen(tips)])
     poses = plan(declared, count, note=note, **given)
     write_poses(poses, output, *([form.write] if form else []))
     facts: dict[str, Any] = {"output": output, "poses": poses.q, "approach": poses.approach}
@@ -94,13 +101,3 @@ def command(
         facts["expected_with_20_more_mm"] = 1e3 * poses.ahead_m
         note(poses.stop_rule)
     print_json(facts)
-
-
-def _sees(arm: Path) -> Callable[[np.ndarray], np.ndarray]:
-    from longarm_comp.arm_folder.head import view_beside
-
-    view = view_beside(arm)
-    if view is None:
-        allowed = "stereo_bridge.yaml and simulated_arm.yaml beside ARM (longarm init writes them)"
-        raise InputError("plan", "--seen", "no cameras", allowed)
-    return lambda tips: np.array([not why for why in view.unseen(tips)])

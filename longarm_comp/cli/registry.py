@@ -26,23 +26,24 @@ class Entry(NamedTuple):
     summary: str
 
     def load(self, folder: str = "longarm_comp.cli") -> click.Command:
+        """Import the command.
+
+        Raises:
+            JobError: it is of a checkout, and there is none.
+        """
         module, _, name = self.module.partition(":")
         if "." in module:
-            _use_checkout(module.partition(".")[0])
+            # A folder of the checkout stands beside the package and nowhere else: the folder in
+            # which the program is started may hold anything
+            root, beside = Path(__file__).resolve().parents[2], module.partition(".")[0]
+            if not (root / beside / "__init__.py").is_file():
+                raise JobError(f"{beside} can only be run from a checkout of the project")
+            if str(root) not in sys.path:
+                sys.path.append(str(root))
         else:
             module = f"{folder}.{module}"
         command: click.Command = getattr(importlib.import_module(module), name or "command")
         return command
-
-
-def _use_checkout(folder: str) -> None:
-    """Make a folder of the checkout importable. It stands beside the package and nowhere else:
-    the folder in which the program is started may hold anything."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / folder / "__init__.py").is_file():
-        raise JobError(f"{folder} can only be run from a checkout of the project")
-    if str(root) not in sys.path:
-        sys.path.append(str(root))
 
 
 COMMANDS = (

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import click
 
-from longarm_comp.cli.outputs import guarded
+from longarm_comp.cli.outputs import guard_outputs
 from longarm_comp.cli.registry import COMMANDS, GROUPS, Entry
 from longarm_comp.core.errors import JobError, LongarmError
 from longarm_comp.version import __version__
@@ -38,7 +38,7 @@ class LazyGroup(click.Group):
         if entry is None:
             return super().get_command(ctx, cmd_name)
         command = entry.load(self._folder)
-        return command if isinstance(command, click.Group) else guarded(command, cmd_name)
+        return command if isinstance(command, click.Group) else guard_outputs(command, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Print the list of commands without importing any."""
@@ -66,24 +66,6 @@ def root() -> click.Group:
         "Exit codes: 0 done, 2 bad input, 3 the job could not be done.",
     )
     return click.version_option(__version__, prog_name="longarm")(group)
-
-
-def _of_the_machine(error: OSError | MemoryError | RecursionError) -> str:
-    """One line for an error that neither the user nor this program caused."""
-    if isinstance(error, OSError):
-        named = [str(name) for name in (error.filename, error.filename2) if name is not None]
-        return ": ".join([*named, error.strerror or str(error)])
-    if isinstance(error, MemoryError):
-        return "not enough memory for this input"
-    return "the input is nested too deeply"
-
-
-def _of_ros(error: ModuleNotFoundError) -> bool:
-    """Whether a module is missing that comes with ROS 2 or is built for it."""
-    name = (error.name or "").split(".")[0]
-    return name in ("rclpy", "longarm_interfaces", "rpyutils") or name.endswith(
-        ("_interfaces", "_msgs", "_srvs")
-    )
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -116,13 +98,21 @@ def run_command(
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return JobError.exit_code
     except ModuleNotFoundError as error:
-        if not _of_ros(error):
+        name = (error.name or "").split(".")[0]
+        built_for_ros = name.endswith(("_interfaces", "_msgs", "_srvs"))
+        if not built_for_ros and name not in ("rclpy", "rpyutils"):
             raise
         way = "source ROS 2 Jazzy and its workspace, or run `make setup` in a checkout"
         click.echo(f"longarm: this command needs ROS 2 ({error.name} is missing): {way}", err=True)
         return JobError.exit_code
     except (OSError, MemoryError, RecursionError) as error:
-        click.echo(f"longarm: {_of_the_machine(error)}", err=True)
+        said = "the input is nested too deeply"
+        if isinstance(error, OSError):
+            named = [str(name) for name in (error.filename, error.filename2) if name is not None]
+            said = ": ".join([*named, error.strerror or str(error)])
+        elif isinstance(error, MemoryError):
+            said = "not enough memory for this input"
+        click.echo(f"longarm: {said}", err=True)
         return JobError.exit_code
     except click.ClickException as error:
         error.show()

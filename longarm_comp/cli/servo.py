@@ -16,7 +16,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table, progress
-from longarm_comp.cli.signals import ask, by_name, go_on, handled, numbers_by_name
+from longarm_comp.cli.signals import ask, by_name, go_on, handle_signals, numbers_by_name
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def scan(port: str | None, **line: Any) -> None:
     """
     from longarm_comp.devices.setup_journal import SetupJournal
 
-    found = _scanned("servo scan", port, **line)
+    found = _find_servos("servo scan", port, **line)
     print_json(asdict(found))
     _show(found)
     left = SetupJournal(found.port)
@@ -58,7 +58,7 @@ def scan(port: str | None, **line: Any) -> None:
         note("next: longarm servo setup DIR writes each servo's model, zero and direction")
 
 
-def _scanned(
+def _find_servos(
     command: str,
     port: str | None,
     protocol: str | None,
@@ -150,7 +150,7 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     from longarm_comp.devices.state_folder import state_folder
     from longarm_comp.devices.stop_latch import refuse_under_stop
 
-    found = _scanned("servo set-id", port, **line)
+    found = _find_servos("servo set-id", port, **line)
     refuse_under_stop(state_folder(), [found.port])
     old = renumber(found, servo_id)
     note(f"servo {old} is servo {servo_id} now: write it on the servo")
@@ -203,7 +203,7 @@ _SIGNS = {"+": 1, "-": -1}
 )
 @options.flag("--yes", "Do not wait at each step: the arm is held or supported.")
 @options.as_json
-@handled(signal.default_int_handler)
+@handle_signals(signal.default_int_handler)
 def setup(
     folder: Path,
     port: str | None,
@@ -241,9 +241,13 @@ def setup(
     if not file.is_file():
         raise InputError(file, "servo file", "missing", "`longarm init` makes it")
     config = ServoConfig.load(file)
-    held, directions, bus = _held(config, pose), _given(config, direction), config.bus
+    held, directions, bus = (
+        _held_pose(config, pose),
+        _given_directions(config, direction),
+        config.bus,
+    )
     known = {joint.servo_id for joint in config.joints.values()}
-    found = _scanned(_COMMAND, port, known=bus.port, expected=known, **line)
+    found = _find_servos(_COMMAND, port, known=bus.port, expected=known, **line)
     stops = Path(read_parameters(file).get("state") or state_folder())
     refuse_under_stop(stops, {found.port, bus.port}, folder / "arm.yaml")
     _show(found)
@@ -264,7 +268,7 @@ def setup(
         if unknown:
             wait("The torque goes on; each joint makes a small move. Stand clear.")
             bench.hold()
-            directions |= {name: _nudged(bench, name) for name in unknown}
+            directions |= {name: _ask_direction(bench, name) for name in unknown}
             wait("The torque goes off again: hold or support the arm.")
             bench.let_go()
         joints = {}
@@ -299,7 +303,7 @@ def setup(
     note(f"next: longarm check {folder}")
 
 
-def _held(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
+def _held_pose(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
     """Joint values of the held pose, rad or m."""
     from longarm_comp.devices.servo_setup import hand_unit
 
@@ -311,7 +315,7 @@ def _held(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
     return held
 
 
-def _given(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
+def _given_directions(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
     """+1 or -1 of the joints whose direction is given: of all where nobody is there to be asked."""
     form = "JOINT=+ or JOINT=-"
     given = by_name(_COMMAND, "--direction", direction, form, list(config.joints))
@@ -343,7 +347,7 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
     return joints
 
 
-def _nudged(setup: ServoSetup, name: str) -> int:
+def _ask_direction(setup: ServoSetup, name: str) -> int:
     """Direction of a joint: it is nudged, and the user says which way it went."""
     text = "which way did it go, by arm.yaml? (another joint moved: Ctrl-C, correct servo_id)"
     kind, said = click.Choice([*_SIGNS, "again"]), "again"

@@ -1,4 +1,4 @@
-"""What a command has to do with a person or a running arm: questions, signals, a client.
+"""Questions to the user, signals, and a client on the running graph.
 
 Questions are also flags: what is not given is asked, where there is somebody to ask.
 """
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def handled(
+def handle_signals(
     handler: Callable[..., Any], numbers: Sequence[int] = (signal.SIGINT, signal.SIGTERM)
 ) -> Iterator[None]:
-    """Signals are handled so meanwhile; the previous handlers are restored at the end.
+    """Handle signals so meanwhile; the previous handlers are restored at the end.
 
     `signal.default_int_handler` raises KeyboardInterrupt, so that what must be put back is.
     """
@@ -42,7 +42,7 @@ def handled(
 def stop_on_signals() -> Iterator[threading.Event]:
     """An event that SIGINT and SIGTERM set."""
     stop = threading.Event()
-    with handled(lambda *_: stop.set()):
+    with handle_signals(lambda *_: stop.set()):
         yield stop
 
 
@@ -57,12 +57,12 @@ def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> I
         yield client
 
 
-def agreed(question: str, yes: bool) -> bool:
-    """Whether the user says yes; asked on the terminal unless it was said with ``--yes``."""
+def user_agrees(question: str, yes: bool) -> bool:
+    """Ask for a yes on the terminal, unless it was said with ``--yes``."""
     if yes:
         return True
     try:
-        with handled(signal.default_int_handler, [signal.SIGINT]):
+        with handle_signals(signal.default_int_handler, [signal.SIGINT]):
             return click.confirm(question, err=True)
     except click.Abort:
         raise JobError("there was no answer yes: answer the question, or use --yes") from None

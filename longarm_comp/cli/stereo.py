@@ -81,7 +81,7 @@ def marker(folder: Path | None, board: str | None, output: Path, **size: Any) ->
 
 
 @click.command()
-@options.written("--frames", "Folder for a picture of each.", outputs.never)
+@options.written_option("--frames", "Folder for a picture of each.", outputs.never)
 def webcams(frames: Path | None) -> None:
     """List the webcams, take a picture of each, and print the commands that publish two of them for
     ROS.
@@ -145,7 +145,17 @@ def calibrate(
     if images is not None:
         views, size = _from_files(target, images)
     else:
-        views, size = _from_topics(target, save, namespace)
+        from longarm_comp.jobs.board_capture import capture
+
+        told = [""]
+
+        def tell(text: str) -> None:
+            if text != told[-1]:
+                note(text)
+                told.append(text)
+
+        with on_graph("board_capture", namespace) as client:
+            views, size = capture(client, target, tell, save=save)
     found = calibrate_board(target, views, size)
     files = write_cameras(folder, found)
     fit = found.fit
@@ -190,21 +200,6 @@ def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
                 note(f"{left.name}, {right.name} are left out: {refusal}")
     assert size is not None
     return views, size
-
-
-def _from_topics(target: Target, save: Path | None, namespace: str) -> tuple[list[BoardView], Size]:
-    from longarm_comp.jobs.board_capture import capture
-
-    last = ""
-
-    def tell(text: str) -> None:
-        nonlocal last
-        if text != last:
-            note(text)
-        last = text
-
-    with on_graph("board_capture", namespace) as client:
-        return capture(client, target, tell, save=save)
 
 
 @click.command("hand-eye")

@@ -45,7 +45,8 @@ class Closed(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
-        known = {field.alias or name for name, field in cls.model_fields.items()}
+        fields = cls.model_fields.items()
+        known = {field.alias or name for name, field in fields if not field.exclude}
         for key, given in data.items() if isinstance(data, dict) else ():
             if key not in known:
                 raise Misdeclared(str(key), given, f"known keys: {', '.join(sorted(known))}")

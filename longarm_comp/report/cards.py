@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from longarm_comp.core.effects.units import for_people
+from longarm_comp.core.identify.findings import Finding
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.report import record
-from longarm_comp.report.words import change, interval, listed, millimetres, number, odds
+from longarm_comp.report.words import change, interval, join_names, millimetres, number, odds
 
 CERTAIN = 0.999
 """Probability from which on something is called certain; from `CREDIBLE` on it is likely."""
@@ -52,26 +54,26 @@ class _Card:
 
 
 def cards(report: record.DiagnosisReport) -> list[_Card]:
-    """A card per finding, then one per cause without a name that is in the model."""
-    unnamed = [_unnamed(found, report) for found in report.discovered if found.kept]
+    """Make a card of each finding, then of each cause without a name that is in the model."""
+    unnamed = [_unnamed_card(found, report) for found in report.discovered if found.kept]
     return [_card(finding, report) for finding in report.findings] + unnamed
 
 
 def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
-    """The cards by what is to be done about them, in the order of `DUTIES`; empty ones left out."""
+    """Sort the cards by what is to be done, in the order of `DUTIES`; empty ones left out."""
     made = cards(report)
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
 
 
-def said(card: _Card) -> str:
-    """What to do about it, in a sentence or two."""
+def advice(card: _Card) -> str:
+    """Say what to do about it, in a sentence or two."""
     if card.duty == DUTIES[1]:
         return f"{card.because_of} Then: {card.action}"
     return f"{card.because_of} {card.action}" if card.duty == DUTIES[0] else card.because_of
 
 
 def _duty(gain_mm: float, first: str, report: record.DiagnosisReport) -> tuple[str, str]:
-    """What to do about a cause, and why; ``first``: what must be known before, or nothing."""
+    """Choose what to do about a cause, and why; ``first``: what must be known before, or ""."""
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):
         least = "the noise" if noise > WORTH_MM else f"{WORTH_MM:g} mm"
@@ -79,11 +81,11 @@ def _duty(gain_mm: float, first: str, report: record.DiagnosisReport) -> tuple[s
     return (DUTIES[1], first) if first else (DUTIES[0], f"It is worth {millimetres(gain_mm)}.")
 
 
-def _first(finding: record.ReportFinding, report: record.DiagnosisReport) -> str:
-    """What would decide a doubt; empty where there is none."""
-    if len(finding.set) > 1:
+def _first(finding: Finding, report: record.DiagnosisReport) -> str:
+    """Say what would decide a doubt; empty where there is none."""
+    if len(finding.names) > 1:
         poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
-        return f"{poses} that it is {finding.effect}, not {listed(finding.others)}."
+        return f"{poses} that it is {finding.name}, not {join_names(finding.names[1:])}."
     if finding.unnamed:
         return f"a look at it shows the cause: {finding.unnamed}."
     if finding.doubts:
@@ -91,11 +93,11 @@ def _first(finding: record.ReportFinding, report: record.DiagnosisReport) -> str
     return "" if finding.probability >= CERTAIN else "a second session finds it again."
 
 
-def _unnamed(found: record.ReportDiscovered, report: record.DiagnosisReport) -> _Card:
+def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport) -> _Card:
     others = found.set[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, counting all functions that were tried."
     if others:
-        said += f" Places that explain it as well: {listed(others)}."
+        said += f" Places that explain it as well: {join_names(others)}."
     held = "Within the range of the data the new model.yaml compensates it."
     gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
     duty, why = _duty(gain, "you find something there that acts like this.", report)
@@ -117,30 +119,65 @@ def _unnamed(found: record.ReportDiscovered, report: record.DiagnosisReport) -> 
     )
 
 
-def _card(finding: record.ReportFinding, report: record.DiagnosisReport) -> _Card:
-    title, where = finding.title or finding.effect.replace("_", " "), _places(finding.where)
+def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
+    title, where = finding.title or finding.name.replace("_", " "), _places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
     duty, why = _duty(before - after, _first(finding, report), report)
+    sizes = []
+    for p in finding.parameters[:MOST_SIZES]:
+        times, unit = for_people(p.unit)
+        shown = f"{number(times * p.value, 3)}{'' if unit == '°' else ' '}{unit}"
+        span = "" if p.ci95 is None else interval((times * p.ci95[0], times * p.ci95[1]), 3)
+        sizes.append((p.where, p.name, shown, span))
+    others = finding.names[1:]
+    because = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
+    if others:
+        because.append(f"These data do not tell it from {join_names(others)}")
+    elif finding.runner_up is not None:
+        margin = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
+        name = finding.runner_up.effect
+        because.append(f"Next best: {name}, odds of {odds(margin)} for the name")
+    if finding.unnamed:
+        because.append(f"It may be a cause without a name: {finding.unnamed}")
+    sure = _word(finding.probability)
+    named = _word(finding.probability * finding.set_probability.get(finding.name, 1.0))
+    if finding.name_open:
+        sure += "; the name is open"
+    else:
+        sure += _with_doubts(finding.doubts) if named == sure else f"; the name is {named}"
+    software = "The new model.yaml compensates it."
+    if not finding.compensated:
+        mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.name} (")]
+        reason = mine[0][len(finding.name) :] if mine else ""
+        software = f"Commands leave it out{reason}; the software does not compensate it."
+    improves = ""
+    if finding.commanded_mm is not None and finding.seen_mm is not None:
+        improves, seen = change(finding.commanded_mm), change(finding.seen_mm)
+        if improves != seen:
+            improves = f"{improves} as commanded; {seen} as seen"
+        # An error that falls by a smaller share is not worth a word
+        if finding.commanded_mm[1] >= 0.95 * finding.commanded_mm[0]:
+            improves += ": no gain for commands on these rows"
     return _Card(
         title=title.capitalize() + (f", {where}" if where not in title else ""),
-        names=" or ".join(finding.set or [finding.effect]),
+        names=" or ".join(finding.names),
         where=where,
-        sizes=tuple(map(_size, finding.parameters[:MOST_SIZES])),
+        sizes=tuple(sizes),
         more=max(0, len(finding.parameters) - MOST_SIZES),
         reading=finding.reading,
         tip=_tip(finding.tip_mm.median, finding.tip_mm.max) if finding.tip_mm else "",
-        sure=_sure(finding),
-        because=_because(finding),
-        doubts=tuple(finding.doubts),
+        sure=sure,
+        because=". ".join(because) + ".",
+        doubts=finding.doubts,
         duty=duty,
         because_of=why,
         action=finding.action,
-        software=_software(finding, report),
-        improves=_improves(finding),
+        software=software,
+        improves=improves,
     )
 
 
-def _places(where: list[str]) -> str:
+def _places(where: Sequence[str]) -> str:
     """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
     split = [place.rsplit(" ", 1) for place in where]
     kinds = {parts[0] for parts in split}
@@ -150,41 +187,12 @@ def _places(where: list[str]) -> str:
     return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
 
 
-def _size(parameter: record.FindingParameter) -> tuple[str, ...]:
-    times, unit = for_people(parameter.unit)
-    gap = "" if unit == "°" else " "
-    shown = f"{number(times * parameter.value, 3)}{gap}{unit}"
-    pair = parameter.ci95
-    said = "" if pair is None else interval((times * pair[0], times * pair[1]), 3)
-    return parameter.where, parameter.name, shown, said
-
-
 def _tip(typical_mm: float, most_mm: float) -> str:
     typical, most = millimetres(typical_mm), millimetres(most_mm)
     return f"{typical} at the tip" + (f", up to {most}" if most != typical else "")
 
 
-def _because(finding: record.ReportFinding) -> str:
-    said = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
-    if finding.others:
-        said.append(f"These data do not tell it from {listed(finding.others)}")
-    elif finding.runner_up is not None:
-        margin = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
-        said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
-    if finding.unnamed:
-        said.append(f"It may be a cause without a name: {finding.unnamed}")
-    return ". ".join(said) + "."
-
-
-def _sure(finding: record.ReportFinding) -> str:
-    sure = _word(finding.probability)
-    named = _word(finding.probability * finding.set_probability.get(finding.effect, 1.0))
-    if finding.open:
-        return f"{sure}; the name is open"
-    return sure + (_with_doubts(finding.doubts) if named == sure else f"; the name is {named}")
-
-
-def _with_doubts(doubts: list[str]) -> str:
+def _with_doubts(doubts: Sequence[str]) -> str:
     if not doubts:
         return ""
     return ", with a doubt" if len(doubts) == 1 else ", with doubts"
@@ -194,23 +202,3 @@ def _word(probability: float) -> str:
     if probability >= CERTAIN:
         return "certain"
     return "likely" if probability >= CREDIBLE else "not sure"
-
-
-def _software(finding: record.ReportFinding, report: record.DiagnosisReport) -> str:
-    if finding.compensated:
-        return "The new model.yaml compensates it."
-    mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.effect} (")]
-    why = mine[0][len(finding.effect) :] if mine else ""
-    return f"Commands leave it out{why}; the software does not compensate it."
-
-
-def _improves(finding: record.ReportFinding) -> str:
-    """Held-out mean error without and with it, as commanded and, where it differs, as seen."""
-    if finding.commanded_mm is None or finding.seen_mm is None:
-        return ""
-    told = change(finding.commanded_mm)
-    seen = change(finding.seen_mm)
-    text = told if told == seen else f"{told} as commanded; {seen} as seen"
-    # An error that falls by a smaller share is not worth a word
-    helps = finding.commanded_mm[1] < 0.95 * finding.commanded_mm[0]
-    return text if helps else f"{text}: no gain for commands on these rows"

@@ -1,4 +1,4 @@
-"""What the page shows beyond report.json, in m and rad; error = measured - predicted.
+"""The data of the page beyond report.json, in m and rad; error = measured - predicted.
 
 All parts are optional: a verdict of noise has no guilty input, one of bad_data no rows.
 """
@@ -11,21 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.calibration.candidates import Term
-from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
-from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.candidate_states import best_forms
+from longarm_comp.core.identify.diagnosis import SPLITS, Diagnosis
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.link_frames import outline
-from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.model.model import unstack
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
-from longarm_comp.report.candidate_states import Smallest, best_forms
 
-SPLITS = 3.0
-"""Smallest expected log odds for which poses are worth measuring."""
 _UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
 Line = tuple[str | float | None, ...]
 
@@ -110,8 +106,8 @@ class Detail:
     provenance: Mapping[str, str] = field(default_factory=dict)
 
 
-def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, str]) -> Detail:
-    """Everything that report.html shows beyond report.json."""
+def detail(diagnosis: Diagnosis, facts: Mapping[str, str]) -> Detail:
+    """Compute what report.html shows beyond report.json; `facts` go to its provenance."""
     arm = diagnosis.arm
     units = tuple("m" if arm.joints[r - 1].type == "prismatic" else "rad" for r in arm.commanded)
     rows = _rows(diagnosis, units)
@@ -120,10 +116,10 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         held_out=rows,
         guilty=_guilty(diagnosis, rows),
         correlation=_correlation(diagnosis),
-        detectable=_detectable(diagnosis, tried),
+        detectable=_detectable(diagnosis),
         splits=tuple(_split(diagnosis, s) for s in diagnosis.split_by),
         encoders=_encoders(diagnosis, units),
-        marked=_marked(diagnosis),
+        marked=_mark_places(diagnosis),
         provenance=facts,
     )
 
@@ -137,25 +133,27 @@ def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     shown = np.unique(np.linspace(0, len(held) - 1, min(6, len(held))).astype(int))
     context, model = held.context(), diagnosis.model
     arms = tuple(outline(model, held.q[k], context.take(int(k))) for k in shown)
-    return SeenRows(held.index, seen, diagnosis.proof.errors, _inputs(held, units), arms)
-
-
-def _inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
-    """Joints, mean approach side and way, and every recorded column that varies."""
-    axes = [Input(f"q{j + 1}", unit, session.q[:, j]) for j, unit in enumerate(units)]
-    if session.approach.any():
-        axes.append(Input("approach", "", session.approach.mean(axis=1)))
-    recorded = session.context().columns
-    axes += [Input(k, _UNITS.get(k, ""), v) for k, v in recorded.items() if np.ptp(v) > 0]
-    return tuple(axes)
+    # Joints, mean approach side, and every recorded column that varies
+    inputs = [Input(f"q{j + 1}", unit, held.q[:, j]) for j, unit in enumerate(units)]
+    if held.approach.any():
+        inputs.append(Input("approach", "", held.approach.mean(axis=1)))
+    varying = [(name, values) for name, values in context.columns.items() if np.ptp(values) > 0]
+    inputs += [Input(name, _UNITS.get(name, ""), values) for name, values in varying]
+    return SeenRows(held.index, seen, diagnosis.proof.errors, tuple(inputs), arms)
 
 
 def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
     """Inputs that the findings explain, then those that the structure left depends on."""
     commanded = list(diagnosis.arm.commanded)
     names: list[str] = []
+
+    def size(term: Term) -> float:
+        """Largest parameter in its prior standard deviations."""
+        own = term.parameters(diagnosis.arm)
+        return max((abs(getattr(term, p.name)) / p.prior for p in own if p.prior > 0), default=0)
+
     for found in diagnosis.findings:
-        largest = sorted(found.terms, key=lambda t: -_size(diagnosis, t))
+        largest = sorted(found.terms, key=lambda term: -size(term))
         for term in largest[:2]:
             names += [f"q{commanded.index(j) + 1}" for j in term.joints if j in commanded]
         names += found.terms[0].inputs
@@ -163,12 +161,6 @@ def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
     known = {entry.name for entry in rows.inputs}
     # Most inputs that the residual is plotted against
     return tuple(name for name in dict.fromkeys(names) if name in known)[:4]
-
-
-def _size(diagnosis: Diagnosis, term: Term) -> float:
-    """Largest parameter in its prior standard deviations."""
-    parameters = term.parameters(diagnosis.arm)
-    return max((abs(getattr(term, p.name)) / p.prior for p in parameters if p.prior > 0), default=0)
 
 
 def _correlation(diagnosis: Diagnosis) -> PageTable | None:
@@ -192,10 +184,10 @@ def _correlation(diagnosis: Diagnosis) -> PageTable | None:
     return PageTable(caption, ("Parameter", "Geometry (correlation)"), tuple(rows))
 
 
-def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> PageTable:
+def _detectable(diagnosis: Diagnosis) -> PageTable:
     """One line per effect and place, without families."""
     rows: list[Line] = []
-    for (name, place), one in sorted(best_forms(tried).items()):
+    for (name, place), one in sorted(best_forms(diagnosis.smallest).items()):
         slots = one.candidate.slots(diagnosis.arm)
         if len(one.candidate.terms) > 1 or not slots:
             continue
@@ -253,7 +245,7 @@ def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
     return PageTable(caption, (*head, "Unit"), tuple(lines))
 
 
-def _marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
+def _mark_places(diagnosis: Diagnosis) -> tuple[Marked, ...]:
     """The arm at the held-out row that stretches it most, with the places of all that was found."""
     found = [f.terms for f in diagnosis.findings] + [c.terms for c in diagnosis.causes]
     if not found:
@@ -263,23 +255,18 @@ def _marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
     row = int(np.linalg.norm(tips - tips.mean(axis=0), axis=1).argmax())
     context, q = rows.context().take(row), rows.q[row]
     line, posture = outline(model, q, context), model.posture(unstack(q), context)
-    return tuple(Marked(line, _places(terms, model, posture)) for terms in found)
-
-
-def _places(terms: tuple[Term, ...], model: Model, posture: Posture) -> dict[str, np.ndarray]:
-    points: dict[str, list[np.ndarray]] = {}
-    for term in terms:
-        points.setdefault(term.where, []).extend(_points(term, model, posture))
-    called = model.arm.called
-    return {called.get(at, at): np.mean(held, axis=0) for at, held in points.items()}
-
-
-def _points(term: Term, model: Model, posture: Posture) -> list[np.ndarray]:
-    """The stations that it turns or moves; of a camera, the camera; else the tip."""
-    camera = model.arm.camera
-    if isinstance(term, Bias):
-        known = None if camera is None else [np.array(camera.position_m, dtype=float)]
-        return known or [stack(model.tip_frame(posture).p)]
-    stations = [posture.bearing(joint) for joint in term.joints]
-    stations = stations or [k for k in term.twists(posture) if k >= 0]
-    return [stack(posture.frames[k].p) for k in stations] or [stack(model.tip_frame(posture).p)]
+    camera, called, marked = model.arm.camera, model.arm.called, []
+    for terms in found:
+        points: dict[str, list[np.ndarray]] = {}
+        for term in terms:
+            # The stations that it turns or moves; of a camera, the camera; else the tip
+            if isinstance(term, Bias):
+                at = [] if camera is None else [np.array(camera.position_m, dtype=float)]
+            else:
+                stations = [posture.bearing(joint) for joint in term.joints]
+                stations = stations or [k for k in term.twists(posture) if k >= 0]
+                at = [stack(posture.frames[k].p) for k in stations]
+            own = points.setdefault(called.get(term.where, term.where), [])
+            own += at or [stack(model.tip_frame(posture).p)]
+        marked.append(Marked(line, {name: np.mean(held, axis=0) for name, held in points.items()}))
+    return tuple(marked)

@@ -23,7 +23,7 @@ Figures = Mapping[str, float]
 
 @dataclass(frozen=True)
 class _NoiseFloor:
-    """What noise alone would show.
+    """Errors that noise alone would show.
 
     Attributes:
         sigma_mm: (3,) standard deviation per axis; the estimate, or less (`limited`).

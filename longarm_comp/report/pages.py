@@ -46,42 +46,44 @@ def data_uri(svg: bytes) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
 
 
-def _rendered(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
+def _render(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
     with rc():
         picture = data_uri(svg(draw()))
     return template(f"{page}.html.j2").render(picture=picture, **told)
 
 
-def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
+def write_report(
+    report: record.DiagnosisReport, detail: Detail, folder: str | os.PathLike[str]
+) -> Path:
     """Write ``report.json``, ``report.html`` and ``plots/*.svg``; return the page's path.
 
     The same diagnosis gives the same bytes. Files of an earlier report are replaced; no other is
-    touched. Nothing is written if the report violates the schema.
+    touched.
 
     Raises:
-        InputError: the report violates the schema, the folder cannot be written to, or a plot of
-            another program has the name of one of this report.
+        InputError: the folder cannot be written to, or a plot of another program has the name of
+            one of this report.
     """
-    checked = record.checked(report)
-    drawn = _drawn(checked.for_people(), detail)
-    html = page(checked, detail, drawn)
+    named = report.for_people()
+    drawn = _draw_figures(named, detail)
+    html = page(named, detail, drawn)
     target = Path(folder)
     files = {target / "plots" / f"{name}.svg": content for name, content in drawn.items()}
     there = [path for path in (target / "plots").glob("*.svg") if path.is_file()]
     for path in there:
-        if path in files and not style.signed(path):
+        if path in files and not style.is_signed(path):
             raise InputError(path, "plot", "exists and is no plot of a diagnosis", "another folder")
     for path, content in files.items():
         write_bytes(path, content)
     for path in there:
-        if path not in files and style.signed(path):
+        if path not in files and style.is_signed(path):
             path.unlink()
-    write_text(target / "report.json", record.text(checked))
+    write_text(target / "report.json", record.text(report))
     write_text(target / "report.html", html)
     return target / "report.html"
 
 
-def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
+def _draw_figures(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
     figures: dict[str, Figure] = {}
     rows, held, floor = detail.held_out, report.held_out, floor_of(report)
     sigma_mm = None if floor is None else floor.sigma_mm
@@ -107,8 +109,7 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
 
 
 def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) -> str:
-    """The page as text, joints by their names; ``plots``: SVG of the still figures by name."""
-    report = report.for_people()
+    """Write the page of a report `for_people`; ``plots``: SVG of the still figures by name."""
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
     stages = stages_of(rows) if rows else ()
     before = report.held_out.before
@@ -145,7 +146,7 @@ def against(name: str) -> str:
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
     """The page of a loop (loop.json) with the errors (N, 3) tip - target, m, by name of the run."""
-    return _rendered("loop", lambda: at_the_tip(errors), loop=data)
+    return _render("loop", lambda: at_the_tip(errors), loop=data)
 
 
 _MODELS = {
@@ -158,7 +159,7 @@ _ROW_IN = 0.22
 
 def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
     """The page of a folder as text, with links to the diagnosis of each arm (row of fleet.json)."""
-    return _rendered(
+    return _render(
         "fleet", lambda: _errors_of_arms(arms), name=name, arms=arms, kinds=_kinds(arms),
         drifted=[arm for arm in arms if arm["drifted"]],
         failed=[arm for arm in arms if arm["verdict"] == "failed"],
@@ -205,7 +206,7 @@ def day_page(arm: str, bag: str, day: Day) -> str:
     """The page as text, self-contained; ``arm``, ``bag``: what they are called."""
     changes = [s for s in day.said if s.level == 0]
     troubles = [s for s in day.said if s.level > 0]
-    return _rendered(
+    return _render(
         "day", lambda: _errors_of_day(day, changes), arm=arm, bag=bag, hours=day.hours,
         rows=day.by_hour(), refused=day.refused.most_common(),
         changes=[(_clock(s.first_s), s.message) for s in changes],

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from longarm_comp.report.detail import Input, Marked, SeenRows
 from longarm_comp.report.noise_floor import normal_length
-from longarm_comp.report.record import mapped
+from longarm_comp.report.record import map_values
 from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, VERMILLION, Look
 
 _LEVELS = 8
@@ -27,7 +27,20 @@ def against_input(
     """Errors over one input, one row of panels per axis, before on the left, after on the right."""
     drawn = Figure(figsize=(9, 6.4))
     panels = drawn.subplots(3, 2, sharex=True, sharey="row")
-    values = np.asarray(entry.values, dtype=float)
+    spread = values = np.asarray(entry.values, dtype=float)
+    levels = np.unique(values)
+    by_level = 1 < len(levels) <= _LEVELS
+    if by_level:
+        # A small jitter, so that points of a level do not overlap
+        jitter = np.arange(len(values)) * 0.618034 % 1 - 0.5
+        spread = values + 0.16 * np.diff(levels).min() * jitter
+    # Medians are of each level, or of ten bins of equal count
+    if len(levels) <= _LEVELS:
+        groups = [np.flatnonzero(values == level) for level in levels]
+    else:
+        bins = np.array_split(np.argsort(values, kind="stable"), min(10, len(values)))
+        groups = [group for group in bins if len(group)]
+    centre = np.array([np.median(values[group]) for group in groups])
     for column, stage in enumerate((before, after)):
         look = LOOKS[stage]
         for axis, name in enumerate("xyz"):
@@ -39,41 +52,19 @@ def against_input(
             panel.axhline(0, color=INK, linewidth=0.8)
             # Above this many points, a scatter plot is rasterised
             panel.plot(
-                _spread(values), error, linestyle="", marker=look.marker, markersize=3,
+                spread, error, linestyle="", marker=look.marker, markersize=3,
                 color=look.color, alpha=0.6, rasterized=len(error) > 800,
             )  # fmt: skip
-            centre, middle = _medians(values, error)
+            middle = np.array([np.median(error[group]) for group in groups])
             panel.plot(centre, middle, color=INK, marker="_", markersize=12, linewidth=1.6)
             if column == 0:
                 panel.set_ylabel(f"{name} error, mm")
         panels[0, column].set_title(("Before: " if column == 0 else "After: ") + look.label)
         panels[2, column].set_xlabel(f"{entry.name}, {entry.unit}" if entry.unit else entry.name)
-    levels = np.unique(values)
-    if 1 < len(levels) <= _LEVELS:
+    if by_level:
         panels[2, 0].set_xticks(levels, [f"{level:.2g}" for level in levels])
     drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.075, top=0.96, wspace=0.04, hspace=0.08)
     return drawn
-
-
-def _spread(values: np.ndarray) -> np.ndarray:
-    """Values of levels with a small jitter, so that points do not overlap; others unchanged."""
-    levels = np.unique(values)
-    if not 1 < len(levels) <= _LEVELS:
-        return values
-    step = np.diff(levels).min()
-    return values + 0.16 * step * (np.arange(len(values)) * 0.618034 % 1 - 0.5)
-
-
-def _medians(values: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Medians per level, or in ten bins of equal count."""
-    levels = np.unique(values)
-    if len(levels) <= _LEVELS:
-        groups = [np.flatnonzero(values == level) for level in levels]
-    else:
-        bins = np.array_split(np.argsort(values, kind="stable"), min(10, len(values)))
-        groups = [group for group in bins if len(group)]
-    centre = np.array([np.median(values[group]) for group in groups])
-    return centre, np.array([np.median(error[group]) for group in groups])
 
 
 def place(found: Marked) -> Figure:
@@ -204,7 +195,7 @@ def exaggeration(rows: SeenRows, stage: str) -> float:
 
 
 def scene_json(rows: SeenRows) -> str:
-    """What report.js draws and turns, as JSON that is safe to stand in a script element; m.
+    """Write what report.js draws and turns as JSON that is safe in a script element; m.
 
     Every stage has its arrows at a scale of its own.
     """
@@ -225,5 +216,5 @@ def scene_json(rows: SeenRows) -> str:
         "stages": stages,
     }
     # To a hundredth of a millimetre, to keep the file small
-    short = mapped(plain, float, lambda v: round(v, 5))
+    short = map_values(plain, float, lambda v: round(v, 5))
     return json.dumps(short, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

@@ -3,127 +3,63 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import ConfigDict, Field
+from pydantic import BaseModel, Field, GetPydanticSchema
 
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.yaml_file import Closed, parse_declared
+from longarm_comp.core.identify.candidate_states import TriedCandidate
+from longarm_comp.core.identify.findings import Finding, ReportPart
+from longarm_comp.core.yaml_file import parse_declared
 
-SCHEMA = "longarm/diagnosis/1"
 DIGITS = 12
 """Significant digits of every number in report.json, as the last bits differ by machine."""
 
-Verdict = Literal["noise", "named", "set", "partly", "unknown", "bad_data"]
-CandidateState = Literal["accepted", "rejected", "not_testable", "invisible"]
-Stage = Literal[
-    "nominal", "frames_only", "calibrated", "with_effects", "with_functions", "with_network"
+
+def _read_as(choice: Any) -> GetPydanticSchema:
+    """One of some values where a file is read, though the package holds it as text."""
+    return GetPydanticSchema(lambda _, handler: handler(choice))
+
+
+Verdict = Annotated[
+    str, _read_as(Literal["noise", "named", "set", "partly", "unknown", "bad_data"])
 ]
+Stage = Annotated[
+    str,
+    _read_as(
+        Literal[
+            "nominal", "frames_only", "calibrated", "with_effects", "with_functions", "with_network"
+        ]
+    ),
+]
+Source = Annotated[str, _read_as(Literal["repeats", "residual"])]
 Interval = tuple[float, float]
 T = TypeVar("T")
 
 
-class _Record(Closed):
-    # What is written has every key, so the schema requires each
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
-
-
-class FindingParameter(_Record):
-    """A value of an accepted effect, in `unit`."""
-
-    name: str
-    where: str
-    value: float
-    unit: str
-    ci95: Interval | None
-    prior_scale: float | None = Field(gt=0)
-
-
-class RunnerUp(_Record):
-    """The next best candidate beside the one accepted."""
-
-    effect: str
-    log_bayes_factor: float
-
-
-class TipSize(_Record):
-    """What an effect moves the seen tip by, over the fitted rows."""
-
-    median: float = Field(ge=0)
-    max: float = Field(ge=0)
-
-
-class ReportFinding(_Record):
-    """An effect that was added, or the set of effects that it cannot be distinguished from.
-
-    `probability` is that it is there; `set_probability` that each name of the set is its cause;
-    `unnamed` is why a cause without a name may be there instead. `seen_mm` and `commanded_mm` are
-    mean held-out errors without it, the rest fitted again, and with it: as measured, and as a
-    command would have it.
-    """
-
-    effect: str
-    title: str = ""
-    reading: str = ""
-    set: list[str]
-    probability: float = Field(ge=0, le=1)
-    set_probability: dict[str, float]
-    unnamed: str = ""
-    where: list[str]
-    log_bayes_factor: float
-    parameters: list[FindingParameter]
-    runner_up: RunnerUp | None
-    compensated: bool
-    tip_mm: TipSize | None = None
-    seen_mm: Interval | None = None
-    commanded_mm: Interval | None = None
-    doubts: list[str] = Field(default=[])
-    action: str = ""
-
-    @property
-    def others(self) -> list[str]:
-        """What these data do not tell it from."""
-        return [name for name in self.set if name != self.effect]
-
-    @property
-    def open(self) -> bool:
-        """Whether it may as well be something else."""
-        return len(self.set) > 1 or bool(self.unnamed)
-
-
-class ReportCandidate(_Record):
-    """One candidate that was tried, or could not be."""
-
-    effect: str
-    where: str
-    log_bayes_factor: float | None
-    state: CandidateState
-    why: str
-
-
-class StructureLeft(_Record):
+class StructureLeft(ReportPart):
     """Dependence on the inputs that no accepted effect explains, also as a sentence."""
 
     flag: bool
     text: str = ""
     p_value: float | None = Field(default=None, ge=0, le=1)
     share_explained: float | None = None
-    inputs: list[str]
+    inputs: Sequence[str]
     size_mm: float | None = Field(default=None, ge=0)
 
 
-class ReportNoise(_Record):
+class ReportNoise(ReportPart):
     """Standard deviation per axis, and correlation from one row to the next."""
 
     sigma_mm: tuple[float, float, float] | None = None
-    source: Literal["repeats", "residual"] | None = None
+    source: Source | None = None
     rho: float | None = Field(default=None, ge=-1, le=1)
 
 
-class ErrorRow(_Record):
+class ErrorRow(ReportPart):
     """Errors of one model on the hold-out."""
 
     model: Stage
@@ -138,7 +74,7 @@ class ErrorRow(_Record):
     mean_mrad: float | None = Field(ge=0)
 
 
-class HeldOut(_Record):
+class HeldOut(ReportPart):
     """Errors on the held-out rows, which were never fitted.
 
     The intervals are of what the mean error falls by from `before` to `after`, the stages that
@@ -147,15 +83,15 @@ class HeldOut(_Record):
     """
 
     n: int = Field(ge=0)
-    rows: list[ErrorRow]
+    rows: Sequence[ErrorRow]
     before: Stage | None = None
     after: Stage | None = None
     before_after_ci95_mm: Interval | None = None
     commanded_ci95_mm: Interval | None = None
-    not_commanded: list[str] = Field(default=[])
+    not_commanded: Sequence[str] = ()
 
 
-class Outlier(_Record):
+class Outlier(ReportPart):
     """A row that was left out, and why; the user's own number of it where there is one."""
 
     index: int
@@ -163,7 +99,7 @@ class Outlier(_Record):
     point: str = ""
 
 
-class DiscoveredTerm(_Record):
+class DiscoveredTerm(ReportPart):
     """A coefficient of a cause without a name: value x function, at a place."""
 
     where: str
@@ -173,14 +109,14 @@ class DiscoveredTerm(_Record):
     unit: str
 
 
-class TipShift(_Record):
+class TipShift(ReportPart):
     """Shift of the tip over the fitted rows."""
 
     rms: float = Field(ge=0)
     max: float = Field(ge=0)
 
 
-class ReportDiscovered(_Record):
+class ReportDiscovered(ReportPart):
     """A cause without a name. `set`: places that explain it alike; `kept`: it is in the model.
 
     `names` are effects of the library that may be the cause instead, with their probability.
@@ -188,17 +124,17 @@ class ReportDiscovered(_Record):
 
     frame: str
     component: str
-    set: list[str]
+    set: Sequence[str]
     names: dict[str, float] = Field(default={})
     probability: float = Field(ge=0, le=1)
     formula: str
-    terms: list[DiscoveredTerm]
-    ci95: list[Interval]
-    domain: list[str]
+    terms: Sequence[DiscoveredTerm]
+    ci95: Sequence[Interval]
+    domain: Sequence[str]
     reading: str
     title: str = ""
     action: str = ""
-    doubts: list[str] = Field(default=[])
+    doubts: Sequence[str] = ()
     log_evidence: float
     tip_mm: TipShift
     held_out_rms_mm: tuple[float, float]
@@ -206,23 +142,23 @@ class ReportDiscovered(_Record):
     kept: bool
 
 
-class Written(_Record):
+class Written(ReportPart):
     """Which model was written, and the error that a command may expect of each."""
 
     model: Stage
     expected_commanded_mm: dict[str, float]
 
 
-class Doubtful(_Record):
+class Doubtful(ReportPart):
     """An effect that is more likely there than not, but less than 95 %; it was not added."""
 
     effect: str
-    where: list[str]
+    where: Sequence[str]
     probability: float = Field(ge=0, le=1)
 
 
-class ReportProof(_Record):
-    """Whether what was found errs less, as commanded, at rows that it was fitted without."""
+class ReportProof(ReportPart):
+    """The proof that what was found errs less, as commanded, at rows it was fitted without."""
 
     folds: int
     rows: int
@@ -230,8 +166,8 @@ class ReportProof(_Record):
     why: str
 
 
-class SharedInput(_Record):
-    """What rows set aside have in common: an input, where in it, how many, by what chance."""
+class SharedInput(ReportPart):
+    """A property that rows set aside share: an input, where in it, how many, by what chance."""
 
     input: str
     value: str
@@ -239,16 +175,16 @@ class SharedInput(_Record):
     p_value: float
 
 
-class ReportSetAside(_Record):
+class ReportSetAside(ReportPart):
     """Rows that the fit does not believe, their share of all, and what they share."""
 
     rows: int
     share: float
-    shared_by: list[SharedInput]
+    shared_by: Sequence[SharedInput]
 
 
-class ReportProvenance(_Record):
-    """What is needed to repeat the diagnosis to the byte.
+class ReportProvenance(ReportPart):
+    """The data needed to repeat the diagnosis to the byte.
 
     `holdout_uses` says how often each row was held out.
     """
@@ -256,40 +192,39 @@ class ReportProvenance(_Record):
     seed: int
     data_sha256: str
     version: str
-    holdout_uses: list[str]
+    holdout_uses: Sequence[str]
 
 
-class DiagnosisReport(_Record):
+class DiagnosisReport(ReportPart):
     """A diagnosis, as report.json holds it."""
 
     schema_: Literal["longarm/diagnosis/1"] = Field(alias="schema")
     verdict: Verdict
     summary: str = Field(min_length=1)
-    findings: list[ReportFinding]
-    candidates: list[ReportCandidate]
+    findings: Sequence[Finding]
+    candidates: Sequence[TriedCandidate]
     structure_left: StructureLeft
     noise: ReportNoise
     held_out: HeldOut
     proof: ReportProof | None = None
     set_aside: ReportSetAside | None = None
-    next_poses: list[list[float]]
-    outliers: list[Outlier]
-    discovered: list[ReportDiscovered] = Field(default_factory=list)
+    next_poses: Sequence[Sequence[float]]
+    outliers: Sequence[Outlier]
+    discovered: Sequence[ReportDiscovered] = ()
     none_of_these: float | None = Field(default=None, ge=0, le=1)
     written: Written | None = None
-    doubtful: list[Doubtful] = Field(default=[])
+    doubtful: Sequence[Doubtful] = ()
     called: dict[str, str] = Field(default={})
     provenance: ReportProvenance
 
     def for_people(self) -> DiagnosisReport:
         """The same with joints by their names instead of by rows of arm.yaml."""
-        plain = self.model_dump(by_alias=True)
-        named = mapped(plain, str, lambda text: in_names(text, self.called))
-        return type(self).model_validate(named)
+        named: DiagnosisReport = map_values(self, str, lambda text: in_names(text, self.called))
+        return named
 
 
-def checked(report: dict[str, Any]) -> DiagnosisReport:
-    """The dict as a `DiagnosisReport`.
+def parse_report(report: dict[str, Any]) -> DiagnosisReport:
+    """Check the contents of a report.json.
 
     Raises:
         InputError: a key is missing or unknown, a value of the wrong kind, a number not finite.
@@ -305,7 +240,7 @@ def read_report(folder: str | Path) -> DiagnosisReport:
     """
     path = Path(folder) / "report.json"
     try:
-        return checked(json.loads(path.read_text(encoding="utf-8")))
+        return parse_report(json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         why = error.strerror or str(error)
         raise InputError(path, "file", why, "a folder that longarm diagnose wrote") from error
@@ -317,16 +252,18 @@ def text(report: DiagnosisReport) -> str:
     """report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
     plain = report.model_dump(mode="json", by_alias=True)
     # + 0.0: no negative zero
-    short = mapped(plain, float, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)
+    short = map_values(plain, float, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)
     return json.dumps(short, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def mapped(value: Any, kind: type[T], to: Callable[[T], T]) -> Any:
-    """Lists and mappings with `to` of every value of a kind, float or str."""
+def map_values(value: Any, kind: type[T], to: Callable[[T], T]) -> Any:
+    """Apply `to` to every value of a kind, float or str, of records, lists and mappings."""
     if isinstance(value, kind):
         return to(value)
+    if isinstance(value, BaseModel):
+        return value.model_copy(update={name: map_values(v, kind, to) for name, v in value})
     if isinstance(value, list | tuple):
-        return [mapped(entry, kind, to) for entry in value]
+        return type(value)(map_values(entry, kind, to) for entry in value)
     if isinstance(value, dict):
-        return {key: mapped(entry, kind, to) for key, entry in value.items()}
+        return {key: map_values(entry, kind, to) for key, entry in value.items()}
     return value

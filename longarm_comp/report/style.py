@@ -70,8 +70,8 @@ SIGNED: Any = {
 """Files that a command may overwrite tell that it wrote them."""
 
 
-def signed(path: Path) -> bool:
-    """Whether a picture tells that this package wrote it."""
+def is_signed(path: Path) -> bool:
+    """True where a picture tells that this package wrote it."""
     with path.open("rb") as file:
         return b"longarm" in file.read(4096)
 
@@ -87,24 +87,20 @@ def rc() -> AbstractContextManager[None]:
 
 def svg(drawn: Figure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
-    held = io.BytesIO()
-    _lay_out(drawn)
-    drawn.savefig(held, format="svg", dpi=150, metadata=SIGNED["svg"])
-    return held.getvalue().replace(b"</style>", _DARK + b"</style>", 1)
+    return _content(drawn, "svg").replace(b"</style>", _DARK + b"</style>", 1)
 
 
 def save(drawn: Figure, path: Path) -> None:
-    """The figure as a file by its ending, whole or not at all; the same figure, the same bytes."""
-    kind = path.suffix.removeprefix(".").lower()
-    _lay_out(drawn)
-    held = io.BytesIO()
-    drawn.savefig(held, format=kind, dpi=150, metadata=SIGNED[kind])
-    write_bytes(path, held.getvalue())
+    """Write the figure as a file by its ending, whole or not at all; always the same bytes."""
+    write_bytes(path, _content(drawn, path.suffix.removeprefix(".").lower()))
 
 
-def _lay_out(drawn: Figure) -> None:
-    """Place the axes once; to save a figure with a layout engine would draw it twice."""
+def _content(drawn: Figure, kind: str) -> bytes:
+    # The axes are placed once; to save a figure with a layout engine would draw it twice
     engine = drawn.get_layout_engine()
     if engine is not None:
         engine.execute(drawn)
         drawn.set_layout_engine(None)
+    held = io.BytesIO()
+    drawn.savefig(held, format=kind, dpi=150, metadata=SIGNED[kind])
+    return held.getvalue()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import NO_PLACE
 from longarm_comp.core.data.commanded import MEASURING_SIDE
-from longarm_comp.report.detail import Detail, SetSplit
-from longarm_comp.report.record import DiagnosisReport, ErrorRow, FindingParameter
+from longarm_comp.core.identify.findings import FindingParameter
+from longarm_comp.report.detail import Detail
+from longarm_comp.report.record import DiagnosisReport, ErrorRow
 
 DASH = "–"
 _CERTAIN = 100
@@ -44,6 +46,7 @@ def to_three_places(value: float | None) -> str:
 
 
 def odds(log_bayes_factor: float) -> str:
+    """Odds for reading, ``20 : 1``; above a power of ten only as a bound."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
@@ -63,7 +66,7 @@ def change(pair: tuple[float, float]) -> str:
     return f"{millimetres(pair[0]).removesuffix(' mm')} → {millimetres(pair[1])}"
 
 
-def listed(names: list[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """``a, b or c``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
@@ -82,8 +85,8 @@ COLUMNS = {
 
 
 def headline(report: DiagnosisReport) -> str:
-    """The verdict in a few words: its name and what was found."""
-    found = [" or ".join(finding.set or [finding.effect]) for finding in report.findings]
+    """Say the verdict in a few words: its name and what was found."""
+    found = [" or ".join(finding.names) for finding in report.findings]
     verdict = report.verdict.replace("_", " ").capitalize()
     return ": ".join(filter(None, (verdict, ", ".join(found))))
 
@@ -109,16 +112,17 @@ COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", 
 
 
 def meaning(report: DiagnosisReport) -> str:
-    n, open_ = len(report.findings), sum(f.open for f in report.findings)
+    """Say in a sentence what the verdict means."""
+    n, open_ = len(report.findings), sum(f.name_open for f in report.findings)
     left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
-    explain = _counted(n, "physical effect") + (" explains" if n == 1 else " explain")
-    causes = _counted(unnamed, "cause") + " without a name"
+    explain = _count_of(n, "physical effect") + (" explains" if n == 1 else " explain")
+    causes = _count_of(unnamed, "cause") + " without a name"
     added = f"{causes.lower()} {'was' if unnamed == 1 else 'were'} found and added"
     if not unnamed:
         added = "none was added"
     part = explain
     if unnamed and n:
-        part = f"{_counted(n, 'physical effect')} and {causes.lower()} explain"
+        part = f"{_count_of(n, 'physical effect')} and {causes.lower()} explain"
     elif unnamed:
         part = f"{causes} explain{'s' * (unnamed == 1)}"
     of = f"{_count(open_).lower()} of them"
@@ -145,7 +149,7 @@ def _count(n: int) -> str:
     return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
 
 
-def _counted(n: int, what: str) -> str:
+def _count_of(n: int, what: str) -> str:
     return f"{_count(n)} {what}{'' if n == 1 else 's'}"
 
 
@@ -171,36 +175,39 @@ def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
     commanded = change((as_commanded(first), as_commanded(after)))
     between = f"{millimetres(as_commanded(before))} with {STAGES[before.model]}"
     differs = commanded != seen
+    pair, proof = held.commanded_ci95_mm or held.before_after_ci95_mm, ""
+    if pair is not None:
+        rise = interval((-pair[1], -pair[0]), 3)
+        proof = f"The change of the mean, {rise} mm (95 %), is not proven."
+        if pair[0] > 0:
+            proof = f"The mean falls by {interval(pair, 3)} mm (95 %)."
+        elif pair[1] < 0:
+            proof = f"The mean grows by {rise} mm (95 %)."
     camera = any(said.endswith(MEASURING_SIDE) for said in held.not_commanded)
     return {
         "stages": (STAGES[first.model], STAGES[after.model]),
         "commanded": commanded,
         "seen": seen if differs else "",
         "between_mm": "" if before is first else between,
-        "proof": _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
+        "proof": proof,
         "between": held.not_commanded if differs else [],
         "camera": camera and bool(report.findings),
     }
 
 
-def _proof(pair: tuple[float, float] | None) -> str:
-    if pair is None:
-        return ""
-    if pair[0] > 0:
-        return f"The mean falls by {interval(pair, 3)} mm (95 %)."
-    if pair[1] < 0:
-        return f"The mean grows by {interval((-pair[1], -pair[0]), 3)} mm (95 %)."
-    return f"The change of the mean, {interval((-pair[1], -pair[0]), 3)} mm (95 %), is not proven."
-
-
 def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, tuple[str, ...]]]:
-    """What these data cannot tell, and the effects that it is about."""
-    made: list[tuple[str, tuple[str, ...]]] = [(_split_by(split), ()) for split in detail.splits]
-    split = {tuple(split.members) for split in detail.splits}
+    """List what these data cannot tell, and the effects that it is about."""
+    made: list[tuple[str, tuple[str, ...]]] = []
+    for split in detail.splits:
+        said = f"Whether it is {join_names(split.members)}"
+        figure = f"expected odds {odds(split.expected_log_bayes_factor)}"
+        would = f": {split.poses} poses in next_poses.csv would tell ({figure})."
+        made.append((said + (would if split.poses else f". {split.reason}"), ()))
+    sought = {split.members for split in detail.splits}
     made += [
-        (f"Whether it is {listed(f.set)}. No poses to decide it were looked for.", ())
+        (f"Whether it is {join_names(f.names)}. No poses to decide it were looked for.", ())
         for f in report.findings
-        if len(f.set) > 1 and tuple(f.set) not in split
+        if len(f.names) > 1 and f.names not in sought
     ]
     doubts = dict.fromkeys(d for found in report.discovered if found.kept for d in found.doubts)
     more = len(report.next_poses) - sum(split.poses for split in detail.splits)
@@ -217,11 +224,3 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, t
     if unseen:
         made.append(("May exist, but would not show at its usual size:", unseen))
     return made
-
-
-def _split_by(split: SetSplit) -> str:
-    said = f"Whether it is {listed(list(split.members))}"
-    if not split.poses:
-        return f"{said}. {split.reason}"
-    figure = f"expected odds {odds(split.expected_log_bayes_factor)}"
-    return f"{said}: {split.poses} poses in next_poses.csv would tell ({figure})."

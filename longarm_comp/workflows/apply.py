@@ -18,8 +18,6 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.calibration.candidates import Term
-from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.errors import InputError, JobError
@@ -69,7 +67,7 @@ class _Change:
 
 @dataclass(frozen=True)
 class Applied:
-    """What `apply` did.
+    """The result of `apply`.
 
     Attributes:
         model, version: file of the model at work, and its version.
@@ -132,7 +130,16 @@ def apply(
     target = followed(predictor or model.parent / inputs.PREDICTOR)
     finish(model, target)
     before = _before(stored.provenance, made, model, arm)
-    rows = _session(stored.provenance, diagnosis, session, before, arm, note)
+    named = str(stored.provenance.get(inputs.SESSION, ""))
+    path = session or Path(os.path.normpath(diagnosis / named))
+    if (session is None and not named) or not path.exists():
+        allowed = "--session, the session diagnosed"
+        raise InputError(diagnosis, "session", named or "none named", allowed)
+    known = before if stored.provenance[inputs.MODEL_BEFORE] else None
+    rows = inputs.admit_session(path, arm, known, note=note)
+    if rows.hash != stored.provenance.get("session_hash"):
+        wanted = f"the session diagnosed, {str(stored.provenance.get('session_hash'))[:12]}"
+        raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
     trained: TrainedPredictor | None = None
     refused = ""
     if network:
@@ -157,7 +164,7 @@ def take_back(diagnosis: Path, model: Path) -> None:
 
 
 def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
-    """Why a diagnosis adds nothing to the model at work; empty if it does."""
+    """Say why a diagnosis adds nothing to the model at work; empty if it adds something."""
     if report.verdict == "bad_data":
         return report.summary
     found = report.findings or any(d.kept for d in report.discovered)
@@ -212,25 +219,8 @@ def _before(provenance: dict[str, str | int | float], made: Path, model: Path, a
     return at_work
 
 
-def _session(
-    provenance: dict[str, str | int | float], diagnosis: Path, given: Path | None, before: Model,
-    arm: Arm, note: inputs.Note,
-) -> Session:  # fmt: skip
-    named = str(provenance.get(inputs.SESSION, ""))
-    path = given or Path(os.path.normpath(diagnosis / named))
-    if (given is None and not named) or not path.exists():
-        allowed = "--session, the session diagnosed"
-        raise InputError(diagnosis, "session", named or "none named", allowed)
-    known = before if provenance[inputs.MODEL_BEFORE] else None
-    rows = inputs.admitted(path, arm, known, note=note)
-    if rows.hash != provenance.get("session_hash"):
-        wanted = f"the session diagnosed, {str(provenance.get('session_hash'))[:12]}"
-        raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
-    return rows
-
-
 def changes(before: Model, after: Model, q: np.ndarray, context: Context | None) -> list[_Change]:
-    """What changed from one model to another of the same arm, largest at the tip first.
+    """List what changed from one model to another of the same arm, largest at the tip first.
 
     Each change is judged by itself at joints q (N, n), rad and m: the new model against the new
     model without this change. One that does not move the tip is left out.
@@ -239,9 +229,9 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
     differing: dict[tuple[str, str], list[Key]] = {}
     for key in dict.fromkeys((*new, *old)):
         if old.get(key) != new.get(key):
-            name = _name(new.get(key) or old[key])
-            together = name in (GEOMETRY, CAMERA)
-            differing.setdefault((name, "") if together else key, []).append(key)
+            term = new.get(key) or old[key]
+            together = CAMERA if isinstance(term, Bias) else GEOMETRY if term.geometry else ""
+            differing.setdefault((together, "") if together else key, []).append(key)
     seen = after.measured(q, context)
     found = []
     for (name, _), keys in differing.items():
@@ -257,25 +247,14 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
             continue
         was, now = old.get(keys[0]), new.get(keys[0])
         kind = "added" if was is None else "removed" if now is None else "changed"
-        where = (now or old[keys[0]]).where
-        found.append(_Change(name, where, kind, _values(was, now, after), tip_mm))
+        term, values = now or old[keys[0]], []
+        for p in term.parameters(after.arm):
+            a, b = (np.nan if t is None else float(getattr(t, p.name)) for t in (was, now))
+            # Relative difference of two values that counts as none
+            if not np.isclose(a, b, rtol=1e-9, atol=0.0):
+                values.append((p.name, p.unit, a, b))
+        found.append(_Change(name, term.where, kind, tuple(values), tip_mm))
     return sorted(found, key=lambda change: -change.tip_mm)
-
-
-def _name(term: Term) -> str:
-    if isinstance(term, Bias):
-        return CAMERA
-    return GEOMETRY if term.geometry else term.name
-
-
-def _values(old: Term | None, new: Term | None, model: Model) -> tuple[Value, ...]:
-    rows = []
-    for p in (new or old).parameters(model.arm):  # type: ignore[union-attr]
-        was, now = (np.nan if t is None else float(getattr(t, p.name)) for t in (old, new))
-        # Relative difference of two values that counts as none
-        if not np.isclose(was, now, rtol=1e-9, atol=0.0):
-            rows.append((p.name, p.unit, was, now))
-    return tuple(rows)
 
 
 _HASH = 12
@@ -293,14 +272,19 @@ def put_to_work(
     aside = _keep(predictor)
     new = hashlib.sha256(content).hexdigest()
     if trained is not None:
-        trained.save(_kept(predictor, new))
+        trained.save(_kept_as(predictor, new))
     else:
-        _kept(predictor, new).unlink(missing_ok=True)  # of an earlier time that was taken back
+        _kept_as(predictor, new).unlink(missing_ok=True)  # of an earlier time that was taken back
     file_versions.write_version(model, content)
     finish(model, predictor)
     if aside is not None and trained is None:
         os.replace(predictor, aside)
-    _forget(model, predictor)
+    # Predictors of versions that `undo` no longer reaches
+    versions = [path for path in (model, file_versions.previous(model)) if path.is_file()]
+    needed = {_kept_as(predictor, inputs.file_hash(path)) for path in versions}
+    for path in predictor.parent.glob(f"{predictor.stem}.of_*{predictor.suffix}"):
+        if _KEPT.search(path.stem) and path not in needed and _trained_with(path):
+            path.unlink()
     return aside
 
 
@@ -320,14 +304,14 @@ def undo(model: Path) -> Path | None:
         back = [name for name in names if finish(model, name)]
         for name in names:
             if name.is_file() and _trained_with(name) == discarded:
-                os.replace(name, _kept(name, discarded))
+                os.replace(name, _kept_as(name, discarded))
     return back[0] if back else None
 
 
 def finish(model: Path, predictor: Path) -> bool:
     """Finish a change that was broken off; whether a predictor is at work again by it."""
     file_versions.settle(model)
-    fits = _kept(predictor, inputs.file_hash(model)) if model.is_file() else None
+    fits = _kept_as(predictor, inputs.file_hash(model)) if model.is_file() else None
     if fits is None or not fits.is_file():
         return False
     _keep(predictor)
@@ -339,21 +323,12 @@ def _keep(predictor: Path) -> Path | None:
     """A copy of the predictor at work under its model's name; None where there is none."""
     if not predictor.is_file():
         return None
-    aside = _kept(predictor, _trained_with(predictor) or inputs.file_hash(predictor))
+    aside = _kept_as(predictor, _trained_with(predictor) or inputs.file_hash(predictor))
     write_bytes(aside, predictor.read_bytes())
     return aside
 
 
-def _forget(model: Path, predictor: Path) -> None:
-    """Remove predictors of versions that `undo` no longer reaches."""
-    versions = [path for path in (model, file_versions.previous(model)) if path.is_file()]
-    needed = {_kept(predictor, inputs.file_hash(path)) for path in versions}
-    for path in predictor.parent.glob(f"{predictor.stem}.of_*{predictor.suffix}"):
-        if _KEPT.search(path.stem) and path not in needed and _trained_with(path):
-            path.unlink()
-
-
-def _kept(predictor: Path, of: str) -> Path:
+def _kept_as(predictor: Path, of: str) -> Path:
     return predictor.with_name(f"{predictor.stem}.of_{of[:_HASH]}{predictor.suffix}")
 
 

@@ -37,7 +37,7 @@ from longarm_comp.workflows.evaluate import ErrorTable
 
 
 def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, str]:
-    """What arms of a kind say of a further one, and which they are."""
+    """Derive what arms of a kind say of a further one, and which they are."""
     models, names, origins = [], [], []
     noise: dict[str, list[float]] = {}
     for number, each in enumerate(given, 1):
@@ -115,17 +115,17 @@ class Calibration:
 
     @property
     def placed(self) -> bool:
-        """Whether the nominal arm was placed by the rows first, as they see it somewhere else."""
+        """True where the rows placed the nominal arm first, as they see it somewhere else."""
         return any(isinstance(e, BasePose) for e in self.rungs[0].model.effects)
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """What of the placement the rows do not tell; it was left as declared."""
+        """Parts of the placement that the rows do not tell; they were left as declared."""
         return list_undetermined(self.fit)
 
     @property
     def places(self) -> tuple[Place, ...]:
-        """Where the rows put base and sensors, and how well they tell it."""
+        """The places of base and sensors by the rows, and how well these tell them."""
         return places(self.fit)
 
     @property
@@ -222,8 +222,8 @@ def calibrate(
             that was not recorded.
         JobError: a fit diverged, or may not be believed (`plausible.refuse`).
     """
-    whole = inputs.admitted(session, arm, note=note)
-    chosen = [_named(effect, arm, whole, note) for effect in effects]
+    whole = inputs.admit_session(session, arm, note=note)
+    chosen = [_terms_of(effect, arm, whole, note) for effect in effects]
     kind, origin = kind_from(arm, kind_of) if kind_of else (None, "")
     train, held_out = blocked_split(whole, fraction, rng=seed)
     steps, tell = 5 + len(chosen), inputs.teller(progress)
@@ -256,8 +256,10 @@ def calibrate(
     return Calibration(*made, final, whole, seed, aside, origin)
 
 
-def _recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> tuple[Term, ...]:
-    """Of the places of an effect, those whose inputs were recorded and moved."""
+def _usable_places(
+    terms: tuple[Term, ...], session: Session, note: inputs.Note
+) -> tuple[Term, ...]:
+    """Keep the places of an effect whose inputs were recorded and moved."""
     context = session.context()
     usable, why = [], None
     for term in terms:
@@ -284,7 +286,7 @@ def _recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> t
     return tuple(usable)
 
 
-def _named(
+def _terms_of(
     given: str | Term | Sequence[Term], arm: Arm, session: Session, note: inputs.Note
 ) -> tuple[str, tuple[Term, ...]]:
     if isinstance(given, str):
@@ -292,7 +294,7 @@ def _named(
         if not places:
             allowed = "an effect this arm can have"
             raise InputError("calibrate", given, "no place on this arm", allowed)
-        return given, _recorded(places, session, note)
+        return given, _usable_places(places, session, note)
     terms = (given,) if isinstance(given, Term) else tuple(given)
     if not terms:
         raise InputError("calibrate", "effects", "nothing", "a name or instances of an effect")

@@ -70,7 +70,7 @@ class Commands(Sequence[Compensation]):
 
     @property
     def status(self) -> tuple[Status, ...]:
-        """How each target ended."""
+        """The status of each target."""
         return tuple(each.status for each in self.results)
 
     @property
@@ -91,7 +91,7 @@ class Commands(Sequence[Compensation]):
 
     @property
     def promise(self) -> str:
-        """How good the commands are, in words; empty where nothing says it."""
+        """The expected error of the commands, in words; empty where none is known."""
         good = [each for each in self.results if each.success and np.isfinite(each.expected_m)]
         if not good:
             return ""
@@ -208,6 +208,7 @@ def compensate(
         return Commands(numbers, tuple(made[k] for k in range(len(to))), placements)
     at, came = (None, unknown) if history is None else last(history, model)
     for k, target in enumerate(to):
+        sides = np.sign(np.broadcast_to(contexts[k].approach or 0.0, model.arm.n)).astype(float)
         arrival = compensate_move(
             model,
             predictor,
@@ -215,7 +216,7 @@ def compensate(
             start=at,
             history=came,
             context_after=partial(after, contexts[k]),
-            sides=_sides(contexts[k], model.arm.n),
+            sides=sides if sides.any() else None,
             seed=None if seeds is None else seeds[k],
             position_only=position_only or target.ndim == 1,
             options=options,
@@ -257,12 +258,6 @@ def after(given: Context, arrived: History) -> Context:
     return dataclasses.replace(given, **fields)
 
 
-def _sides(given: Context, n: int) -> np.ndarray | None:
-    """(n,) requested sides of arrival; None if there are none."""
-    sides = np.sign(np.broadcast_to(given.approach or 0.0, n))
-    return np.array(sides, float) if sides.any() else None
-
-
 def last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
     """Joints (n,) at the end of a session, and their history."""
     session = history if isinstance(history, Session) else read_session(history, model.arm)
@@ -301,7 +296,7 @@ def goals_of(
     if isinstance(targets, Targets):
         if context is not None:
             raise InputError("compensate", "context", "given", "None: the targets have their own")
-        told = _checked(targets.context(model.arm.n), model, targets.source)
+        told = _usable_context(targets.context(model.arm.n), model, targets.source)
         goals = [
             xyz if np.isnan(turn[0]) else quaternion.pose(xyz, turn)
             for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
@@ -315,11 +310,15 @@ def goals_of(
     if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
         allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
         raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
-    return list(given), _checked(context or Context(), model, "context"), np.arange(len(given))
+    return (
+        list(given),
+        _usable_context(context or Context(), model, "context"),
+        np.arange(len(given)),
+    )
 
 
-def _checked(told: Context, model: Model, where: str) -> Context:
-    """What a command may use of circumstances. Raises `InputError` where the arm cannot be so."""
+def _usable_context(told: Context, model: Model, where: str) -> Context:
+    """Keep what a command may use of circumstances; InputError: the arm cannot be so."""
     for name, values in told.columns.items():
         check_circumstance(model.arm, name, values, where)
     return told.as_left(model.ended_s)

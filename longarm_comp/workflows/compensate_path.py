@@ -44,7 +44,7 @@ class PathCommands(points.Commands):
         return f"PathCommands({len(self)} way-points, {self.timed.times[-1]:.3g} s)"
 
     def lines(self) -> list[dict[str, Any]]:
-        """As of `Commands`, with t_s and velocities v_q1..v_qn besides."""
+        """The lines of `Commands`, with t_s and velocities v_q1..v_qn besides."""
         further = np.column_stack([self.timed.times, self.timed.velocities])
         names = ("t_s", *(f"v_{name}" for name in joint_names(further.shape[1] - 1)))
         rows = zip(super().lines(), further.tolist(), strict=True)

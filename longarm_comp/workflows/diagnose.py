@@ -23,15 +23,16 @@ from longarm_comp.core.files import write_bytes
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.findings import EffectFinding
+from longarm_comp.core.identify.findings import Finding
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
-from longarm_comp.report.assemble import assemble, refused
-from longarm_comp.report.detail import SPLITS
+from longarm_comp.report.assemble import build_report, refused_report
+from longarm_comp.report.detail import Detail, detail
 from longarm_comp.report.pages import write_report
+from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.sessions.poses import FILE, write_poses
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs
@@ -65,7 +66,7 @@ class DiagnosisResult:
         return self.diagnosis.summary
 
     @property
-    def findings(self) -> tuple[EffectFinding, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """Effects that were added, strongest first, each with its `name` and `where`."""
         return self.diagnosis.findings
 
@@ -81,8 +82,7 @@ class DiagnosisResult:
     @property
     def predictor(self) -> Predictor | None:
         """Network of the remaining error, if it lowered the error on the hold-out."""
-        network = self.diagnosis.network
-        return network if isinstance(network, Predictor) else None
+        return self.diagnosis.network
 
     @property
     def held_out(self) -> ErrorTable:
@@ -96,9 +96,10 @@ class DiagnosisResult:
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {self.summary})"
 
-    def report(self) -> dict[str, Any]:
-        """The contents of report.json."""
-        return self._assembled[0]
+    @cached_property
+    def report(self) -> DiagnosisReport:
+        """The record that report.json holds."""
+        return build_report(self.diagnosis, self.session_hash)
 
     def save(self, folder: inputs.FilePath) -> Path:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
@@ -108,9 +109,9 @@ class DiagnosisResult:
         """
         target = Path(folder)
         earlier = (target / "report.json").is_file()
-        write_report(*self._assembled, target)
+        write_report(self.report, detail(self.diagnosis, self.facts), target)
         before, path = self.model_before, target / inputs.MODEL
-        stored = self._stored(target)
+        stored = self._model_file(target)
         if before is not None and before.resolve() != path.resolve():
             write_bytes(path, before.read_bytes())
         save_model(path, stored)
@@ -119,11 +120,7 @@ class DiagnosisResult:
                 (target / name).unlink(missing_ok=True)
         return target
 
-    @cached_property
-    def _assembled(self) -> tuple[dict[str, Any], Any]:
-        return assemble(self.diagnosis, self.session_hash, self.facts)
-
-    def _stored(self, folder: Path) -> StoredModel:
+    def _model_file(self, folder: Path) -> StoredModel:
         found, model, at = self.diagnosis, self.model, self.session_file
         origin = self.model_before
         before = None if origin is None else read_stored(origin)
@@ -170,8 +167,7 @@ class DiagnosisResult:
 
     def _write_next(self, path: Path) -> bool:
         """Write the poses that separate effects, or settle a doubt, if there are any."""
-        splits = [s for s in self.diagnosis.split_by if s.log_bayes_factor >= SPLITS]
-        more = self.diagnosis.next_q
+        splits, more = self.diagnosis.splits, self.diagnosis.next_q
         if not splits and not len(more):
             return False
         q = np.concatenate([*(s.q for s in splits), more])
@@ -213,8 +209,8 @@ def diagnose(
         JobError: a fit diverged.
     """
     known = None if model is None else inputs.physics(arm, model)
-    whole = inputs.admitted(session, arm, known, FEW_POSES, note)
-    held_out = None if test is None else inputs.admitted(test, arm, known, 1, note)
+    whole = inputs.admit_session(session, arm, known, FEW_POSES, note)
+    held_out = None if test is None else inputs.admit_session(test, arm, known, 1, note)
     for rows in (whole, held_out):
         if rows is not None and not rows.placed.any():
             allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
@@ -265,7 +261,8 @@ def diagnose_files(
         )
     except InputError as error:
         seed = how.get("seed", 0)
-        write_report(*refused(error, seed, session.name, inputs.file_hash(session)), folder)
+        report = refused_report(error, seed, inputs.file_hash(session))
+        write_report(report, Detail(title=session.name), folder)
         raise
     inputs.teller(progress)("report")
     found.save(folder)
@@ -273,5 +270,5 @@ def diagnose_files(
 
 
 def _path(given: inputs.SessionLike) -> Path:
-    """Where a session came from; of one in memory, its name."""
+    """The file of a session; of one in memory, its name."""
     return Path(given.source if isinstance(given, Session) else given)

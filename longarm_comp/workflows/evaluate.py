@@ -20,7 +20,7 @@ from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows import inputs
-from longarm_comp.workflows.train import expected
+from longarm_comp.workflows.train import expected_errors
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,11 +47,18 @@ class ErrorTable(Mapping[str, Errors]):
     @property
     def rows(self) -> list[dict[str, Any]]:
         """One row a model, in millimetres (and mrad), under the names of report.json."""
-        return [
-            _row(name, self[name], self.commanded[name])
-            | ({"set_aside": self.set_aside[name]} if name in self.set_aside else {})
-            for name in self
-        ]
+        rows = []
+        for name, seen in self.errors.items():
+            mean, *others = seen.mm.items()
+            commanded = ("commanded_mean_mm", self.commanded[name].mm["mean_mm"])
+            row: dict[str, Any] = {"model": name, "n": seen.n, **dict([mean, commanded, *others])}
+            # Where the orientation was measured, and where points were touched: mean distance
+            further = {"mean_mrad": seen.angle, "spread_mm": seen.spread}
+            row |= {key: 1e3 * value for key, value in further.items() if value is not None}
+            if name in self.set_aside:
+                row["set_aside"] = self.set_aside[name]
+            rows.append(row)
+        return rows
 
     def _repr_html_(self) -> str:
         return html_table("errors on rows that were not fitted", self.rows)
@@ -60,15 +67,6 @@ class ErrorTable(Mapping[str, Errors]):
         import pandas as pd
 
         return str(pd.DataFrame(self.rows).to_string(index=False, float_format="{:.3f}".format))
-
-
-def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:
-    mean, *others = errors.mm.items()
-    both = dict([mean, ("commanded_mean_mm", commanded.mm["mean_mm"]), *others])
-    row = {"model": name, "n": errors.n, **both}
-    # Where the orientation was measured, and where points were touched: mean distance from them
-    further = {"mean_mrad": errors.angle, "spread_mm": errors.spread}
-    return {**row, **{name: 1e3 * v for name, v in further.items() if v is not None}}
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,7 +93,7 @@ class Evaluation(ErrorTable):
 
     @property
     def notes(self) -> list[str]:
-        """What has to be known to read the table: the worst rows, and what was done."""
+        """Sentences that the reader of the table needs: the worst rows, and what was done."""
         last = list(self)[-1]
         worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
         said = [f"worst rows of {last}, by index: {', '.join(worst)}"]
@@ -137,7 +135,7 @@ def evaluate(
             is for another arm, or the predictor for another model.
     """
     calibrated = None if model is None else inputs.physics(arm, model)
-    session = inputs.admitted(test, arm, calibrated, min_poses=1, note=note, judge=True)
+    session = inputs.admit_session(test, arm, calibrated, min_poses=1, note=note, judge=True)
     rigid = place_as_seen(inputs.physics(arm, None, False), session)
     models, elsewhere = {"rigid": rigid.model}, rigid.elsewhere and not rigid.placed
     if arm.links:
@@ -155,7 +153,7 @@ def evaluate(
         else:
             learned = inputs.load_predictor(predictor, arm, model)
         beside = learned.provenance.beside_deflection
-        found = expected(learned, session)
+        found = expected_errors(learned, session)
         inside = np.asarray(found.in_domain)
         outside = int(found.outside.sum())
         refused = int((~inside).sum()) - outside

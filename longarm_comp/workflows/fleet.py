@@ -22,7 +22,6 @@ from longarm_comp.core.calibration.kind_of_arm import table
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import check_regular, write_text
-from longarm_comp.report.record import read_report
 from longarm_comp.version import __version__
 from longarm_comp.workflows.cluster import spread
 from longarm_comp.workflows.diagnose import diagnose_files
@@ -49,7 +48,7 @@ class _Member:
 
 
 @dataclass(frozen=True)
-class Finding:
+class FleetFinding:
     """An effect that was found at a place of an arm.
 
     Attributes:
@@ -67,7 +66,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What the diagnosis of one arm said.
+    """The result of one arm's diagnosis.
 
     Attributes:
         kind: number of its kind: arms of one table of rows share it.
@@ -87,12 +86,12 @@ class Diagnosed:
     in_use_mm: float | None = None
     calibrated_mm: float | None = None
     diagnosed_mm: float | None = None
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[FleetFinding, ...] = ()
     made_of: str = ""
 
     @property
     def drifted(self) -> bool:
-        """Whether the model in use errs by much more than what a calibration of today leaves."""
+        """True where the model in use errs by much more than a calibration of today."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
         # Error of a model in use, in that of a calibration of today, from which the arm is another:
@@ -101,7 +100,7 @@ class Diagnosed:
 
     @property
     def row(self) -> dict[str, object]:
-        """As one row of fleet.json."""
+        """The row of fleet.json."""
         return {**asdict(self), "drifted": self.drifted}
 
 
@@ -135,17 +134,16 @@ def members(folder: Path) -> list[_Member]:
 
 
 def sessions(folder: Path) -> list[Path]:
-    """Bags, and tables with joints and something measured."""
-    bags = [path.parent for path in folder.glob("*/metadata.yaml")]
-    return sorted([*bags, *filter(_measures, folder.glob("*.csv"))])
-
-
-def _measures(path: Path) -> bool:
-    check_regular(path)
-    with path.open("rb") as file:
-        first = file.readline(_LONGEST_HEADER).decode("utf-8-sig", "replace")
-    header = {cell.strip() for cell in next(csv.reader([first]), [])}
-    return "q1" in header and bool(header & _MEASURED) and "status" not in header
+    """List bags, and tables with joints and something measured."""
+    found = [path.parent for path in folder.glob("*/metadata.yaml")]
+    for path in folder.glob("*.csv"):
+        check_regular(path)
+        with path.open("rb") as file:
+            first = file.readline(_LONGEST_HEADER).decode("utf-8-sig", "replace")
+        header = {cell.strip() for cell in next(csv.reader([first]), [])}
+        if "q1" in header and header & _MEASURED and "status" not in header:
+            found.append(path)
+    return sorted(found)
 
 
 def fleet(
@@ -177,43 +175,39 @@ def fleet(
     options = (__version__, network, seed)
     made: dict[str, Diagnosed] = {}
     for member in found:
-        _check_free(output / member.name)
-    known, left = _known(output / WRITTEN), []
-    for member, mine in zip(found, tables, strict=True):
+        mine = output / member.name
+        own = next((name for name in (ARM, MODEL) if (mine / name).exists()), "")
+        if own and not (mine / "report.json").is_file():
+            raise InputError(mine, "output", f"has {own}", "a new folder, or that of a diagnosis")
+    known, left = _read_known(output / WRITTEN), []
+    for member, rows in zip(found, tables, strict=True):
         files = [p for p in (member.arm, member.session, member.model) if p is not None]
         made_of = repr((*options, *map(file_hash, files)))
-        kind, key = tables.index(mine), hashlib.sha256(made_of.encode()).hexdigest()
+        kind, key = tables.index(rows), hashlib.sha256(made_of.encode()).hexdigest()
         before = known.get(member.name)
         if before is not None and before.made_of == key and before.verdict != "failed":
             made[member.name] = replace(before, kind=kind)
         else:
             left.append((member, kind, key))
-    look = partial(_diagnosed, output=output, network=network, seed=seed)
-    for one in _worked(look, left, jobs, dask):
+    look = partial(_diagnose_arm, output=output, network=network, seed=seed)
+    for one in _diagnose_each(look, left, jobs, dask):
         made[one.name] = one
         _write(made.values(), output)
         progress(one.name, len(made) / len(found))
-    told = compared([made[member.name] for member in found])
+    told = compare_arms([made[member.name] for member in found])
     _write(told, output)
     return told
 
 
 def _table(path: Path) -> object:
-    """What arms of one kind share; of a file that is refused itself, it is told when diagnosed."""
+    """The DH table, which arms of one kind share; the path of a file that is refused."""
     try:
         return table(Arm.load(path))
     except LongarmError:
         return path
 
 
-def _check_free(folder: Path) -> None:
-    """Refuse a folder, for a diagnosis to be written, that is an arm's own."""
-    own = next((name for name in (ARM, MODEL) if (folder / name).exists()), "")
-    if own and not (folder / "report.json").is_file():
-        raise InputError(folder, "output", f"has {own}", "a new folder, or that of a diagnosis")
-
-
-def _known(path: Path) -> dict[str, Diagnosed]:
+def _read_known(path: Path) -> dict[str, Diagnosed]:
     """The arms of a fleet.json by name; none where it is not there or not of this version."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["arms"]
@@ -227,7 +221,7 @@ def _write(arms: Iterable[Diagnosed], output: Path) -> None:
     write_text(output / WRITTEN, text + "\n")
 
 
-def _worked(
+def _diagnose_each(
     look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int,
     dask: str | None,
 ) -> Iterator[Diagnosed]:  # fmt: skip
@@ -239,7 +233,7 @@ def _worked(
     os.environ.setdefault("PYTHONSAFEPATH", "1")
     if dask is not None:
         for one, made in spread(look, left, dask, workers=jobs, asked="fleet"):
-            yield _failed(*one, made) if isinstance(made, LongarmError) else made
+            yield _failed_arm(*one, made) if isinstance(made, LongarmError) else made
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         begun = {pool.submit(look, *one) for one in left}
@@ -247,12 +241,12 @@ def _worked(
             yield done.result()
 
 
-def _failed(member: _Member, kind: int, made_of: str, error: Exception) -> Diagnosed:
+def _failed_arm(member: _Member, kind: int, made_of: str, error: Exception) -> Diagnosed:
     why = str(error) if isinstance(error, LongarmError) else f"a fault of longarm: {error!r}"
     return Diagnosed(member.name, kind, str(member.session), 0, "failed", why, made_of=made_of)
 
 
-def _diagnosed(
+def _diagnose_arm(
     member: _Member, kind: int, made_of: str, *, output: Path, network: bool, seed: int
 ) -> Diagnosed:
     try:
@@ -264,36 +258,35 @@ def _diagnosed(
         if member.model is not None:
             in_use = 1e3 * evaluate(arm, member.session, model=member.model)["calibrated"].mean
     except Exception as error:  # of this arm alone: the others are still diagnosed
-        return _failed(member, kind, made_of, error)
-    left, reported = found.held_out, read_report(output / member.name)
-    sizes = [f.tip_mm.median if f.tip_mm else 0.0 for f in reported.findings]
-    findings = tuple(
-        Finding(
-            " or ".join(sorted({f.name, *(r.candidate.name for r in f.alternatives)})), place, size
-        )
-        for f, size in zip(found.findings, sizes, strict=True)
+        return _failed_arm(member, kind, made_of, error)
+    left = found.held_out
+    findings = [
+        FleetFinding(" or ".join(sorted(f.names)), place, f.tip_mm.median if f.tip_mm else 0.0)
+        for f in found.findings
         for place in f.where
-    ) + tuple(Finding(c.title, c.set[0], c.tip_mm.rms) for c in reported.discovered if c.kept)
+    ] + [FleetFinding(c.title, c.set[0], c.tip_mm.rms) for c in found.report.discovered if c.kept]
     rows = len(found.diagnosis.train) + len(found.diagnosis.held_out)
     calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", list(left)[-1]))
     made = Diagnosed(
         member.name, kind, str(member.session), rows, found.verdict, found.summary, in_use,
-        calibrated, diagnosed, findings, made_of,
+        calibrated, diagnosed, tuple(findings), made_of,
     )  # fmt: skip
     del found
     gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms
     return made
 
 
-def compared(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
-    """The same, with what is found at arms of a kind told from what is one arm's own."""
+def compare_arms(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
+    """Mark what is found at half of the arms of a kind; the rest is an arm's own."""
     counts: Mapping[tuple[int, str, str], int] = Counter(
         (arm.kind, f.effect, f.where) for arm in arms for f in arm.findings
     )
     sizes = Counter(arm.kind for arm in arms)
-
-    def told(arm: Diagnosed, f: Finding) -> Finding:
-        count = counts[arm.kind, f.effect, f.where]
-        return replace(f, of_kind=count >= 2 and 2 * count >= sizes[arm.kind])
-
-    return [replace(arm, findings=tuple(told(arm, f) for f in arm.findings)) for arm in arms]
+    made = []
+    for arm in arms:
+        found = []
+        for f in arm.findings:
+            count = counts[arm.kind, f.effect, f.where]
+            found.append(replace(f, of_kind=count >= 2 and 2 * count >= sizes[arm.kind]))
+        made.append(replace(arm, findings=tuple(found)))
+    return made

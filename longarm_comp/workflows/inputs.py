@@ -53,7 +53,7 @@ Telling = bool | Callable[..., None]
 
 
 def teller(progress: Telling) -> Callable[..., None]:
-    """What is called with each step, and perhaps with the share that is done."""
+    """Make the function to call with each step, and perhaps with the share that is done."""
     if callable(progress):
         return progress
     if not progress:
@@ -71,7 +71,7 @@ def teller(progress: Telling) -> Callable[..., None]:
     return tell
 
 
-def admitted(
+def admit_session(
     given: SessionLike,
     arm: Arm,
     model: Model | None = None,
@@ -80,7 +80,7 @@ def admitted(
     *,
     judge: bool = False,
 ) -> Session:
-    """A session that passed admission. Findings of the admission are passed to ``note``.
+    """Read a session and admit it. Findings of the admission are passed to ``note``.
 
     Run-ups of unknown length are taken to be as long as the model was fitted with. Where rows
     judge a model, those that do not fit it are noted and not refused.
@@ -151,7 +151,7 @@ def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, 
     return {"model_hash": digest, "deflection": deflection}
 
 
-def learnable(given: NetworkKind | FilePath | None) -> NetworkKind | None:
+def network_kind(given: NetworkKind | FilePath | None) -> NetworkKind | None:
     """A network of others, from its file or its name; None: the paper's."""
     if not isinstance(given, (str, Path)):
         return given
@@ -180,7 +180,7 @@ def load_predictor(
     """
     from longarm_comp.core.learn.predictor_file import load
 
-    learnable(network)
+    network_kind(network)
     predictor = load(
         path, arm_hash=arm.hash, joint_names=arm.joint_names,
         model_hash=None if isinstance(model, Model) else str(physics_mark(model)["model_hash"]),

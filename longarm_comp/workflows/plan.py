@@ -90,10 +90,12 @@ def plan(
 
     if kind == "i-optimal" or kind == "d-optimal":
         if report is not None:
-            model, session = _of_diagnosis(report)
-            measured = measured or session
+            model = Path(report) / inputs.MODEL
+            said = read_stored(model).provenance.get(inputs.SESSION)
+            session = Path(report) / str(said)
+            measured = measured or (session if said and session.exists() else None)
         known = inputs.physics(arm, model)
-        rows = None if measured is None else inputs.admitted(measured, arm, known, note=note)
+        rows = None if measured is None else inputs.admit_session(measured, arm, known, note=note)
         pool = None
         if measure == "touch":
             pool = touch_pool(known, points or {}, max(POOL, 4 * n), np.random.default_rng(seed))
@@ -122,11 +124,3 @@ def plan(
         raise InputError("plan", "kind", kind, ", ".join((*_FILLING, *_OPTIMAL)))
     make, most = _FILLING[kind]
     return fill_plan(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
-
-
-def _of_diagnosis(report: inputs.FilePath) -> tuple[Path, Path | None]:
-    """Its model, and the session that it was made of where that is still there."""
-    model = Path(report) / inputs.MODEL
-    said = read_stored(model).provenance.get(inputs.SESSION)
-    path = Path(report) / str(said)
-    return model, path if said and path.exists() else None

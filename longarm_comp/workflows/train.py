@@ -35,7 +35,7 @@ def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarra
     return seen.q, errors(model, seen), seen.context()
 
 
-def expected(predictor: Predictor, session: Session) -> Prediction:
+def expected_errors(predictor: Predictor, session: Session) -> Prediction:
     """The error that a predictor expects at the M rows that say where the tip is."""
     seen = session.take(session.placed)
     return predictor.predict(seen.q, seen.context())
@@ -109,7 +109,7 @@ def train(
         JobError: the arm does not stand where the model says.
     """
     base, tell = given.physics(arm, model, deflection), given.teller(progress)
-    whole = given.admitted(session, arm, None if model is None else base, note=note)
+    whole = given.admit_session(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
     located = whole.take(whole.located)
     if far := describe_offset(base, located):
@@ -120,11 +120,11 @@ def train(
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, mark)
     predictor = networks.train(
         *rows, inputs=inputs, init=init, seed=seed, ensemble=ensemble, hidden=hidden,
-        device=device, network=given.learnable(network), provenance=origin,
+        device=device, network=given.network_kind(network), provenance=origin,
         progress=lambda k, of: tell(f"{k} of {of} networks", k / of),
     )  # fmt: skip
     residual = rows[1]
-    left = residual - expected(predictor, located).error
+    left = residual - expected_errors(predictor, located).error
     return TrainedPredictor(
         **{f.name: getattr(predictor, f.name) for f in dataclasses.fields(predictor)},
         samples=len(residual),

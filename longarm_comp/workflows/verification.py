@@ -32,7 +32,7 @@ class Verification:
 
     @property
     def helps(self) -> bool:
-        """Whether compensation brings the tip nearer, beyond chance: the interval is above 0."""
+        """True where compensation brings the tip nearer, beyond chance: the interval is above 0."""
         return self.gain_ci95_m[0] > 0.0
 
     @property

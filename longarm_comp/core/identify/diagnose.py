@@ -25,7 +25,7 @@ from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
-from longarm_comp.core.identify.findings import findings
+from longarm_comp.core.identify.findings import complete_findings, make_findings
 from longarm_comp.core.identify.intervals import intervals
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
@@ -131,10 +131,12 @@ def diagnose(
     beside = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
     structure = examine(found.fit, fits[CALIBRATED], beside)
     structure = with_left_out(structure, found.fit)
-    structure = with_unseen(structure, [(list(f.fits.values())[-1], f.rows) for f in made])
+    fullest = [(list(f.fits.values())[-1], f.rows) for f in made]
+    structure = with_unseen(structure, fullest)
     final = fold_directions(fits[written])
-    named = findings(found.found)
     added = [t for f in found.found for t in f.terms if t.key in {s.key for s in final.model.terms}]
+    ends = intervals(final, added, candidates)
+    named = complete_findings(make_findings(found.found), arm, found.fit, final, ends, fullest)
     network = None
     if structure.flag and train_network is not None and final.session.located.any():
         say("network")
@@ -168,7 +170,7 @@ def diagnose(
         expected={name: float(each.mean()) for name, each in lengths.items()},
         written=written,
         failed=failed,
-        intervals=intervals(final, added, candidates),
+        intervals=ends,
         structure=structure,
         set_aside=aside,
         models=models,

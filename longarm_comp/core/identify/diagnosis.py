@@ -17,8 +17,14 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
+from longarm_comp.core.identify.candidate_states import (
+    Smallest,
+    TriedCandidate,
+    detectable,
+    judge_candidates,
+)
 from longarm_comp.core.identify.discover.causes import Cause
-from longarm_comp.core.identify.findings import EffectFinding, improvement, left_in_words, sentence
+from longarm_comp.core.identify.findings import Finding, improvement, left_in_words, sentence
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE
@@ -34,6 +40,9 @@ from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
+
+SPLITS = 3.0
+"""Smallest expected log odds for which poses are worth measuring."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +77,7 @@ class Diagnosis:
 
     arm: Arm
     search: ExplainedSession
-    findings: tuple[EffectFinding, ...]
+    findings: tuple[Finding, ...]
     causes: tuple[Cause, ...]
     fits: Mapping[str, ModelFit]
     expected: Mapping[str, float]
@@ -108,13 +117,8 @@ class Diagnosis:
         return self.fit.model
 
     @property
-    def fullest(self) -> list[tuple[ModelFit, Session]]:
-        """Fits without some rows of the model that holds all that was found, and these rows."""
-        return [(list(fold.fits.values())[-1], fold.rows) for fold in self.folds]
-
-    @property
     def left_out(self) -> bool:
-        """Whether something was found that the model to use leaves out."""
+        """True where the model to use leaves out something that was found."""
         return self.written != list(self.fits)[-1]
 
     @cached_property
@@ -123,6 +127,27 @@ class Diagnosis:
         found = (*self.search.found, *self.search.doubtful)
         none = (1.0 - f.there * f.chance_unnamed for f in found)
         return 1.0 - math.prod(none) if not self.structure.flag else 1.0 - self.structure.p_value
+
+    @cached_property
+    def smallest(self) -> tuple[Smallest, ...]:
+        """Score and smallest visible size of the library outside the model, on top of the model."""
+        held = {t.key for t in self.search.chosen}
+        library = self.search.candidates
+        outside = [c for c in library if held.isdisjoint(t.key for t in c.terms)]
+        return detectable(self.search.fit, outside, self.search.need)
+
+    @cached_property
+    def candidates(self) -> list[TriedCandidate]:
+        """Every candidate with its state, best first, the untestable last."""
+        written = {t.key for t in self.model.terms}
+        return judge_candidates(
+            self.search, self.findings, written, self.smallest, self.not_testable
+        )
+
+    @property
+    def splits(self) -> list[SplittingPoses]:
+        """Poses that are worth measuring, as they would tell two names apart."""
+        return [by for by in self.split_by if by.log_bayes_factor >= SPLITS]
 
     @property
     def verdict(self) -> str:
@@ -144,26 +169,13 @@ class Diagnosis:
 
     @property
     def seen_gain(self) -> Gain:
-        """Of the stages compared, as seen."""
+        """The gain between the stages compared, as seen."""
         return Gain.of(*(self.proof.errors[stage] for stage in self.compared))
 
     @property
     def commanded_gain(self) -> Gain:
-        """Of the stages compared, as a command would have it."""
+        """The gain between the stages compared, as a command would have it."""
         return Gain.of(*(self.proof.commanded[stage] for stage in self.compared))
-
-    def intervals_of(self, finding: EffectFinding) -> Mapping[tuple[str, str, str], Interval]:
-        """Intervals of a finding's parameters, by effect, place and parameter; of what the model
-        to use leaves out, the values only."""
-        made = {}
-        held = {(*s.owner.key, s.parameter.name): self.intervals[k]
-                for k, s in enumerate(self.fit.slots)}  # fmt: skip
-        for slot in self.search.fit.slots:
-            key = (*slot.owner.key, slot.parameter.name)
-            if slot.owner.key in {t.key for t in finding.terms}:
-                value = slot.value
-                made[key] = held.get(key, Interval(value, value, value))
-        return made
 
     @property
     def summary(self) -> str:
@@ -189,7 +201,7 @@ def _summary(found: Diagnosis) -> str:
         return f"{text} {gain} by the calibration."
     if found.verdict == "unknown" and not found.failed and not found.causes:
         return f"The model lacks something that no effect of the library explains: {left}."
-    said = [sentence(f, found.search.fit, found.intervals_of(f)) for f in found.findings]
+    said = [sentence(f) for f in found.findings]
     said += [f"without a name: {cause.sentence}" for cause in found.causes]
     text = "; ".join(said)
     if found.failed:

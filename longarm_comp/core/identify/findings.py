@@ -1,18 +1,63 @@
-"""Findings: the named effects that were found, each with its credible set of names."""
+"""Findings: the named effects that were found, each with its credible set of names.
+
+A `Finding` is the one record of it: the posterior makes it, report.json holds it as it is, and the
+page and the command line print it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
+import numpy as np
+from pydantic import ConfigDict, Field, GetPydanticSchema
+
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Rival
-from longarm_comp.core.identify.practical import Gain
+from longarm_comp.core.identify.practical import Gain, gains, tip_shift
 from longarm_comp.core.identify.structure import Structure
+from longarm_comp.core.yaml_file import Closed
+
+Pair = tuple[float, float]
+
+
+class ReportPart(Closed):
+    """A part of report.json."""
+
+    # What is written has every key, so the schema requires each
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+
+class FindingParameter(ReportPart):
+    """A value of a finding, in `unit`. `ci95` is None where it is at its bound: no estimate."""
+
+    name: str
+    where: str
+    value: float
+    unit: str
+    ci95: Pair | None
+    prior_scale: float | None = Field(gt=0)
+
+
+class RunnerUp(ReportPart):
+    """The most probable other name of a finding."""
+
+    effect: str
+    log_bayes_factor: float
+
+
+class TipSize(ReportPart):
+    """The shift of the seen tip by an effect, over the fitted rows."""
+
+    median: float = Field(ge=0)
+    max: float = Field(ge=0)
 
 
 @dataclass(frozen=True)
@@ -28,36 +73,65 @@ class PartialAlias:
     name: str
 
 
-@dataclass(frozen=True)
-class EffectFinding:
-    """One effect that the data ask for, with what they cannot tell from it.
+class Finding(ReportPart):
+    """An effect that the data ask for, with the names that they cannot tell from it.
 
     Attributes:
-        name: canonical name of the most probable cause.
-        terms: the fitted instances.
-        log_bayes_factor: against leaving the effect out, geometry and rest marginalised.
+        name: canonical name of the most probable cause; ``effect`` in report.json.
+        title, reading: the effect in words, and what its values say.
+        names: the credible set: `name` first, then what cannot be told from it; ``set`` in
+            report.json.
         probability: that there is an effect.
-        chances: (name, probability) of its causes, given that there is one, the largest first.
-        alternatives: the other names of the credible set.
-        runner_up: the most probable other name, in the set or not; None where none is likely.
-        partial_aliases: names that may stand for one of its parts only.
+        set_probability: of each name of the set, given that there is an effect.
         unnamed: why a cause without a name may be there instead; empty where it may not.
+        where: places, in order.
+        log_bayes_factor: against leaving the effect out, geometry and rest marginalised.
+        runner_up: the most probable other name, in the set or not; None where none is likely.
+        compensated: whether commands with the model to use correct for it.
+        seen_mm, commanded_mm: mean held-out errors without it, the rest fitted again, and with it:
+            as measured, and as a command would have it.
+        doubts: names that may stand for one of its parts only, in words.
+        action: one sentence for a mechanic.
+        parts: the single effects of the posterior that it is made of; not in report.json.
+        left_out: whether the model to use is without it; not in report.json.
     """
 
-    name: str
-    terms: tuple[Term, ...]
-    log_bayes_factor: float
-    probability: float
-    chances: tuple[tuple[str, float], ...]
-    alternatives: tuple[Rival, ...]
-    runner_up: Rival | None
-    partial_aliases: tuple[PartialAlias, ...] = ()
+    name: str = Field(alias="effect")
+    title: str = ""
+    reading: str = ""
+    names: tuple[str, ...] = Field(alias="set")
+    probability: float = Field(ge=0, le=1)
+    set_probability: dict[str, float]
     unnamed: str = ""
+    where: tuple[str, ...]
+    log_bayes_factor: float
+    parameters: tuple[FindingParameter, ...]
+    runner_up: RunnerUp | None
+    compensated: bool
+    tip_mm: TipSize | None = None
+    seen_mm: Pair | None = None
+    commanded_mm: Pair | None = None
+    doubts: tuple[str, ...] = ()
+    action: str = ""
+    parts: Annotated[
+        tuple[FoundEffect, ...], GetPydanticSchema(lambda _, handler: handler(Any))
+    ] = Field(default=(), exclude=True, repr=False)
+    left_out: bool = Field(default=False, exclude=True)
+
+    @property
+    def name_open(self) -> bool:
+        """True where it may as well be something else."""
+        return len(self.names) > 1 or bool(self.unnamed)
 
     @property
     def open(self) -> bool:
-        """Whether it may as well be something else, or not be there in another session."""
-        return bool(self.alternatives or self.unnamed) or self.probability < CREDIBLE
+        """True where it may as well be something else, or not be there in another session."""
+        return self.name_open or self.probability < CREDIBLE
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The fitted instances."""
+        return tuple(t for f in self.parts for t in f.terms)
 
     @property
     def candidate(self) -> Candidate:
@@ -65,106 +139,181 @@ class EffectFinding:
         return Candidate(self.name, self.terms)
 
     @property
-    def where(self) -> tuple[str, ...]:
-        """Places, in order."""
-        return tuple(dict.fromkeys(t.where for t in self.terms))
+    def chances(self) -> tuple[tuple[str, float], ...]:
+        """(name, probability) of its causes, given that there is one, the largest first."""
+        return _chances(self.parts)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The credible set: the effect and what cannot be told from it."""
-        return (self.name, *(a.name for a in self.alternatives))
+    def alternatives(self) -> tuple[Rival, ...]:
+        """The other names of the credible set, the most probable first."""
+        return tuple(r for r in _rivals(self.parts) if r.name in self.names)
+
+    @property
+    def partial_aliases(self) -> tuple[PartialAlias, ...]:
+        """Names that may stand for one of its parts only."""
+        return _partial_aliases(self.parts)
 
 
-def findings(found: Sequence[FoundEffect]) -> tuple[EffectFinding, ...]:
-    """One finding a name, strongest first, of the single effects that have one.
+def make_findings(found: Sequence[FoundEffect]) -> tuple[Finding, ...]:
+    """Make the findings of single effects, one a name that has one, strongest first.
 
     Single effects of one name at several places are one finding.  Its set holds the names that may
-    stand for all of them; a name that may stand for some only is a partial alias.
+    stand for all of them; a name that may stand for some only is a partial alias.  What a finding
+    means at the tip is added by `complete_findings`.
     """
     names = dict.fromkeys(f.name for f in found if not f.unnamed)
     made = [_finding(name, [f for f in found if f.name == name]) for name in names]
     return tuple(sorted(made, key=lambda f: -f.log_bayes_factor))
 
 
-def _finding(name: str, parts: Sequence[FoundEffect]) -> EffectFinding:
-    sets = [set(f.credible) for f in parts]
-    every = set.intersection(*sets)
-    some = set.union(*sets) - every
-    size = sum(f.log_bayes_factor for f in parts)
-    chances: dict[str, float] = {}
-    rivals: dict[str, Rival] = {}
-    for f in parts:
-        for other, chance in f.names.items():
-            chances[other] = chances.get(other, 0.0) + chance * f.log_bayes_factor / size
-        for rival in f.rivals:
-            loss = f.log_bayes_factor - rival.log_bayes_factor
-            rivals.setdefault(rival.name, replace(rival, log_bayes_factor=size - loss))
-    rivals = {n: replace(r, probability=chances[n]) for n, r in rivals.items()}
-    ordered = sorted(rivals.values(), key=lambda r: -r.probability)
-    named = [r for r in ordered if not r.unnamed]
-    partial = [
-        PartialAlias(f"part at {', '.join(dict.fromkeys(t.where for t in f.terms))}", other)
-        for f, own in zip(parts, sets, strict=True)
-        for other in sorted(own & some)
-        if other in rivals and not rivals[other].unnamed
-    ]
-    unnamed = next((r for r in ordered if r.unnamed), None)
+def _finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
+    terms = [t for f in parts for t in f.terms]
+    rivals, every = _rivals(parts), set.intersection(*(set(f.credible) for f in parts))
+    named = [r for r in rivals if not r.unnamed]
+    unnamed = next((r for r in rivals if r.unnamed), None)
     other = ""
     if unnamed is not None and unnamed.name in every:
         places = ", ".join(dict.fromkeys(t.place for t in unnamed.candidate.terms))
         other = f"a function without a name explains as much ({places})"
-    return EffectFinding(
-        name,
-        tuple(t for f in parts for t in f.terms),
-        size,
-        1.0 - math.prod(1.0 - f.there for f in parts),
-        tuple(sorted(chances.items(), key=lambda c: -c[1])),
-        tuple(r for r in named if r.name in every),
-        named[0] if named else None,
-        tuple(partial),
-        other,
+    names = (name, *(r.name for r in named if r.name in every))
+    runner = named[0] if named else None
+    made = Finding(
+        effect=name,
+        title=terms[0].heading(),
+        reading="; ".join(dict.fromkeys(t.reading for t in terms if t.reading)),
+        set=names,
+        probability=1.0 - math.prod(1.0 - f.there for f in parts),
+        set_probability={n: p for n, p in _chances(parts) if n in names},
+        unnamed=other,
+        where=tuple(dict.fromkeys(t.where for t in terms)),
+        log_bayes_factor=sum(f.log_bayes_factor for f in parts),
+        parameters=(),
+        runner_up=None
+        if runner is None
+        else RunnerUp(effect=runner.name, log_bayes_factor=runner.log_bayes_factor),
+        compensated=all(t.commandable for t in terms),
+        doubts=tuple(f"{p.name} could stand for its {p.part}" for p in _partial_aliases(parts)),
     )
+    return made.model_copy(update={"parts": tuple(parts)})
+
+
+def _chances(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
+    """(name, probability) of the causes of all parts, each weighed by its evidence."""
+    size = sum(f.log_bayes_factor for f in parts)
+    chances: dict[str, float] = {}
+    for f in parts:
+        for name, chance in f.names.items():
+            chances[name] = chances.get(name, 0.0) + chance * f.log_bayes_factor / size
+    return tuple(sorted(chances.items(), key=lambda c: -c[1]))
+
+
+def _rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
+    """All other causes of all parts, the most probable first."""
+    size, chances = sum(f.log_bayes_factor for f in parts), dict(_chances(parts))
+    rivals: dict[str, Rival] = {}
+    for f in parts:
+        for rival in f.rivals:
+            loss = f.log_bayes_factor - rival.log_bayes_factor
+            whole = replace(rival, log_bayes_factor=size - loss, probability=chances[rival.name])
+            rivals.setdefault(rival.name, whole)
+    return sorted(rivals.values(), key=lambda r: -r.probability)
+
+
+def _partial_aliases(parts: Sequence[FoundEffect]) -> tuple[PartialAlias, ...]:
+    sets = [set(f.credible) for f in parts]
+    some = {name for own in sets for name in own if any(name not in other for other in sets)}
+    named = {r.name for r in _rivals(parts) if not r.unnamed}
+    return tuple(
+        PartialAlias(f"part at {', '.join(dict.fromkeys(t.where for t in f.terms))}", name)
+        for f, own in zip(parts, sets, strict=True)
+        for name in sorted(own & some & named)
+    )
+
+
+def complete_findings(
+    found: Sequence[Finding],
+    arm: Arm,
+    fit: ModelFit,
+    written: ModelFit,
+    intervals: Mapping[int, Interval],
+    held_out: Sequence[tuple[ModelFit, Session]],
+) -> tuple[Finding, ...]:
+    """Add to findings their values, their size at the tip and their gain on held-out rows.
+
+    Args:
+        found: as the posterior makes them.
+        arm: as declared.
+        fit: the final fit of all that was found.
+        written: the fit of the model to use.
+        intervals: of its parameters, by position in its slots.
+        held_out: fits of all that was found without some rows, and these rows.
+    """
+    known = {(*s.owner.key, s.parameter.name): intervals[k] for k, s in enumerate(written.slots)}
+    in_model = {t.key for t in written.model.terms}
+    made = []
+    for finding in found:
+        places = {t.key for t in finding.terms}
+        left_out = in_model.isdisjoint(places)
+        parameters = []
+        for slot in fit.slots:
+            if slot.owner.key not in places:
+                continue
+            bare = Interval(slot.value, slot.value, slot.value)
+            ends = known.get((*slot.owner.key, slot.parameter.name), bare)
+            parameters.append(
+                FindingParameter(
+                    name=slot.parameter.name,
+                    where=slot.owner.where,
+                    value=ends.value,
+                    unit=slot.parameter.unit,
+                    ci95=None if ends.at_bound or left_out else (ends.low, ends.high),
+                    prior_scale=slot.parameter.prior,
+                )
+            )
+        tip_mm = 1e3 * tip_shift(fit, places)
+        seen, commanded = gains(held_out, places)
+        values = {
+            "parameters": tuple(parameters),
+            "compensated": finding.compensated and not left_out,
+            "tip_mm": TipSize(median=float(np.median(tip_mm)), max=float(tip_mm.max())),
+            "seen_mm": (1e3 * seen.before, 1e3 * seen.after),
+            "commanded_mm": (1e3 * commanded.before, 1e3 * commanded.after),
+            "action": finding.terms[0].advice(arm),
+            "left_out": left_out,
+        }
+        made.append(finding.model_copy(update=values))
+    return tuple(made)
 
 
 _MOST = 4
 """Number of values in a sentence."""
 
 
-def sentence(
-    finding: EffectFinding, fit: ModelFit, intervals: Mapping[tuple[str, str, str], Interval]
-) -> str:
-    """What was found, where, how large, with its interval, and what else it could be.
+def sentence(finding: Finding) -> str:
+    """Say what was found, where, how large, with its interval, and what else it could be.
 
     A parameter at its bound is no estimate and is left out.
-
-    Args:
-        finding: one effect.
-        fit: the final one, which holds its terms.
-        intervals: of its parameters, by effect, place and parameter.
     """
     values = []
-    for slot in fit.slots:
-        interval = intervals.get((*slot.owner.key, slot.parameter.name))
-        if interval is None or interval.at_bound:
+    for p in finding.parameters:
+        if p.ci95 is None and not finding.left_out:
             continue
-        times, unit = for_people(slot.parameter.unit)
-        ends = (interval.value, interval.low, interval.high)
+        times, unit = for_people(p.unit)
+        ends = (p.value, *(p.ci95 or (p.value, p.value)))
         value, low, high = (f"{times * v:.3g}" for v in ends)
         shown = f"{value}{'' if unit == '°' else ' '}{unit} [{low}, {high}]"
-        values.append(f"{slot.owner.where} {slot.parameter.name} {shown}")
-    readings = dict.fromkeys(t.reading for t in finding.terms if t.reading)
+        values.append(f"{p.where} {p.name} {shown}")
     if not values:
         values = [", ".join(finding.where)]
     listed = f"{', '.join(values[:_MOST])}{', ...' if len(values) > _MOST else ''}"
-    said = "; ".join((listed, *readings))
+    said = "; ".join(filter(None, (listed, finding.reading)))
     other = ""
-    if finding.runner_up is not None and not finding.alternatives:
+    if finding.runner_up is not None and len(finding.names) == 1:
         odds = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
-        other = f", runner-up {finding.runner_up.candidate.name} (log odds {odds:.0f})"
+        other = f", runner-up {finding.runner_up.effect} (log odds {odds:.0f})"
     names, remark = " or ".join(finding.names), ""
-    if finding.partial_aliases:
-        part = finding.partial_aliases[0]
-        remark = f"; {part.name} could stand for its {part.part}"
+    if finding.doubts:
+        remark = f"; {finding.doubts[0]}"
     if finding.unnamed:
         remark += "; or a cause without a name"
     if finding.probability < CREDIBLE:
@@ -173,13 +322,13 @@ def sentence(
 
 
 def improvement(seen: Gain, commanded: Gain) -> str:
-    """Before and after: as a command would have it, and as seen where that differs."""
+    """Say the errors before and after: as a command would have it, and as seen where it differs."""
     told = [f"{1e3 * g.before:.2f} -> {1e3 * g.after:.2f} mm" for g in (commanded, seen)]
     return told[0] if told[0] == told[1] else f"{told[0]} as commanded ({told[1]} as seen)"
 
 
 def left_in_words(structure: Structure) -> str:
-    """What structure is left and where it shows; empty where none is."""
+    """Say what structure is left and where it shows; empty where none is."""
     if not structure.flag:
         return ""
     size = f"{1e3 * structure.size_m:.2f} mm of "

@@ -15,7 +15,6 @@ from itertools import compress
 import numpy as np
 
 from longarm_comp.core.calibration import linear
-from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.commanded import (
@@ -45,12 +44,12 @@ class Gain:
 
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
-        """From the (M, 3) errors of two models on the same rows; zeros of no rows."""
+        """Compute it from the (M, 3) errors of two models on the same rows; zeros of no rows."""
         return cls.between(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
 
     @classmethod
     def between(cls, long: np.ndarray, short: np.ndarray) -> Gain:
-        """From the (M,) lengths of the errors of two models on the same rows."""
+        """Compute it from the (M,) lengths of the errors of two models on the same rows."""
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
         gain = long - short
@@ -61,46 +60,28 @@ class Gain:
         return cls(float(long.mean()), float(short.mean()), (middle - half, middle + half))
 
 
-@dataclass(frozen=True)
-class Practical:
-    """One finding in practice.
-
-    Attributes:
-        tip_m: (N,) what it moves the seen tip by at each fitted row.
-        seen: held-out errors as measured, without it and with it.
-        commanded: the same as a command would have it (`core/data/commanded.py`).
-    """
-
-    tip_m: np.ndarray
-    seen: Gain
-    commanded: Gain
+def tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
+    """(N,) shift of the seen tip by the terms at some places, at each fitted row, m."""
+    still = fitted.model.without(places)
+    moved = fitted.model.measured_at(fitted.posture)
+    return np.linalg.norm(moved - still.measured_at(still.posture_near(fitted.posture)), axis=1)
 
 
-def practical(
-    fitted: ModelFit,
-    findings: Sequence[Sequence[Term]],
-    held_out: Sequence[tuple[ModelFit, Session]],
-) -> list[Practical]:
-    """What the terms of each finding mean in practice.
+def gains(
+    held_out: Sequence[tuple[ModelFit, Session]], places: set[tuple[str, str]]
+) -> tuple[Gain, Gain]:
+    """Compute the gain by the terms at some places on held-out rows: as seen, as commanded.
 
     Args:
-        fitted: the final fit, which holds the terms.
-        findings: terms of each finding.
         held_out: fits without some rows, and these rows.
+        places: keys of the terms.
     """
-    made = []
-    for terms in findings:
-        places = {t.key for t in terms}
-        still = fitted.model.without(places)
-        moved = fitted.model.measured_at(fitted.posture)
-        tip = np.linalg.norm(moved - still.measured_at(still.posture_near(fitted.posture)), axis=1)
-        pairs = [_without(fit, places, rows.take(rows.placed)) for fit, rows in held_out]
-        seen, commanded = (
-            [np.concatenate(parts) for parts in zip(*each, strict=True)]
-            for each in zip(*pairs, strict=True)
-        )
-        made.append(Practical(tip, Gain.of(*seen), Gain.of(*commanded)))
-    return made
+    pairs = [_without(fit, places, rows.take(rows.placed)) for fit, rows in held_out]
+    seen, commanded = (
+        [np.concatenate(parts) for parts in zip(*each, strict=True)]
+        for each in zip(*pairs, strict=True)
+    )
+    return Gain.of(*seen), Gain.of(*commanded)
 
 
 Pair = tuple[np.ndarray, np.ndarray]

@@ -1,11 +1,11 @@
-"""State of every candidate of a diagnosis, why in words, and its smallest visible size."""
+"""The state of every candidate of a diagnosis, why in words, and its smallest visible size."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
@@ -13,10 +13,22 @@ from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit_columns import FitColumns, rms_shift
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.plausible import INCREDIBLE
-from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.findings import Finding, ReportPart
+from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 Label = tuple[str, str]
+State = Literal["accepted", "rejected", "not_testable", "invisible"]
+
+
+class TriedCandidate(ReportPart):
+    """A candidate that was tried, or could not be, as report.json holds it."""
+
+    effect: str
+    where: str
+    log_bayes_factor: float | None
+    state: State
+    why: str
 
 
 @dataclass(frozen=True)
@@ -35,16 +47,11 @@ class Smallest:
     size: float
     shift_m: float
 
-    @property
-    def visible(self) -> bool:
-        """Whether a plausible size would have shown."""
-        return self.size <= INCREDIBLE
-
 
 def detectable(
     fit: ModelFit, candidates: Sequence[Candidate], threshold: float
 ) -> tuple[Smallest, ...]:
-    """Of candidates on top of everything that was fitted, in the order given.
+    """Compute the smallest sizes of candidates on top of everything that was fitted, in order.
 
     The smallest size is the one whose expected log Bayes factor reaches the threshold, noise apart.
     With ``S = B'PB`` of the k prior-scaled columns, parameters drawn with a standard deviation
@@ -79,70 +86,71 @@ def detectable(
     return tuple(made)
 
 
-def sizes(diagnosis: Diagnosis) -> tuple[Smallest, ...]:
-    """Score and smallest visible size of the library outside the model, added to the model."""
-    found = diagnosis.search
-    held = {t.key for t in found.chosen}
-    outside = [c for c in found.candidates if held.isdisjoint(t.key for t in c.terms)]
-    return detectable(found.fit, outside, found.need)
-
-
 def best_forms(tried: Sequence[Smallest]) -> dict[Label, Smallest]:
-    """By effect and place, the form that scores best."""
+    """Choose the form that scores best, by effect and place."""
     best: dict[Label, Smallest] = {}
     for one in tried:
-        at = _label(one.candidate)
+        at = one.candidate.name, ", ".join(one.candidate.where)
         if at not in best or one.log_bayes_factor > best[at].log_bayes_factor:
             best[at] = one
     return best
 
 
-def candidate_rows(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> list[dict[str, Any]]:
-    """Rows of ``candidates``: one per effect and place, best first, the untestable last."""
-    rows = _chosen(diagnosis)
-    for at, one in best_forms(tried).items():
-        state, why = _judged(diagnosis, one)
-        rows[at] = _row(at, one.log_bayes_factor, state, why)
-    ordered = sorted(rows.values(), key=lambda r: (-r["log_bayes_factor"], r["effect"], r["where"]))
-    missing = [_row((name, "arm"), None, "not_testable", w) for name, w in diagnosis.not_testable]
-    return ordered + missing
+def judge_candidates(
+    search: ExplainedSession,
+    findings: Sequence[Finding],
+    written: Collection[tuple[str, str]],
+    tried: Sequence[Smallest],
+    not_testable: Sequence[tuple[str, str]],
+) -> list[TriedCandidate]:
+    """Judge every candidate: one record per effect and place, best first, the untestable last.
 
-
-def _label(candidate: Candidate) -> Label:
-    return candidate.name, ", ".join(candidate.where)
-
-
-def _row(at: Label, value: float | None, state: str, why: str) -> dict[str, Any]:
-    return {"effect": at[0], "where": at[1], "log_bayes_factor": value, "state": state, "why": why}
-
-
-def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
-    """Rows of the effects that the search added, each place against the model without it."""
-    result = diagnosis.search
-    columns, written = FitColumns(result.fit), {t.key for t in diagnosis.model.terms}
-    accepted = {}
-    for term in result.chosen:
+    Args:
+        search: what was found, each place judged against the model without it.
+        findings: what was found, by its names.
+        written: keys of the terms of the model to use.
+        tried: the candidates that are not in the model.
+        not_testable: (effect, why).
+    """
+    states: dict[Label, tuple[float, State, str]] = {}
+    columns = FitColumns(search.fit)
+    for term in search.chosen:
         single = Candidate(term.name, (term,))
         rest = columns.without({term.key})
-        gain = float(evidence_of_each(result.fit, rest, [single])[0])
+        gain = float(evidence_of_each(search.fit, rest, [single])[0])
         facts = (f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in single.form)
         form = f", {', '.join(facts)}" if single.form else ""
-        state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"
-        if term.key not in written:
-            state, why = "rejected", f"{why}; a command is expected to err less without it"
-        accepted[_label(single)] = _row(_label(single), gain, state, why)
-    return accepted
+        why = f"log Bayes factor {gain:.1f} on top of the rest{form}"
+        if term.key in written:
+            states[term.name, term.where] = gain, "accepted", why
+        else:
+            why += "; a command is expected to err less without it"
+            states[term.name, term.where] = gain, "rejected", why
+    for at, one in best_forms(tried).items():
+        states[at] = one.log_bayes_factor, *_judge(search.need, findings, one)
+    ordered = sorted(states.items(), key=lambda item: (-item[1][0], *item[0]))
+    made = [
+        TriedCandidate(effect=name, where=where, log_bayes_factor=factor, state=state, why=why)
+        for (name, where), (factor, state, why) in ordered
+    ]
+    return made + [
+        TriedCandidate(
+            effect=name, where="arm", log_bayes_factor=None, state="not_testable", why=why
+        )
+        for name, why in not_testable
+    ]
 
 
-def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
-    value, need = one.log_bayes_factor, diagnosis.search.need
-    alike = [f for f in diagnosis.findings if one.candidate.name in f.names[1:]]
+def _judge(need: float, findings: Sequence[Finding], one: Smallest) -> tuple[State, str]:
+    """State of a candidate that is not in the model, and why."""
+    value = one.log_bayes_factor
+    alike = [f for f in findings if one.candidate.name in f.names[1:]]
     places = set(one.candidate.where)  # of a look-alike: one of the finding's, or none of its own
     if alike and (places & set(alike[0].where) or "arm" in places):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
     if value >= need:
         return "rejected", f"log Bayes factor {value:.1f}, but the other effects already explain it"
-    if one.visible:
+    if one.size <= INCREDIBLE:
         return "rejected", f"log Bayes factor {value:.1f}, needs {need:.1f}"
     why = "would not show at any size: the geometry explains it, or the poses do not excite it"
     if math.isfinite(one.size):
