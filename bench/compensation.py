@@ -10,7 +10,7 @@ import numpy as np
 from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside
 from bench.kinematics import soft_model, timed
-from longarm_comp.core.compensation.compensate import Method, compensate, compensate_many
+from longarm_comp.core.compensation.compensate import Method, compensate
 from longarm_comp.core.compensation.result import Compensation, Prediction
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.ik import solver as ik
@@ -35,7 +35,7 @@ def compensate_batch_10000(count: int = 10_000) -> Result:
     ik.warm_up()
 
     def work(_: int) -> list[Compensation]:
-        return compensate_many(model, _Smooth(), targets, method=Method.BOTH)
+        return compensate(model, _Smooth(), targets, method=Method.BOTH)
 
     batch = work(0)
     rates = count / timed(work, range(5), time.process_time)

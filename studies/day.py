@@ -23,7 +23,6 @@ from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
-from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.compensation.drift import Monitor
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.data.plan import random_joints
@@ -321,7 +320,7 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
         if each.way.learns:
             each.learner = Learner.of(with_uncertainty(fitted))
     t = (np.arange(setting.hours * setting.moves) + 0.5) / setting.moves
-    targets = rigid(declared_model(arm)).tip(random_joints(arm, len(t), rng))
+    targets = declared_model(arm).rigid.tip(random_joints(arm, len(t), rng))
     of_morning = {k: float(np.mean(v)) for k, v in morning.columns.items()}
     error = np.full((len(arms), len(t)), np.nan)
     for k, t_h in enumerate(t.tolist()):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.compensate import compensate_many
+from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.realisable import Lattice, Predict, choose
 from longarm_comp.core.model.model import Model
 
@@ -25,8 +25,8 @@ def stacked(rows: Sequence[Any]) -> SimpleNamespace:
 
 
 def compensated(model: Model, predictor: Any, targets: np.ndarray, **given: Any) -> SimpleNamespace:
-    """What `compensate_many` answers, as arrays."""
-    made = stacked(compensate_many(model, predictor, targets, **given))
+    """What `compensate` answers, as arrays."""
+    made = stacked(compensate(model, predictor, targets, **given))
     made.success = np.array([row.success for row in made.rows])
     return made
 

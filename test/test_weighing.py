@@ -126,7 +126,7 @@ def test_what_a_command_does_not_know_of_the_payload_widens_it(arm: Arm) -> None
     target = model.tip(arm.mid)
     known = Context(columns={"payload_kg": 0.3})
     unsure = Context(columns={"payload_kg": 0.3, SD: 0.1})
-    sure, wide = (compensate(model, None, target, context=c) for c in (known, unsure))
+    sure, wide = (compensate(model, None, target, context=c)[0] for c in (known, unsure))
     heavy, light = (
         model.tip(wide.command, Context(columns={"payload_kg": kg})) for kg in (0.4, 0.2)
     )

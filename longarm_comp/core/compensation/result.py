@@ -192,9 +192,6 @@ class Compensation:
         return position_of(self.target)
 
 
-NO_PREDICTOR = "no predictor: compensated with physics only"
-
-
 def outside(reason: str = "") -> str:
     """Why the learned error is left out."""
     text = "outside the predictor's training data, compensated with physics only"
@@ -204,7 +201,7 @@ def outside(reason: str = "") -> str:
 _UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
 
 
-def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
+def guess_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
     """A guess at the unit of a target far beyond an arm's reach, as a question; else empty."""
     away = math.dist(position, base)
     # Times its reach: no one means a target so far away, and no unit is so close to the metre
@@ -214,7 +211,7 @@ def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
     return f"{away / reach_m:.3g} times the arm's reach away; are these {named}?"
 
 
-def missed(what: str, found: Solution) -> str:
+def describe_miss(what: str, found: Solution) -> str:
     """How far a target or pseudo-target is missed, and why."""
     # No declared length reaches so far; only a linear deflection of an arm far too weak does
     if not found.position_residual_m < 1e7:
