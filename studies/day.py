@@ -277,14 +277,14 @@ class _Arm:
             self.monitor = self.monitor.seen((truth.seen(tip) - expected)[0], self.sigma)
         if self.learner is not None:
             seen, variance = truth.seen(tip)[0], np.full(3, truth.setting.noise_m**2)
-            self.learner = self.learner.seen(self.q, arrived, seen, variance, 3600.0 * t_h)
+            self.learner = self.learner.learn(self.q, arrived, seen, variance, 3600.0 * t_h)
             self.model = self.learner.model
         return np.asarray(tip[0])
 
     def tell_apart(self, truth: _Truth, t_h: float, context: Context, real: TrueContext) -> None:
         """Measure the poses that the learner asks for."""
         assert self.learner is not None
-        while (asked := self.learner.asked(context)) is not None:
+        while (asked := self.learner.request_pose(context)) is not None:
             run_up = asked.q - asked.side * run_up_lengths(self.model.arm)
             self._arrive(truth, np.stack([run_up, asked.q]), t_h, context, real)
             self.stops.append(Stop(self.way.name, t_h, asked.text, 1))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,14 +26,14 @@ from longarm_comp.core.compensation.result import (
     ResidualPredictor,
     Status,
     describe_miss,
+    describe_outside,
     guess_unit,
-    outside,
-    shifted,
+    pseudo_targets,
 )
 from longarm_comp.core.compensation.unknown import (
     missing_column,
-    not_known,
     outside_data,
+    unknown_circumstances,
 )
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.engines import tip_poses
@@ -84,7 +85,9 @@ def compensate(
         free, context_at, settings,
     )  # fmt: skip
     batch.correct(batch.solve_ideal())
-    batch.choose_steps()
+    lattice = lattice_of(model, settings.realisable)
+    if lattice is not None and not settings.single_pass:
+        batch.choose_steps(lattice)
     return batch.judge(doubtful)
 
 
@@ -114,7 +117,7 @@ def judge(
     largest = -np.inf if model.uncertainty is None else model.uncertainty.largest_m
     is_known = miss.sizes[0] <= largest
     rows = np.atleast_2d(command)
-    spread, why = not_known(physics, rows, context, doubtful)
+    spread, why = unknown_circumstances(physics, rows, context, doubtful)
     if spread.any():
         miss = miss.plus((spread**2).reshape(miss.mean.shape))
     said = zip(why, outside_data(physics, rows, context), strict=True)
@@ -143,8 +146,8 @@ class _Batch:
         target: (N, 3) or (N, 4, 4). q: (N, n) joints found last. ideal: (N, n) by physics alone.
         error, sigma: (N, 3) m, as learned at the joints that were looked up last.
         in_domain: (N,) whether the predictor answered. passes: (N,) of the pseudo-target.
-        ended: status and reason of the targets that were given up, or lack the learned error.
-        chosen: choice among the servos' steps, by target.
+        status, reason: of each target; one that is no success was given up, or lacks what is
+            learned. chosen: choice among the servos' steps, by target.
     """
 
     model: Model
@@ -155,7 +158,6 @@ class _Batch:
     position_only: bool
     context_at: Callable[[np.ndarray], Context] | None
     options: CompensationOptions
-    ended: dict[int, tuple[Status, str]] = field(default_factory=dict)
     chosen: dict[int, Realisable] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -163,6 +165,7 @@ class _Batch:
         self.physics, self.ideal = physics_of(self.model, self.method), self.q
         self.error, self.sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
         self.in_domain, self.passes = np.zeros(count, bool), np.zeros(count, int)
+        self.status, self.reason = [Status.SUCCESS] * count, [""] * count
 
     def solve_ideal(self) -> list[int]:
         """Find the joints by physics alone; gives the targets that were reached."""
@@ -170,24 +173,24 @@ class _Batch:
         lacking = missing_column(self.physics, self.context)
         for k, fault in enumerate(faults):
             if fault:
-                self.ended[k] = Status.BAD_TARGET, fault
+                self.status[k], self.reason[k] = Status.BAD_TARGET, fault
             elif lacking:
-                self.ended[k] = Status.STALE_CONTEXT, lacking
-        valid = [k for k in range(len(self.target)) if k not in self.ended]
+                self.status[k], self.reason[k] = Status.STALE_CONTEXT, lacking
+        valid = self._rows_of(Status.SUCCESS)
         for k, found in self._search(valid, self.target, self.options.starts).items():
-            position = ik.position_of(self.target[k])
-            unit = guess_unit(position, *reach(self.physics))
-            self.ended[k] = Status.UNREACHABLE, unit or describe_miss("target", found)
+            unit = guess_unit(ik.position_of(self.target[k]), *reach(self.physics))
+            self.status[k] = Status.UNREACHABLE
+            self.reason[k] = unit or describe_miss("target", found)
         self.ideal = self.q.copy()
-        return [k for k in valid if k not in self.ended]
+        return self._rows_of(Status.SUCCESS)
 
     def correct(self, going: list[int]) -> None:
         """Take the expected error off the targets, until it is that of the joints found."""
         options = self.options
         if self.predictor is None:
-            if self.method.learned:
-                why = "no predictor: compensated with physics only"
-                self.ended |= dict.fromkeys(going, (Status.NO_PREDICTOR, why))
+            for k in going if self.method.learned else ():
+                self.status[k] = Status.NO_PREDICTOR
+                self.reason[k] = "no predictor: compensated with physics only"
             return
         for passes in range(options.max_passes + 1 if going else 0):
             found = self.predictor.predict(self.q[going], self._context_of(going))
@@ -199,78 +202,71 @@ class _Batch:
             reasons = found.reason or [""] * len(going)
             each = zip(going, size.tolist(), change.tolist(), inside.tolist(), reasons, strict=True)
             unsettled = []
-            for k, size_m, change_m, is_inside, reason in each:
+            for k, size_m, change_m, is_inside, why in each:
                 if not is_inside:
-                    self.ended[k] = Status.OUT_OF_DOMAIN, outside(reason)
+                    self.status[k], self.reason[k] = Status.OUT_OF_DOMAIN, describe_outside(why)
                 elif size_m > options.max_correction_m:
-                    self.ended[k] = Status.CORRECTION_TOO_LARGE, options.too_large(size_m)
+                    self.status[k] = Status.CORRECTION_TOO_LARGE
+                    self.reason[k] = options.too_large(size_m)
                 elif passes and change_m <= options.tol_m:
                     continue
                 elif passes == options.max_passes:
-                    self.ended[k] = Status.NOT_CONVERGED, options.unsettled
+                    self.status[k], self.reason[k] = Status.NOT_CONVERGED, options.unsettled
                 else:
                     unsettled.append(k)
             if not unsettled:
                 return
             # A pseudo-target lies next to its target: look near its joints only
-            pseudo = shifted(self.target, self.error)
+            pseudo = pseudo_targets(self.target, self.error)
             failed = self._search(unsettled, pseudo, min(options.starts, 3))
             self.passes[unsettled] += 1
             for k, missed in failed.items():
-                self.ended[k] = Status.UNREACHABLE, describe_miss("pseudo-target", missed)
+                self.status[k] = Status.UNREACHABLE
+                self.reason[k] = describe_miss("pseudo-target", missed)
             going = [k for k in unsettled if k not in failed]
             if options.single_pass or not going:
                 return
 
-    def choose_steps(self) -> None:
-        """Choose the joints among those at which the servos can stand, if that is asked for."""
-        lattice = lattice_of(self.model, self.options.realisable)
-        if lattice is None or self.options.single_pass:
-            return
-        for k in range(len(self.target)):
-            status = self.ended[k][0] if k in self.ended else Status.SUCCESS
-            if status is Status.SUCCESS:
-                self.chosen[k] = self._choose(k, lattice, self.q[k], self.predictor)
-            elif status in _PHYSICS_ONLY:
-                self.chosen[k] = self._choose(k, lattice, self.ideal[k], None)
+    def choose_steps(self, lattice: Lattice) -> None:
+        """Choose the joints to send among those at which the servos can stand."""
+        search = Search(characteristic_length(self.physics))
+        locked = ik.locked_joints(self.physics, self.options.locked)
+        for k in self._rows_of(Status.SUCCESS, *_PHYSICS_ONLY):
+            sent, target = self.status[k] is Status.SUCCESS, self.target[k]
+            chosen = self.chosen[k] = choose(
+                self.model.arm,
+                lattice,
+                partial(self._predict_tip, k, learned=sent),
+                ik.position_of(target) if self.position_only else target,
+                self.q[k] if sent else self.ideal[k],
+                search,
+                locked=locked,
+            )
+            if self.context_at is not None:
+                self.context = self.context_at(chosen.joints[None]).take(0)
+            if sent and self.predictor is not None:  # it is looked up again at the joints chosen
+                expected = self.predictor.predict(chosen.joints[None], self._context_of([k]))
+                self.error[k], self.sigma[k] = expected.error[0], expected.sigma[0]
 
-    def _choose(
-        self, k: int, lattice: Lattice, joints: np.ndarray, predictor: ResidualPredictor | None
-    ) -> Realisable:
-        """Choose joints for target k; what is learned is looked up again where they are."""
-        context_at = self.context_at or (lambda _: self._context_of([k]))
-
-        def tip(q: np.ndarray) -> np.ndarray:
-            poses = tip_poses(self.physics, q, context_at(q))
-            if predictor is not None:
-                poses[:, :3, 3] += predictor.predict(q, self._context_of([k])).error
-            return poses
-
-        target = self.target[k]
-        chosen = choose(
-            self.model.arm, lattice, tip, ik.position_of(target) if self.position_only else target,
-            joints, Search(characteristic_length(self.physics)),
-            locked=ik.locked_joints(self.physics, self.options.locked),
-        )  # fmt: skip
-        if self.context_at is not None:
-            self.context = self.context_at(chosen.joints[None]).take(0)
-        if predictor is not None:
-            expected = predictor.predict(chosen.joints[None], self._context_of([k]))
-            self.error[k], self.sigma[k] = expected.error[0], expected.sigma[0]
-        return chosen
+    def _predict_tip(self, k: int, q: np.ndarray, learned: bool) -> np.ndarray:
+        """Predict poses (M, 4, 4) of the tip at joints (M, n) in the circumstances of target k."""
+        here = self._context_of([k])
+        context = here if self.context_at is None else self.context_at(q)
+        poses = tip_poses(self.physics, q, context)
+        if learned and self.predictor is not None:
+            poses[:, :3, 3] += self.predictor.predict(q, here).error
+        return poses
 
     def judge(self, doubtful: np.ndarray | None) -> list[Compensation]:
         """Give the answers, and how good each is expected to be."""
-        count = len(self.target)
-        states = [self.ended.get(k, (Status.SUCCESS, "")) for k in range(count)]
-        status, reason = [s for s, _ in states], [why for _, why in states]
-        sent = [k for k in range(count) if status[k] is Status.SUCCESS]
-        alone = [k for k in range(count) if status[k] in _PHYSICS_ONLY]
+        count, status, reason = len(self.target), self.status, self.reason
+        sent, alone = self._rows_of(Status.SUCCESS), self._rows_of(*_PHYSICS_ONLY)
         command, error = self.ideal.copy(), self.error.copy()
         command[sent], error[alone] = self.q[sent], 0.0
         for k, realisable in self.chosen.items():
-            command[k], reason[k] = realisable.joints, _joined(reason[k], realisable.note)
-        pseudo = shifted(self.target, error)
+            command[k] = realisable.joints
+            reason[k] = "; ".join(filter(None, (reason[k], realisable.note)))
+        pseudo = pseudo_targets(self.target, error)
         sigma, sizes = np.full((count, 3), np.nan), np.full((2, count), np.nan)
         for rows, learned in ((sent, self.method.learned), (alone, False)):
             if not rows:
@@ -285,7 +281,7 @@ class _Batch:
             for k, is_known, doubt in zip(rows, np.atleast_1d(known), doubts, strict=True):
                 if is_known and status[k] is Status.OUT_OF_DOMAIN:
                     status[k] = Status.SUCCESS
-                reason[k] = _joined(reason[k], doubt)
+                reason[k] = "; ".join(filter(None, (reason[k], doubt)))
         in_domain, passes = self.in_domain.tolist(), self.passes.tolist()
         expected_m, p90_m = sizes.tolist()
         return [
@@ -325,12 +321,11 @@ class _Batch:
         self.q[rows] = found.q
         return {rows[i]: found[i] for i in np.flatnonzero(~found.ok).tolist()}
 
+    def _rows_of(self, *status: Status) -> list[int]:
+        return [k for k, each in enumerate(self.status) if each in status]
+
     def _context_of(self, rows: Sequence[int]) -> Context:
         return self.context.take(np.asarray(rows) if len(rows) > 1 else rows[0])
-
-
-def _joined(*parts: str) -> str:
-    return "; ".join(filter(None, parts))
 
 
 _PHYSICS_ONLY = (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)

@@ -15,7 +15,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.beyond import not_held
+from longarm_comp.core.compensation.beyond import absent_slots
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
@@ -32,7 +32,7 @@ its rows tell the zeros; before it nothing does."""
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMiss:
-    """How far the tip may come to rest from its target, or from each of several.
+    """The distance at which the tip may come to rest from its target, or from each of several.
 
     The known part (..., 3) m, and the covariance (..., 3, 3) m^2 of the rest; NaN: nothing says it.
     """
@@ -101,7 +101,7 @@ def tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
     """Give k parameters of an arm as declared that are not known, and (k,) how large each may be.
 
     They are its geometry, to the tolerances that arm.yaml gives or that are usual, a zero to
-    `BY_HAND`; and what yields of it, as in `beyond.not_held`.  Where base and tip are is known,
+    `BY_HAND`; and what yields of it, as in `beyond.absent_slots`.  Where base and tip are is known,
     unless arm.yaml gives a tolerance: targets are in the base.  None of a model with a geometry of
     its own, whose record is missing.
     """
@@ -111,7 +111,7 @@ def tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
         arm = model.arm
         geometry = [s for s in slots_of(arm, geometry_of(arm)) if not s.parameter.unknown]
         widths = [_by_hand(arm, slot) or slot.parameter.width for slot in geometry]
-        yielding, by = not_held(model, Context())
+        yielding, by = absent_slots(model, Context())
         model.memo["tolerances"] = (*geometry, *yielding), np.concatenate([widths, by])
     held: tuple[tuple[Slot, ...], np.ndarray] = model.memo["tolerances"]
     return held

@@ -17,15 +17,15 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.measuring import VISIBLE_M
-from longarm_comp.core.compensation.circle import check_no_turn, unwrapped
+from longarm_comp.core.compensation.circle import check_no_turn, unwrap
 from longarm_comp.core.compensation.compensate import judge, physics_of
 from longarm_comp.core.compensation.planned_path import (
     MotionLimits,
     PlannedPath,
     between,
     fastest,
-    retimed,
-    smoothed,
+    retime,
+    smooth,
 )
 from longarm_comp.core.compensation.result import (
     Compensation,
@@ -35,15 +35,15 @@ from longarm_comp.core.compensation.result import (
     ResidualPredictor,
     Status,
     describe_miss,
+    describe_outside,
     guess_unit,
-    outside,
-    shifted,
+    pseudo_targets,
 )
 from longarm_comp.core.compensation.take_up import TakeUp, Turn, slow_down, take_up_play
 from longarm_comp.core.compensation.unknown import (
     missing_column,
-    not_known,
     outside_data,
+    unknown_circumstances,
 )
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
@@ -88,7 +88,7 @@ class CompensatedPath:
 
         They say how good each is expected to be, which does not hold where the arm stood already.
         """
-        pseudo, command = shifted(targets, self.error), self.timed.joints
+        pseudo, command = pseudo_targets(targets, self.error), self.timed.joints
         place = ik.position_of(pseudo)
         learned = np.isfinite(self.sigma).all(axis=1)
         made: dict[int, Compensation] = {}
@@ -175,7 +175,7 @@ def compensate_path(
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
     begun = plan.begun and start is not None
     if plan.joints is not None:
-        plan = replace(plan, joints=unwrapped(arm, plan.joints, start if begun else None))
+        plan = replace(plan, joints=unwrap(arm, plan.joints, start if begun else None))
     way = _Way(
         model, predictor if options.method.learned else None, plan, start, history, context_at,
         begun, turn_m, max_longer, limits or MotionLimits(*np.full((2, arm.n), np.inf)),
@@ -259,7 +259,7 @@ class _Way:
         first = int(self.begun)
         begins, rest = slice(first, first + 1), slice(first, None)
         notes = [
-            *not_known(self.physics, command[begins], context.take(begins))[1],
+            *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
             *outside_data(self.physics, command[rest], context.take(rest)),
         ]
         if turn[worst := int(np.argmax(turn))] > REACHED:
@@ -306,15 +306,16 @@ class _Way:
             stands, beyond = take_up_play(way, off, lag, turns, times)
             stands[0] = stands[second] - first  # what is beyond is gone first
             beyond[0] = begun[0] - stands[0]
-            return smoothed(plan, planned, times, stands, beyond, box)
+            return smooth(plan, planned, times, stands, beyond, box)
 
         bare = np.vstack([way[second] - first, way[1:]])
         times = slow_down(planned, bare, arm.upper - arm.lower, begins, turns, self.max_longer,
                        commands)  # fmt: skip
         try:
-            if plan.times is None and self.limits.bounded and len(way) > 1:
+            limited = np.isfinite([self.limits.velocity, self.limits.acceleration]).all()
+            if plan.times is None and limited and len(way) > 1:
                 return fastest(commands(times).joints, self.limits)
-            return retimed(commands(times), self.limits)
+            return retime(commands(times), self.limits)
         except JobError as error:
             raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
 
@@ -353,7 +354,7 @@ class _Way:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find joints (k, n), and by how much the orientation is off there (k,), rad."""
         found = ik.solve_many(
-            self.physics, shifted(self.plan.targets, error), seed=seeds, context=context,
+            self.physics, pseudo_targets(self.plan.targets, error), seed=seeds, context=context,
             position_only=self.free, near=True, locked=self.options.locked, max_starts=1,
         )  # fmt: skip
         turn = found.angle_residual_rad
@@ -383,7 +384,7 @@ class _Way:
             error[row], sigma[row] = found.error[0], found.sigma[0]
             size = float(np.linalg.norm(error[row]))
             if not found.in_domain[0] or not np.isfinite(size):
-                why = outside(*found.reason[:1])
+                why = describe_outside(*found.reason[:1])
                 raise _Unanswered(f"physics only, as way-point {row} is {why}")
             if size > self.options.max_correction_m:
                 why = self.options.too_large(size)

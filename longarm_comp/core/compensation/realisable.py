@@ -36,7 +36,7 @@ KNOWN_TO = 0.15
 
 @dataclass(frozen=True)
 class Lattice:
-    """Where the servos can stand: joint j at ``offset[j] + step[j] k`` for whole k.
+    """The values at which servos can stand: joint j at ``offset[j] + step[j] k`` for whole k.
 
     Attributes:
         step: (n,) rad or m; 0: the joint is continuous.
@@ -71,7 +71,7 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Search:
-    """How realisable joints are looked for.
+    """The settings of a search for realisable joints.
 
     Attributes:
         length_m: metres that a radian of tool angle counts for; best the arm's own
@@ -92,7 +92,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Realisable:
-    """What was chosen for one target.
+    """The choice for one target.
 
     Attributes:
         joints: (n,) to command, inside the limits.

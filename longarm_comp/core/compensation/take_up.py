@@ -35,7 +35,7 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
 @dataclass(frozen=True, eq=False)
 class TakeUp:
-    """How a model's arm takes up what the history of its joints leaves.
+    """The take-up of what the history of joints leaves in a model's arm.
 
     Attributes:
         model: physics that commands are solved with.
@@ -123,9 +123,9 @@ class TakeUp:
 
 
 class Turn(NamedTuple):
-    """From the ``first`` to the ``last`` way-point a joint stands near its turn (0-based).
+    """A turn of a joint, which stands near it from the ``first`` to the ``last`` way-point.
 
-    Its command crosses so much play (rad, m) there.
+    All are numbers from 0.  Its command crosses so much play (rad, m) there.
     """
 
     joint: int

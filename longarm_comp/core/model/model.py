@@ -178,6 +178,12 @@ class Model:
             [t.with_values(c) if c else t for t, c in zip(self.terms, changes, strict=True)]
         )
 
+    def with_uncertainty(self, uncertainty: ModelUncertainty) -> Model:
+        """A copy with another record of how far its tip may be off."""
+        model = dataclasses.replace(self, uncertainty=uncertainty)
+        model.__dict__["chain"] = self.chain
+        return model
+
     def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
         """A copy with those of the terms that it does not hold yet, the first at each place."""
         known = {(t.name, t.where) for t in self.terms}
