@@ -10,7 +10,7 @@ import numpy as np
 from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside
 from bench.kinematics import soft_model, time_calls
-from longarm_comp.core.compensation.compensate import Method, compensate, compensate_many
+from longarm_comp.core.compensation.compensate import Method, compensate
 from longarm_comp.core.compensation.result import Compensation, Prediction
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.ik import solver as ik
@@ -34,7 +34,7 @@ def compensate_batch_10000(count: int = 10_000) -> Result:
     targets = model.tip(random_joints(model.arm, count, 5))
 
     def work(_: int) -> list[Compensation]:
-        return compensate_many(model, _Smooth(), targets, method=Method.BOTH)
+        return compensate(model, _Smooth(), targets, method=Method.BOTH)
 
     with ik.compile_at_once():
         batch = work(0)

@@ -159,7 +159,7 @@ class Calls:
         """The computation of `kinematics` for a target, with a known learned error."""
         begin = time.perf_counter()
         target = self._targets[i % _POSES]
-        answer = compensate(self._model, Nearby(self._known), target, seed=self._stand)
+        answer = compensate(self._model, Nearby(self._known), target, seed=self._stand)[0]
         if not answer.success:
             raise JobError(f"a target of the benchmark was refused: {answer.reason}")
         return time.perf_counter() - begin

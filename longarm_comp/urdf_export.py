@@ -19,7 +19,6 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import exp_large, roll_pitch_yaw
-from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import BASE_LINK, TIP, joint_name, link_name
 from longarm_comp.core.model.model import Model, unstack
@@ -36,7 +35,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
         group: base placement, where the model has several.
         marker: marker that `tip` is, instead of the arm's tip.
     """
-    arm, geometry = model.arm, rigid(model)
+    arm, geometry = model.arm, model.rigid
     context = _context(geometry, group, marker)
     placed, last, inner = _rows(geometry, context)
     bodies = _bodies(geometry, context, inner)

@@ -22,7 +22,6 @@ from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
-from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.compensation.drift import Monitor
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.data.plan import random_joints
@@ -277,14 +276,14 @@ class _Arm:
             self.monitor = self.monitor.seen((truth.observe(tip) - expected)[0], self.sigma)
         if self.learner is not None:
             seen, variance = truth.observe(tip)[0], np.full(3, truth.setting.noise_m**2)
-            self.learner = self.learner.seen(self.q, arrived, seen, variance, 3600.0 * t_h)
+            self.learner = self.learner.learn(self.q, arrived, seen, variance, 3600.0 * t_h)
             self.model = self.learner.model
         return np.asarray(tip[0])
 
     def tell_apart(self, truth: _Truth, t_h: float, context: Context, real: TrueContext) -> None:
         """Measure the poses that the learner asks for."""
         assert self.learner is not None
-        while (asked := self.learner.asked(context)) is not None:
+        while (asked := self.learner.request_pose(context)) is not None:
             run_up = asked.q - asked.side * run_up_lengths(self.model.arm)
             self._arrive(truth, np.stack([run_up, asked.q]), t_h, context, real)
             self.stops.append(Stop(self.way.name, t_h, asked.text, 1))
@@ -320,7 +319,7 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
         if each.way.learns:
             each.learner = Learner.of(with_uncertainty(fitted))
     t = (np.arange(setting.hours * setting.moves) + 0.5) / setting.moves
-    targets = rigid(declared_model(arm)).tip(random_joints(arm, len(t), rng))
+    targets = declared_model(arm).rigid.tip(random_joints(arm, len(t), rng))
     of_morning = {k: float(np.mean(v)) for k, v in morning.columns.items()}
     error = np.full((len(arms), len(t)), np.nan)
     for k, t_h in enumerate(t.tolist()):

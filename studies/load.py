@@ -15,7 +15,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.weighing import Drives, Weighing, felt
+from longarm_comp.core.compensation.weighing import Drives, Weighing, feel_rest
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_bus.registry import models, protocols
 from longarm_comp.devices.servo_bus.state import ServoAlarm
@@ -67,7 +67,7 @@ def weigh_at_rests(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> 
         shares = zip(torque / full_effort, side, parts, strict=True)
         load = np.array([reported_load(servo, *each) for each in shares])
         context = Context(approach=tuple(side), columns={"temperature_c": 22.0})
-        now = now.felt(felt(model, q, context, load * full_effort, drives))
+        now = now.with_rest(feel_rest(model, q, context, load * full_effort, drives))
         found = now.payload
         assert found is not None
         declared = PAYLOADS_KG[0]

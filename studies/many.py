@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.compensate import compensate_many
+from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.realisable import Lattice, Predict, choose
 from longarm_comp.core.model.model import Model
 
@@ -27,8 +27,8 @@ def stack(rows: Sequence[Any]) -> SimpleNamespace:
 def compensate_arrays(
     model: Model, predictor: Any, targets: np.ndarray, **given: Any
 ) -> SimpleNamespace:
-    """Call `compensate_many` and return its answers as arrays."""
-    made = stack(compensate_many(model, predictor, targets, **given))
+    """Call `compensate` and return its answers as arrays."""
+    made = stack(compensate(model, predictor, targets, **given))
     made.success = np.array([row.success for row in made.rows])
     return made
 

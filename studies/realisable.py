@@ -16,7 +16,6 @@ import numpy as np
 
 from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Search
 from longarm_comp.core.effects.placements import TipOffset
 from longarm_comp.core.ik import solver as ik
@@ -113,12 +112,12 @@ def cases(base: Arm, steps: int) -> list[ArmCase]:
     slides = [
         k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
     ]
-    model = commandable(declared_model(whole))
+    model = declared_model(whole).commandable
     drawn = [
         ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
         for locked in (slides, slides[-1:], [])
     ]
-    wrist = commandable(declared_model(_with_steps(base, steps, wrist=True)))
+    wrist = declared_model(_with_steps(base, steps, wrist=True)).commandable
     return [*drawn, ArmCase(f"{wrist.arm.n} joints", wrist)]
 
 

@@ -28,8 +28,6 @@ from longarm_comp.core.calibration.calibrate import Errors, declared_model, geom
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.compensation.compensate import (
     Method,
-    commandable,
-    rigid,
 )
 from longarm_comp.core.data.plan import grid, paper_grid, random_joints
 from longarm_comp.core.data.session import Session
@@ -123,7 +121,7 @@ def with_effects(declared: Model, session: Session) -> Model:
 
 def without_steps(declared: Model, session: Session) -> Model:
     """Return the declared model without the steps of the servos."""
-    return commandable(declared)
+    return declared.commandable
 
 
 def as_printed(
@@ -251,7 +249,7 @@ class Bench:
             true,
             camera,
             session,
-            rigid(declared).pose(postures),
+            declared.rigid.pose(postures),
             postures,
             np.ones(TARGETS) if as_paper else rng.choice([-1.0, 1.0], TARGETS),
             float(measured["temperature_c"][-1]),
@@ -276,7 +274,7 @@ class Bench:
         model = setting.physics(self.declared, rows)
         predictor = None
         if setting.learner is not None:
-            base = model if setting.method.physics else rigid(model)
+            base = model if setting.method.physics else model.rigid
             predictor = setting.learner(*training_rows(base, rows), seed=seed)
         return model, predictor
 

@@ -53,7 +53,7 @@ class Work:
             self.number += 1
             tip = true_tip(q[None], side[None], more)[0] + off
             tip = tip + noise * NOISE * self.rng.standard_normal(3)
-            learner = learner.seen(q, context, tip, VARIANCE, 60.0 * self.number)
+            learner = learner.learn(q, context, tip, VARIANCE, 60.0 * self.number)
         return learner
 
     def missed(self, model: Model, more: float, count: int = 20) -> float:
@@ -70,13 +70,13 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
     active = np.arange(6)
     root = rng.standard_normal((6, 6))
     prior = root @ root.T
-    known = RecursivePosterior.begun(space, space.values(space.model), active, prior)
+    known = RecursivePosterior.begin(space, space.values(space.model), active, prior)
     rows = [
         Row(float(k), rng.standard_normal((3, len(space))), rng.standard_normal(3), np.eye(3), 1.0)
         for k in range(9)
     ]
     for row in rows:
-        known = known.seen(row)
+        known = known.update(row)
     columns = np.concatenate([row.columns for row in rows])
     data = np.concatenate([row.value for row in rows]) - columns @ space.values(space.model)
     a = columns[:, active]
@@ -151,7 +151,7 @@ def test_a_step_is_bounded() -> None:
     for _ in range(6):
         q, context, side = work.pose()
         tip = true_tip(q[None], side[None], 3e-3)[0]
-        after = calm.seen(q, context, tip, VARIANCE, 0.0)
+        after = calm.learn(q, context, tip, VARIANCE, 0.0)
         assert np.linalg.norm(after.model.tip(q, context) - calm.model.tip(q, context)) < 1.1e-4
         calm = after
 
@@ -215,14 +215,14 @@ def test_it_asks_for_the_pose_that_tells_rivals_apart() -> None:
         came = Context(approach=tuple(side), legs=tuple(legs.ravel()))
         tip = worn.tip(q[None], TrueContext(approach=side[None]))[0]
         tip = tip + NOISE * rng.standard_normal(3)
-        return learner.seen(q, came, tip, VARIANCE, 60.0)
+        return learner.learn(q, came, tip, VARIANCE, 60.0)
 
     learner = Work().learned(Learner.of(fitted()), 5)
     wanted, moves = None, 0
     while wanted is None:
         q = corner + 0.05 * (rng.random(ARM.n) - 0.5) * (ARM.upper - ARM.lower)
         learner = after(learner, q, rng.choice([-1.0, 1.0], ARM.n), np.ones(ARM.n))
-        wanted, moves = learner.asked(Work().pose()[1]), moves + 1
+        wanted, moves = learner.request_pose(Work().pose()[1]), moves + 1
         assert moves <= 10
     assert "joint_gain" in wanted.between and learner.now[0].probability < CREDIBLE
     assert np.abs(wanted.q - corner).max() > 0.5  # far from where it works
@@ -231,8 +231,8 @@ def test_it_asks_for_the_pose_that_tells_rivals_apart() -> None:
     (named,) = learner.now
     assert (named.effect, named.where) == ("joint_gain", f"joint {JOINT}")
     assert named.probability > CREDIBLE
-    assert learner.asked(Work().pose()[1]) is None
-    assert learner.freeze().asked(Work().pose()[1]) is None
+    assert learner.request_pose(Work().pose()[1]) is None
+    assert learner.freeze().request_pose(Work().pose()[1]) is None
 
 
 def test_it_does_not_ask_where_no_pose_tells() -> None:
@@ -247,4 +247,4 @@ def test_it_does_not_ask_where_no_pose_tells() -> None:
     assert len(few) >= 2
     even = tuple(dataclasses.replace(b, weight=1.0 / len(few)) for b in few)
     unsure = dataclasses.replace(learner, known=dataclasses.replace(known, branches=even))
-    assert unsure.asked(work.pose()[1]) is None
+    assert unsure.request_pose(work.pose()[1]) is None

@@ -115,7 +115,7 @@ def test_the_command_says_it_and_promises_less(tmp_path: Path) -> None:
     again = load_model(tmp_path / "model.yaml", ARM)
     target = model.tip(ARM.mid[None])[0]
     for each in (model, again):
-        near, far = (compensate(each, None, target, context=at(kg)) for kg in (OWN_KG, 3.0))
+        near, far = (compensate(each, None, target, context=at(kg))[0] for kg in (OWN_KG, 3.0))
         assert "beyond the session" in far.reason and "beyond" not in near.reason
         assert far.p90_m > 2.0 * near.p90_m
 
@@ -141,7 +141,7 @@ def test_a_camera_that_drifts_leaves_the_frame_of_targets_in_doubt(tmp_path: Pat
         sigma = np.sqrt(np.diag(each.uncertainty.frame))
         assert sigma[0] == pytest.approx(1.8e-3 * FRAME / np.sqrt(12.0), rel=0.1)
         assert (sigma[1:] < 0.1 * sigma[0]).all()
-        assert compensate(each, None, true.tip(ARM.mid[None])[0]).p90_m > sigma[0]
+        assert compensate(each, None, true.tip(ARM.mid[None])[0])[0].p90_m > sigma[0]
     assert not learned(SOFT).uncertainty.frame.any()  # type: ignore[union-attr]
 
 

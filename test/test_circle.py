@@ -11,7 +11,7 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.circle import check_no_turn, unwrapped
+from longarm_comp.core.compensation.circle import check_no_turn, unwrap
 from longarm_comp.core.compensation.path import CompensatedPath, compensate_path
 from longarm_comp.core.compensation.planned_path import MotionLimits, PlannedPath
 from longarm_comp.core.compensation.result import PathRefused
@@ -102,19 +102,19 @@ def test_turns_add_up_either_way_and_end_at_the_limits() -> None:
     wide, goes = arm(720.0), np.linspace(0.0, 12.0, 60)
     joints = np.outer(goes, [1, -1, 0, 0, 0, 0])
     for start in (None, joints[0]):
-        np.testing.assert_allclose(unwrapped(wide, wrapped(joints), start), joints, atol=1e-9)
+        np.testing.assert_allclose(unwrap(wide, wrapped(joints), start), joints, atol=1e-9)
     for way in (joints, *(joints[:, :1] * [side, 0, 0, 0, 0, 0] for side in (1, -1))):
         with pytest.raises(PathRefused) as refused:
-            unwrapped(arm(360.0), wrapped(way), None)
+            unwrap(arm(360.0), wrapped(way), None)
         assert refused.value.row == np.argmax(goes > 2 * np.pi)
     outside = np.zeros((2, 6)) + 3.2  # put inside its limits later: it turns by nothing
-    np.testing.assert_array_equal(unwrapped(arm(180.0), outside, None), outside)
+    np.testing.assert_array_equal(unwrap(arm(180.0), outside, None), outside)
 
 
 def test_half_a_turn_is_a_way_and_more_is_none() -> None:
     wide = arm(360.0)
     half = np.array([[0.0] * 6, [np.pi, -np.pi, 0, 0, 0, 0]])
-    np.testing.assert_array_equal(unwrapped(wide, half, None), half)
+    np.testing.assert_array_equal(unwrap(wide, half, None), half)
     check_no_turn(wide, half)
     more = half * 1.001
     with pytest.raises(PathRefused, match=r"way-point 1: .*joint1 from 0 to 3\.145 rad is more"):
@@ -129,7 +129,7 @@ def test_what_is_geared_or_slides_is_on_no_circle() -> None:
     whole = arm(360.0, {2: half, 3: follows | {"mimic": {"joint": "joint2", "multiplier": -2.0}}})
     assert whole.circular.tolist() == [True] * 5
     joints = np.array([np.zeros(5), [0, 6.2, 0, 6.2, 0]])
-    np.testing.assert_array_equal(unwrapped(made, joints, None), joints)
+    np.testing.assert_array_equal(unwrap(made, joints, None), joints)
     check_no_turn(made, joints)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import Method, Status, compensate, compensate_many
+from longarm_comp.core.compensation.compensate import Method, Status, compensate
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
@@ -146,7 +146,7 @@ def test_correction_is_bounded(plant):
     assert (made.status == Status.CORRECTION_TOO_LARGE).all()
     assert not made.success.any()
     assert "permitted" in made.reason[0]
-    one = compensate(model, Known(), targets[0], max_correction_m=1e-3)
+    one = compensate(model, Known(), targets[0], max_correction_m=1e-3)[0]
     assert one.status is Status.CORRECTION_TOO_LARGE
     np.testing.assert_array_equal(one.command, one.ideal)
     size = np.linalg.norm(smooth_error(made.ideal), axis=1).max()
@@ -192,9 +192,7 @@ def test_many_are_each_by_itself(plant):
 
     bend, turn = compensate_arrays(model, None, targets, seed=starts).ideal[:, :2].T
     given = {"tol_m": 1e-4, "max_passes": 4}
-    many = compensate_many(
-        model, Known(error, inside), targets, context=carried, seed=starts, **given
-    )
+    many = compensate(model, Known(error, inside), targets, context=carried, seed=starts, **given)
     assert {each.status for each in many} >= {
         Status.SUCCESS, Status.BAD_TARGET, Status.UNREACHABLE, Status.OUT_OF_DOMAIN,
         Status.CORRECTION_TOO_LARGE,
@@ -203,7 +201,7 @@ def test_many_are_each_by_itself(plant):
         one = compensate(
             model, Known(error, inside), targets[k], context=carried.take(k), seed=starts[k],
             **given,
-        )  # fmt: skip
+        )[0]  # fmt: skip
         for name, value in vars(one).items():
             if isinstance(value, np.ndarray | float):
                 assert np.allclose(getattr(each, name), value, atol=1e-8, equal_nan=True), name

@@ -178,7 +178,7 @@ def test_outside_its_data_it_stands_still_and_the_command_says_so() -> None:
     np.testing.assert_allclose(model.tip(q), Model(SMALL).tip(moved), atol=1e-9)
     assert shift[0] > 1e-3
     for row, said in zip(q, (False, True), strict=True):
-        found = compensate(model, None, model.tip(row), seed=row, method=Method.DEFLECTION)
+        found = compensate(model, None, model.tip(row), seed=row, method=Method.DEFLECTION)[0]
         assert found.status is Status.SUCCESS
         assert ("outside the data from which an effect was found: q2 0.9" in found.reason) == said
     assert [bool(each) for each in outside_data(model, q, Context())] == [False, True]
@@ -186,7 +186,7 @@ def test_outside_its_data_it_stands_still_and_the_command_says_so() -> None:
 
 def test_a_command_without_the_column_that_drives_it_is_stale() -> None:
     driven = Discovered("base", "move x", "sin(pump_bar, 6.0)", "pump_bar 0.0..3.0", 1e-3, 2e-3)
-    found = compensate(Model(SMALL, (driven,)), None, SMALL_TIP, method=Method.DEFLECTION)
+    found = compensate(Model(SMALL, (driven,)), None, SMALL_TIP, method=Method.DEFLECTION)[0]
     assert found.status is Status.STALE_CONTEXT
     assert "pump_bar" in found.reason
 

@@ -81,7 +81,7 @@ def test_commands_and_statuses_are_those_of_asking_every_time(predictor: Predict
         return expand(q, context)
 
     for i, target in enumerate(targets):
-        one = compensate(model, Nearby(ask), target, context=context)
+        one = compensate(model, Nearby(ask), target, context=context)[0]
         assert one.status is Status(int(many.status[i])), (i, one.reason, many.reason[i])
         assert one.reason == many.reason[i] or one.status is Status.OUT_OF_DOMAIN
         np.testing.assert_allclose(model.tip(one.command), model.tip(many.command[i]), atol=2e-5)

@@ -21,7 +21,6 @@ from std_srvs.srv import Trigger
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.others import load_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
@@ -195,7 +194,7 @@ def test_a_predictor_of_another_model_is_refused(
     reload = stage.node.create_client(Trigger, "/bound/error_predictor/reload")
     stage.call(reload, Trigger.Request())
     assert good()
-    save_model(model, store(rigid(declared_model(arm))))
+    save_model(model, store(declared_model(arm).rigid))
     stage.spin(lambda: not good())
     answer = stage.call(ask, question(arm, arm.mid))
     assert math.isnan(answer.sigma) and "model_hash" in answer.message

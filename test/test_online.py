@@ -28,7 +28,7 @@ WARM = Model(ARM, (ThermalGrowth(8e-5),))
 def told(**columns: float) -> Readings:
     made = Readings()
     for name, value in columns.items():
-        made = made.told(name, {name: value}, 100.0)
+        made = made.with_reading(name, {name: value}, 100.0)
     return made
 
 
@@ -55,27 +55,31 @@ def test_a_payload_that_was_told_holds_for_a_while_and_then_says_so() -> None:
 
 
 def test_circumstances_that_an_arm_cannot_be_in_are_a_doubt_until_better_ones_are_told() -> None:
-    wrong = told(temperature_c=30.0).told("temperature_c", {"temperature_c": 900.0}, 101.0, "hot!")
+    wrong = told(temperature_c=30.0).with_reading(
+        "temperature_c", {"temperature_c": 900.0}, 101.0, "hot!"
+    )
     assert wrong.fresh("temperature_c", 101.0, 10.0) == {}
     for now_s in (102.0, 1e6):
         with pytest.raises(StaleContext, match="hot!"):
             wrong.context(WARM, now_s, 10.0)
     assert wrong.context(Model(ARM), 102.0, 10.0).columns == {}, "nothing needs it"
-    better = wrong.told("temperature_c", {"temperature_c": 31.0}, 102.0)
+    better = wrong.with_reading("temperature_c", {"temperature_c": 31.0}, 102.0)
     assert better.context(WARM, 102.0, 10.0).columns == {"temperature_c": 31.0}
-    weighed = told(payload_kg=9.0).told("payload_kg", {"payload_kg": 9.0}, 101.0, "too heavy")
+    weighed = told(payload_kg=9.0).with_reading(
+        "payload_kg", {"payload_kg": 9.0}, 101.0, "too heavy"
+    )
     carrying = Model(ARM.model_copy(update={"payload": Payload(mass_kg=0.2, frame=4)}))
     with pytest.raises(StaleContext, match="too heavy"):
         weighed.context(carrying, 102.0, 10.0)
-    felt = weighed.told("load", {"payload_kg": 0.3}, 102.0)
+    felt = weighed.with_reading("load", {"payload_kg": 0.3}, 102.0)
     assert felt.context(carrying, 102.0, 10.0).columns == {"payload_kg": 0.3}, "what is felt counts"
 
 
 def test_an_inclinometer_belongs_to_its_frame() -> None:
     tilted = Model(ARM, (MeasuredTilt(frame=0),))
-    reading = Readings().told("0", {"incl_0_x": 0.01, "incl_0_y": 0.0}, 1.0)
+    reading = Readings().with_reading("0", {"incl_0_x": 0.01, "incl_0_y": 0.0}, 1.0)
     assert reading.context(tilted, 2.0, 5.0).columns["incl_0_x"] == 0.01
-    other = Readings().told("3", {"incl_3_x": 0.01, "incl_3_y": 0.0}, 1.0)
+    other = Readings().with_reading("3", {"incl_3_x": 0.01, "incl_3_y": 0.0}, 1.0)
     with pytest.raises(StaleContext, match="incl_0_x"):
         other.context(tilted, 2.0, 5.0)
 

@@ -14,7 +14,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.compensation.result import Method, Prediction
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero
@@ -87,7 +86,7 @@ def commanded(model: Model, targets: np.ndarray, joints: np.ndarray) -> np.ndarr
 def test_the_true_tip_takes_the_commanded_orientation(
     arm: Arm, truth: TrueArm, found: Model, joints: np.ndarray
 ) -> None:
-    targets = rigid(declared_model(arm)).pose(joints)
+    targets = declared_model(arm).rigid.pose(joints)
     before = truth.pose(commanded(declared_model(arm), targets, joints))
     after = truth.pose(commanded(found, targets, joints))
     assert size(turn(before, targets)) > 40e-3
@@ -120,7 +119,7 @@ def test_a_cause_with_the_wrong_sign_turns_the_tip_the_wrong_way(
     kind: type, arm: Arm, truth: TrueArm, found: Model, joints: np.ndarray
 ) -> None:
     """Every cause counts: each one alone, turned round, is seen at the true tip."""
-    targets = rigid(declared_model(arm)).pose(joints)
+    targets = declared_model(arm).rigid.pose(joints)
     turned = dataclasses.replace(
         found,
         effects=tuple(

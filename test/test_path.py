@@ -26,7 +26,7 @@ from longarm_comp.core.compensation.planned_path import (
     PlannedPath,
     between,
     fastest,
-    retimed,
+    retime,
 )
 from longarm_comp.core.compensation.result import Method, Prediction, Status
 from longarm_comp.core.effects.geometry_errors import DhError
@@ -201,7 +201,7 @@ def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model:
         alone = compensate(
             model, None, plan.targets[row], context=Context(**history.fields()), seed=now,
             method=Method.DEFLECTION, starts=1,
-        )  # fmt: skip
+        )[0]  # fmt: skip
         answer = answers[row]
         np.testing.assert_allclose(answer.command, alone.command, atol=1e-6)
         assert answer.expected_m == pytest.approx(alone.expected_m, rel=1e-3)
@@ -301,12 +301,12 @@ def test_random_ways_are_timed_within_limits() -> None:
         limits = MotionLimits(np.full(4, 0.5), rng.uniform(1.0, 4.0, 4))
         quick = fastest(ways, limits)
         slow = np.linspace(0.0, 5.0, 30)
-        for timed in (quick, retimed(CubicPath(slow, ways, monotone_slopes(slow, ways)), limits)):
+        for timed in (quick, retime(CubicPath(slow, ways, monotone_slopes(slow, ways)), limits)):
             assert limits.excess(timed) <= 1.0 + 1e-5
         least = (np.abs(np.diff(ways, axis=0)) / limits.velocity).max(axis=1).sum()
         assert least < quick.times[-1] < 4.0 * least
         kept = CubicPath(20.0 * slow, ways, monotone_slopes(20.0 * slow, ways))
-        assert retimed(kept, limits) is kept
+        assert retime(kept, limits) is kept
 
 
 def test_what_has_no_limit_slows_nothing() -> None:
@@ -316,10 +316,10 @@ def test_what_has_no_limit_slows_nothing() -> None:
     velocity = np.array([0.05, np.inf, np.inf, np.inf])
     acceleration = np.array([np.inf, 0.5, np.inf, np.inf])
     limits = MotionLimits(velocity, acceleration)
-    timed = retimed(path, limits)
+    timed = retime(path, limits)
     assert limits.excess(path) > 1.5 and limits.excess(timed) <= 1.0 + 1e-5
     wide = MotionLimits(np.minimum(velocity, 1e9), np.minimum(acceleration, 1e9))
-    np.testing.assert_allclose(timed.times, retimed(path, wide).times, rtol=1e-9)
+    np.testing.assert_allclose(timed.times, retime(path, wide).times, rtol=1e-9)
 
 
 def test_without_toppra_only_a_path_that_is_too_fast_is_refused(
@@ -330,9 +330,9 @@ def test_without_toppra_only_a_path_that_is_too_fast_is_refused(
     monkeypatch.setitem(sys.modules, "toppra", None)
     times, ways = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 5)[:, None]
     path = CubicPath(times, ways, monotone_slopes(times, ways))
-    assert retimed(path, MotionLimits(np.array([9.0]), np.array([99.0]))) is path
+    assert retime(path, MotionLimits(np.array([9.0]), np.array([99.0]))) is path
     with pytest.raises(JobError, match=r"longarm_comp\[path\]"):
-        retimed(path, MotionLimits(np.array([0.5]), np.array([99.0])))
+        retime(path, MotionLimits(np.array([0.5]), np.array([99.0])))
 
 
 def test_paths_from_python_and_from_files_are_the_same(

@@ -15,7 +15,6 @@ import yaml
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import Lattice, Search
 from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.ik import solver as ik
@@ -40,7 +39,7 @@ def model(demo_arm_path: Path) -> Model:
     data = yaml.safe_load(demo_arm_path.read_text())
     for joint in data["joints"]:
         joint |= {"step_deg": 0.36} if joint["type"] == "revolute" else {"step_m": 1e-4}
-    return commandable(declared_model(Arm.parse(data, "stepped demo")))
+    return declared_model(Arm.parse(data, "stepped demo")).commandable
 
 
 def commanded(

@@ -16,7 +16,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
-from longarm_comp.core.compensation.compensate import commandable, compensate
+from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.expansion import Expansion, Nearby
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Method, Prediction, Status
@@ -105,7 +105,7 @@ def test_steps_that_were_found_count_as_declared_ones(
 
 def test_the_learned_error_is_that_of_the_chosen_joints(model: Model, joints: np.ndarray) -> None:
     for target in model.tip(joints):
-        made = compensate(model, Known(), target)
+        made = compensate(model, Known(), target)[0]
         assert made.status is Status.SUCCESS
         assert made.reason == ""
         assert off_steps(model, made.command) < 1e-6
@@ -115,7 +115,7 @@ def test_the_learned_error_is_that_of_the_chosen_joints(model: Model, joints: np
         chosen = made.realisable
         assert chosen is not None
         np.testing.assert_array_equal(chosen.joints, made.command)
-        plain = compensate(model, Known(), target, realisable=False)
+        plain = compensate(model, Known(), target, realisable=False)[0]
         np.testing.assert_allclose(chosen.ideal, plain.command, rtol=0, atol=1e-12)
         assert plain.realisable is None
         real = model.tip(made.command) + residual(made.command[None])[0]
@@ -127,7 +127,7 @@ def test_outside_its_domain_the_learned_error_takes_no_part(
     model: Model, joints: np.ndarray
 ) -> None:
     target = model.tip(joints[0])
-    made = compensate(model, Known(inside=False), target)
+    made = compensate(model, Known(inside=False), target)[0]
     assert made.status is Status.OUT_OF_DOMAIN
     np.testing.assert_array_equal(made.predicted_error, 0)
     assert off_steps(model, made.command) < 1e-6
@@ -136,8 +136,8 @@ def test_outside_its_domain_the_learned_error_takes_no_part(
 
 def test_poses_and_free_orientations(model: Model, joints: np.ndarray) -> None:
     pose = model.pose(joints[1])
-    held = compensate(model, None, pose, method=Method.DEFLECTION)
-    free = compensate(model, None, pose, method=Method.DEFLECTION, position_only=True)
+    held = compensate(model, None, pose, method=Method.DEFLECTION)[0]
+    free = compensate(model, None, pose, method=Method.DEFLECTION, position_only=True)[0]
     errors = []
     for made in (held, free):
         assert off_steps(model, made.command) < 1e-6
@@ -151,7 +151,7 @@ def test_locked_joints_keep_their_seed(model: Model, joints: np.ndarray) -> None
     seed = joints[2] + 1e-3
     made = compensate(
         model, None, model.tip(seed), seed=seed, locked=("joint7", 2), method=Method.DEFLECTION
-    )
+    )[0]
     np.testing.assert_array_equal(made.command[[2, 6]], seed[[2, 6]])
     others = [0, 1, 3, 4, 5]
     k = made.command[others] / model.arm.steps[others]
@@ -164,8 +164,8 @@ def test_off_and_single_passes_are_as_before(
 ) -> None:
     bare = declared_model(Arm.load(demo_arm_path))
     for target in model.tip(joints[:4]):
-        want = compensate(bare, Known(), target, single_pass=single_pass)
-        got = compensate(model, Known(), target, single_pass=single_pass, realisable=single_pass)
+        want = compensate(bare, Known(), target, single_pass=single_pass)[0]
+        got = compensate(model, Known(), target, single_pass=single_pass, realisable=single_pass)[0]
         for field in dataclasses.fields(want):
             one, other = getattr(got, field.name), getattr(want, field.name)
             if np.asarray(other).dtype.kind == "f":
@@ -181,11 +181,11 @@ def test_a_lattice_may_be_given_and_what_is_not_known_is_said(
     unsure = model.arm.steps * [0.2, 0, 0, 0, 0, 0, 0]
     lattice = Lattice.of(model.arm, offset, unsure)
     target = model.tip(joints[3])
-    made = compensate(model, None, target, method=Method.DEFLECTION, realisable=lattice)
+    made = compensate(model, None, target, method=Method.DEFLECTION, realisable=lattice)[0]
     k = (made.command - offset) / model.arm.steps
     assert np.abs(k - np.rint(k))[1:].max() < 1e-6 < np.abs(k - np.rint(k))[0]
     assert made.reason.startswith("joint1 stays at its ideal value: the offset")
-    assert np.linalg.norm(commandable(model).tip(made.command) - target) < 0.5e-3
+    assert np.linalg.norm(model.commandable.tip(made.command) - target) < 0.5e-3
 
 
 def loose(model: Model, gate: float = 0.0) -> Model:
@@ -292,7 +292,7 @@ def test_a_predictor_of_another_process_answers_for_all_candidates(
         )
 
     for target in model.tip(joints[:6]):
-        made = compensate(model, Nearby(ask), target)
+        made = compensate(model, Nearby(ask), target)[0]
         assert off_steps(model, made.command) < 1e-6
         real = model.tip(made.command) + residual(made.command[None])[0]
         assert np.linalg.norm(real - target) < 0.6e-3

@@ -82,16 +82,16 @@ def test_where_it_matters_and_nobody_said_it_both_are_offered() -> None:
 def test_the_base_of_a_graph_is_the_arms_own_wherever_the_tracker_stands() -> None:
     target, pose = Model(ARM).tip(ARM.mid), Model(ARM).pose(ARM.mid)
     far = base_of_graph(Model(ARM, (AWAY,)))
-    assert far.solved and far.apart
+    assert far.solved and far.frame == "base"
     np.testing.assert_allclose(far.carried(target), moved(AWAY, target), atol=1e-12)
     np.testing.assert_allclose(far.asked(far.carried(pose)), pose, atol=1e-12)
     np.testing.assert_allclose(far.asked(far.carried(np.array([target] * 3))), [target] * 3)
     for model, solved in ((Model(ARM), False), (Model(ARM, (NEAR,)), True)):
         here = base_of_graph(model)  # as files have it, where nobody said the frame
-        assert here.solved is solved and not here.apart
+        assert here.solved is solved and here.frame == "measured"
         np.testing.assert_array_equal(here.motion, np.eye(4))
     grouped = base_of_graph(Model(ARM, (BasePose(group="a", x=8.0),)))
-    assert not grouped.solved and not grouped.apart
+    assert not grouped.solved and grouped.frame == "measured"
 
 
 @pytest.mark.parametrize("base", [AWAY, NEAR])

@@ -25,7 +25,7 @@ from longarm_comp.core.calibration.uncertainty import (
     uncertainty,
     with_uncertainty,
 )
-from longarm_comp.core.compensation.compensate import Method, Status, compensate, judged
+from longarm_comp.core.compensation.compensate import Method, Status, compensate, judge
 from longarm_comp.core.compensation.expected import expected_miss, tolerances
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.compensation.weighing import SD
@@ -208,9 +208,9 @@ def test_many_commands_are_judged_as_each_alone(learned: bool) -> None:
     context = Context(**way.fields(), columns=told)
     pseudo = model.tip(q, context) + 1e-3 * side[:, None]
     sigma = 1e-3 * (1.0 + q[:, :3] ** 2) if learned else None
-    whole, inside, doubts = judged(model, Method.BOTH, q, context, pseudo, sigma)
+    whole, inside, doubts = judge(model, Method.BOTH, q, context, pseudo, sigma)
     for k in range(4):
-        alone, its, (doubt,) = judged(
+        alone, its, (doubt,) = judge(
             model, Method.BOTH, q[k], context.take(k), pseudo[k],
             None if sigma is None else sigma[k],
         )  # fmt: skip
@@ -274,13 +274,13 @@ def test_another_fit_forgets_what_was_known() -> None:
 
 def test_the_arm_as_declared_goes_by_its_tolerances() -> None:
     model = Model(ARM)
-    found = compensate(model, None, model.tip(ARM.mid), method=Method.DEFLECTION)
+    found = compensate(model, None, model.tip(ARM.mid), method=Method.DEFLECTION)[0]
     assert found.status is Status.SUCCESS
     assert 2e-3 < found.expected_m < found.p90_m < 2e-2
     assert np.isfinite(found.sigma).all()
     tight = {"tip": {"xyz_m": 0.05}}
     loose = ARM.model_validate({**ARM.model_dump(exclude_defaults=True), "tolerance": tight})
-    more = compensate(Model(loose), None, model.tip(ARM.mid), method=Method.DEFLECTION)
+    more = compensate(Model(loose), None, model.tip(ARM.mid), method=Method.DEFLECTION)[0]
     assert more.expected_m > 2.0 * found.expected_m
 
 
@@ -329,7 +329,7 @@ def test_what_the_camera_does_moves_no_tip(demo_arm_path: Path) -> None:
 def test_nothing_is_said_of_a_model_without_a_record() -> None:
     fitted = calibrated(session([ZEROS], n=40))
     assert tolerances(fitted.model) is None
-    found = compensate(fitted.model, None, fitted.model.tip(ARM.mid), method=Method.DEFLECTION)
+    found = compensate(fitted.model, None, fitted.model.tip(ARM.mid), method=Method.DEFLECTION)[0]
     assert found.status is Status.SUCCESS and np.isnan(found.expected_m)
 
 
@@ -349,17 +349,19 @@ class Says:
 def test_outside_a_predictor_s_data_good_physics_is_a_success() -> None:
     good = with_uncertainty(calibrated(session([ZEROS], n=120)))
     target = good.tip(ARM.mid)
-    found = compensate(good, Says(inside=False), target)
+    found = compensate(good, Says(inside=False), target)[0]
     assert found.status is Status.SUCCESS
     assert "physics only" in found.reason and not found.in_domain
     assert not found.predicted_error.any()
-    assert found.expected_m == compensate(good, None, target, method=Method.DEFLECTION).expected_m
+    assert (
+        found.expected_m == compensate(good, None, target, method=Method.DEFLECTION)[0].expected_m
+    )
     known = good.uncertainty
     assert known is not None
     far = dataclasses.replace(good, uncertainty=dataclasses.replace(known, largest_m=1e-9))
-    assert compensate(far, Says(inside=False), target).status is Status.OUT_OF_DOMAIN
+    assert compensate(far, Says(inside=False), target)[0].status is Status.OUT_OF_DOMAIN
     bare = dataclasses.replace(good, uncertainty=None)
-    assert compensate(bare, Says(inside=False), target).status is Status.OUT_OF_DOMAIN
+    assert compensate(bare, Says(inside=False), target)[0].status is Status.OUT_OF_DOMAIN
 
 
 def test_a_predictor_s_sigma_counts_without_the_noise_of_a_measurement() -> None:
@@ -367,11 +369,11 @@ def test_a_predictor_s_sigma_counts_without_the_noise_of_a_measurement() -> None
     known = good.uncertainty
     assert known is not None
     target = good.tip(ARM.mid)
-    found = compensate(good, Says(inside=True), target)
+    found = compensate(good, Says(inside=True), target)[0]
     wanted = np.sqrt(1e-6 - np.diag(known.noise))
     np.testing.assert_allclose(found.sigma, wanted, rtol=1e-6)
-    sure = compensate(good, Says(inside=True, sigma=1e-6), target)
-    alone = compensate(good, None, target, method=Method.DEFLECTION)
+    sure = compensate(good, Says(inside=True, sigma=1e-6), target)[0]
+    alone = compensate(good, None, target, method=Method.DEFLECTION)[0]
     assert 0.0 < sure.expected_m <= 1.2 * alone.expected_m
 
 
@@ -379,7 +381,7 @@ def test_what_a_method_leaves_out_is_expected_at_the_target() -> None:
     """Without the physics of the model, its own error is known and stated."""
     bent = with_uncertainty(calibrated(session([ZEROS], n=60))).plus(Gain(joint=2, gain=0.03))
     target = bent.tip(ARM.mid)
-    found = compensate(bent, None, target, method=Method.NONE)
+    found = compensate(bent, None, target, method=Method.NONE)[0]
     missed = np.linalg.norm(bent.tip(found.command) - target)
     assert missed > 1e-3
     assert found.expected_m == pytest.approx(missed, rel=0.1)

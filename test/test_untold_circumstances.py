@@ -61,7 +61,7 @@ def test_outline_reach_and_modes(models: tuple[Model, Model]) -> None:
 
 def test_an_unreachable_target_is_told_as_such(models: tuple[Model, Model]) -> None:
     sways, _ = models
-    made = compensate(sways, None, np.array([9.0, 0.0, 0.0]), context=TOLD)
+    made = compensate(sways, None, np.array([9.0, 0.0, 0.0]), context=TOLD)[0]
     assert made.status is Status.UNREACHABLE
     assert "joint limits" in made.reason
 

@@ -15,7 +15,6 @@ from small_arm import ARM
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import BASE_LINK, TIP, link_frames
@@ -39,7 +38,7 @@ def disturbed(arm: Arm, rng: np.random.Generator) -> Model:
 
 def check(path: Path, model: Model, rng: np.random.Generator, **labels: str) -> None:
     """The tip of the URDF is the model's, at random joints."""
-    arm, known = model.arm, rigid(model)
+    arm, known = model.arm, model.rigid
     robot = pin.buildModelFromUrdf(str(path))
     data = robot.createData()
     weights, offset = arm.mixing
@@ -183,7 +182,7 @@ def test_the_command_and_the_way_back(work: Path, shell: Shell, rng: np.random.G
 
     calibrated = load_model(work / "model.yaml", ARM)
     q = ARM.lower + rng.random((20, 4)) * (ARM.upper - ARM.lower)
-    assert np.abs(Model(again).pose(q) - rigid(calibrated).pose(q)).max() < NEAR
+    assert np.abs(Model(again).pose(q) - calibrated.rigid.pose(q)).max() < NEAR
     assert len(zero_offsets(calibrated)) == 4
     assert shell("export-urdf", work / "arm.yaml", "--model", work / "model.yaml") == 0
     assert "joint1" in shell.out

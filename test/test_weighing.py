@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.online import Readings
-from longarm_comp.core.compensation.weighing import SD, Drives, Weighing, Wrist, felt
+from longarm_comp.core.compensation.weighing import SD, Drives, Weighing, Wrist, feel_rest
 from longarm_comp.core.effects.joint_term import joint_load
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -81,14 +81,16 @@ def test_a_payload_that_friction_hides_is_not_told(arm: Arm, full: np.ndarray) -
     bench, now = Bench(arm), Weighing()
     large = Drives(0.9 * full, full / 1000)
     for _ in range(2):
-        now = now.felt(felt(*bench.rest(0.25, 0.9 * full, sided=False), large))
+        now = now.with_rest(feel_rest(*bench.rest(0.25, 0.9 * full, sided=False), large))
     assert now.payload is not None and not now.payload.tells(0.25)
     assert not now.contradicts(0.0) and not now.contradicts(1.0)
 
 
 def test_an_arm_whose_drives_say_nothing_is_not_weighed(arm: Arm) -> None:
     bench, nothing = Bench(arm), np.full(arm.n, np.nan)
-    now = Weighing().felt(felt(*bench.rest(0.25, np.zeros(arm.n)), Drives(nothing, nothing)))
+    now = Weighing().with_rest(
+        feel_rest(*bench.rest(0.25, np.zeros(arm.n)), Drives(nothing, nothing))
+    )
     assert now.payload is not None and np.isinf(now.payload.sigma_kg)
     assert not now.payload.tells(1e3)
 
@@ -102,7 +104,9 @@ def test_a_wrist_sensor_weighs_beyond_its_frame(arm: Arm) -> None:
         model, q, known, _ = bench.rest(0.6, np.zeros(arm.n))
         at = model.posture(tuple(q), Context(columns={"payload_kg": 0.6}))
         force = np.array(at.force(at.frame(row)), float) + zero
-        now = now.felt(felt(model, q, known, none, Drives(none, none), Wrist(row, force, 0.5)))
+        now = now.with_rest(
+            feel_rest(model, q, known, none, Drives(none, none), Wrist(row, force, 0.5))
+        )
     found = now.payload
     assert found is not None and found.tells(0.25)
     assert abs(found.kg - 0.6) < 3.0 * found.sigma_kg < 0.1
@@ -114,9 +118,9 @@ def test_another_payload_that_is_told_begins_anew(arm: Arm, full: np.ndarray) ->
     now = Weighing()
     for kg in (0.25, 0.25, 0.4):
         if kg == 0.4:
-            now = now.changed()
+            now = now.change_payload()
             assert now.payload is None
-        now = now.felt(felt(*bench.rest(kg, 0.01 * full), told_free))
+        now = now.with_rest(feel_rest(*bench.rest(kg, 0.01 * full), told_free))
     assert now.payload is not None and now.payload.rests == 1
     assert now.payload.kg == pytest.approx(0.4, abs=3.0 * now.payload.sigma_kg)
 
@@ -126,7 +130,7 @@ def test_what_a_command_does_not_know_of_the_payload_widens_it(arm: Arm) -> None
     target = model.tip(arm.mid)
     known = Context(columns={"payload_kg": 0.3})
     unsure = Context(columns={"payload_kg": 0.3, SD: 0.1})
-    sure, wide = (compensate(model, None, target, context=c) for c in (known, unsure))
+    sure, wide = (compensate(model, None, target, context=c)[0] for c in (known, unsure))
     heavy, light = (
         model.tip(wide.command, Context(columns={"payload_kg": kg})) for kg in (0.4, 0.2)
     )
@@ -137,12 +141,14 @@ def test_what_a_command_does_not_know_of_the_payload_widens_it(arm: Arm) -> None
 
 
 def test_the_latest_word_on_the_payload_counts(arm: Arm) -> None:
-    told_once = Readings().told("payload", {"payload_kg": 0.2}, 10.0)
-    weighed_later = told_once.told("load", {"payload_kg": 0.5, SD: 0.1}, 20.0)
+    told_once = Readings().with_reading("payload", {"payload_kg": 0.2}, 10.0)
+    weighed_later = told_once.with_reading("load", {"payload_kg": 0.5, SD: 0.1}, 20.0)
     model = Model(arm)
     assert weighed_later.context(model, 25.0, 60.0).columns["payload_kg"] == 0.5
     assert weighed_later.context(model, 75.0, 60.0).columns["payload_kg"] == 0.5, "one is fresh"
-    silent = weighed_later.told("payload", {"payload_kg": 0.3}, 21.0).told("load", {}, 21.0)
+    silent = weighed_later.with_reading("payload", {"payload_kg": 0.3}, 21.0).with_reading(
+        "load", {}, 21.0
+    )
     assert silent.context(model, 25.0, 60.0).columns == {"payload_kg": 0.3}
 
 
@@ -158,8 +164,8 @@ def test_what_servos_tell_is_read_from_the_drivers_file(arm: Arm, tmp_path: Path
 
 def test_friction_of_many_rests_is_forgotten(arm: Arm, full: np.ndarray) -> None:
     bench, free = Bench(arm), Drives(0.01 * full, full / 1000)
-    rest = felt(*bench.rest(0.25, 0.01 * full), free)
-    now = replace(Weighing(), rests=(rest,) * 50, loads=(0,) * 50).felt(rest)
+    rest = feel_rest(*bench.rest(0.25, 0.01 * full), free)
+    now = replace(Weighing(), rests=(rest,) * 50, loads=(0,) * 50).with_rest(rest)
     assert len(now.rests) == len(now.loads) == 40
 
 
@@ -167,9 +173,9 @@ def test_a_rest_of_a_payload_that_nothing_carries_is_not_finite(arm: Arm, full: 
     """It is dropped on the graph: one such rest would leave no estimate ever again."""
     drives_ = Drives(0.04 * full, 0.001 * full)
     model, q, known, effort = Bench(arm).rest(0.25, 0.01 * full)
-    assert felt(model, q, known, effort, drives_).finite
-    assert felt(model, q, known, effort, drives_, Wrist(7, np.zeros(3), 1.0)).finite
+    assert feel_rest(model, q, known, effort, drives_).finite
+    assert feel_rest(model, q, known, effort, drives_, Wrist(7, np.zeros(3), 1.0)).finite
     for kg in (1e308, np.inf):
         there = replace(known, columns={"payload_kg": kg})
         with np.errstate(all="ignore"):
-            assert not felt(model, q, there, effort, drives_).finite
+            assert not feel_rest(model, q, there, effort, drives_).finite

@@ -144,9 +144,9 @@ class ArmState:
                 check_circumstance(self.arm, name, value, source)
         except InputError as error:
             self.node.tally.dropped(source, str(error))
-            self.readings = self.readings.told(source, columns, now, wrong=str(error))
+            self.readings = self.readings.with_reading(source, columns, now, wrong=str(error))
             return
-        self.readings = self.readings.told(source, columns, now)
+        self.readings = self.readings.with_reading(source, columns, now)
 
     @property
     def joints(self) -> np.ndarray | None:

@@ -123,7 +123,7 @@ class Compensator:
             options=options,
         )  # fmt: skip
         arrival, used, why = self._state.predictor.tried(options.method, compensate)
-        arrival = replace(arrival, outcome=stands.told(arrival.outcome))
+        arrival = replace(arrival, outcome=stands.carry_back(arrival.outcome))
         outcome = arrival.outcome
         status, reason = outcome.status, outcome.reason
         if status is Status.NO_PREDICTOR:

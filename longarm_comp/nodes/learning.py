@@ -16,7 +16,7 @@ from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.params import Param
 
 if TYPE_CHECKING:
-    from longarm_comp.core.at_work.learner import Asked, Learner
+    from longarm_comp.core.at_work.learner import Learner, PoseRequest
 
 PARAMS = (
     Param("learning", False, "the model learns from ordinary moves (docs/at_work.md)"),
@@ -34,7 +34,7 @@ class Learning:
         self._state, self._files = state, state.files
         self.learner: Learner | None = None
         self._update_ms, self._fault = 0.0, ""
-        self._asked: Asked | None = None
+        self._asked: PoseRequest | None = None
         self.begin()
 
     def begin(self) -> None:
@@ -54,10 +54,10 @@ class Learning:
             return
         tip = rest.tip if learned is None else rest.tip - learned
         begun = time.perf_counter()
-        after = self.learner.seen(rest.q, context, tip, rest.variance, self._state.now_s)
+        after = self.learner.learn(rest.q, context, tip, rest.variance, self._state.now_s)
         self._update_ms = 1e3 * (time.perf_counter() - begun)
         self._take(after)
-        self._asked = after.asked(context)
+        self._asked = after.request_pose(context)
 
     def freeze(self, frozen: bool) -> tuple[bool, str]:
         if self.learner is None:

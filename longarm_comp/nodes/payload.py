@@ -11,7 +11,7 @@ from geometry_msgs.msg import WrenchStamped
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.weighing import SD, Drives, Weighing, Wrist, felt
+from longarm_comp.core.compensation.weighing import SD, Drives, Weighing, Wrist, feel_rest
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.devices.servo_config import ServoConfig
@@ -79,12 +79,12 @@ class Weigher:
         told = self._state.readings.fresh("payload", time.monotonic(), self._max_age_s)
         kg = told.get("payload_kg")
         if kg != self._told:
-            self._weighing, self._told = self._weighing.changed(), kg
-        rest = felt(model, q, context, effort, self._drives, wrist)
+            self._weighing, self._told = self._weighing.change_payload(), kg
+        rest = feel_rest(model, q, context, effort, self._drives, wrist)
         if not rest.finite:
             self._state.node.tally.dropped("rest", "what was felt at a rest is not finite")
             return
-        self._weighing = self._weighing.felt(rest)
+        self._weighing = self._weighing.with_rest(rest)
 
     def _tell(self, now: float) -> None:
         """The payload that was felt, where nobody else tells one."""
@@ -93,7 +93,7 @@ class Weigher:
             return
         told = readings.fresh("payload", now, self._max_age_s)
         columns = {} if told else {"payload_kg": found.kg, SD: found.sigma_kg}
-        self._state.readings = readings.told("load", columns, now)
+        self._state.readings = readings.with_reading("load", columns, now)
 
     @property
     def _reference(self) -> float:

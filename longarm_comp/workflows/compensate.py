@@ -17,7 +17,9 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import Arrival, compensate_apart, compensate_move
+from longarm_comp.core.arm.moves import Move
+from longarm_comp.core.compensation.arrive import Arrival, compensate_move
+from longarm_comp.core.compensation.compensate import compensate as compensate_each
 from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Compensation, CompensationOptions, Method, Status
@@ -187,26 +189,29 @@ def compensate(
     options = CompensationOptions(chosen, locked, run_up, realisable, **settling)
     to = [placed.carried(goal) for placed, goal in zip(placements, goals, strict=True)]
     unknown = History.unknown(model.arm.n)
-    arrivals: list[Arrival] = []
     if history is None and not (
         any(map(np.any, told.approach)) or history_joints(physics_of(model, chosen))
     ):
-        kinds = np.array([goal.ndim for goal in goals])
+        still = np.zeros(model.arm.n)
         made: dict[int, Arrival] = {}
-        for kind in np.unique(kinds):
-            ids = np.flatnonzero(kinds == kind)
-            apart = compensate_apart(
+        for ndim in {goal.ndim for goal in goals}:  # positions, poses
+            ids = [k for k, goal in enumerate(goals) if goal.ndim == ndim]
+            context = after(told.take(np.array(ids)), unknown)
+            outcomes = compensate_each(
                 model,
                 predictor,
                 np.array([to[k] for k in ids]),
-                after(told.take(ids), unknown),
+                context=context,
                 seed=None if seeds is None else seeds[ids],
                 position_only=position_only,
-                options=options,
+                **vars(options),
             )
-            made |= zip(ids.tolist(), apart, strict=True)
+            for k, outcome, here in zip(ids, outcomes, context.each(len(ids)), strict=True):
+                move = Move(outcome.command, None, still, still > 0)
+                made[k] = Arrival(outcome, move, here, unknown)
         return Commands(numbers, tuple(made[k] for k in range(len(to))), placements)
     at, came = (None, unknown) if history is None else last(history, model)
+    arrivals: list[Arrival] = []
     for k, target in enumerate(to):
         sides = np.sign(np.broadcast_to(contexts[k].approach or 0.0, model.arm.n)).astype(float)
         arrival = compensate_move(

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.data.admission import FEW_POSES, admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -140,7 +139,7 @@ def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model
         found = f"of arm {model.arm.name} {model.arm.hash[:12]}"
         raise InputError("model", "arm", found, f"a model of {arm.name} {arm.hash[:12]}")
     model = model.lasting()
-    return model if deflection else rigid(model)
+    return model if deflection else model.rigid
 
 
 def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, object]:

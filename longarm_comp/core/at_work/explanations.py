@@ -47,8 +47,8 @@ class Branch:
     known: RecursivePosterior
     changes: tuple[_PastChange, ...] = ()
 
-    def parted(self) -> Iterator[Branch]:
-        """One for each effect that may have changed; itself where that is not clear yet."""
+    def split(self) -> Iterator[Branch]:
+        """Give one for each effect that may have changed; itself where that is not clear yet."""
         known = self.known
         chance = known.probability.sum(axis=0)
         some = float(chance.sum())
@@ -59,21 +59,23 @@ class Branch:
         if not (few or count >= _LATEST):
             yield self
             return
-        whole = float(chance[order].sum())
+        whole, past = float(chance[order].sum()), {change.key for change in self.changes}
         for c in order.tolist():
-            if chance[c] > NEGLIGIBLE * whole:
-                changes = self._changed(c)
-                yield Branch(self.weight * float(chance[c]) / whole, known.given(c), changes)
-
-    def _changed(self, c: int) -> tuple[_PastChange, ...]:
-        known = self.known
-        key, t = known.space.keys[c], int(known.probability[:, c].argmax())
-        if any(change.key == key for change in self.changes):
-            return self.changes
-        own = known.space.own(c)
-        before, where = tuple(known.mean[own].tolist()), known.space.slots[own[0]].owner.where
-        made = _PastChange(key, where, float(known.since[t]), int(known.count[t]), before)
-        return (*self.changes, made)
+            if chance[c] <= NEGLIGIBLE * whole:
+                continue
+            key, changes = known.space.keys[c], self.changes
+            if key not in past:
+                own, t = known.space.own(c), int(known.probability[:, c].argmax())
+                changes += (
+                    _PastChange(
+                        key=key,
+                        where=known.space.slots[own[0]].owner.where,
+                        since_s=float(known.since[t]),
+                        sightings=int(known.count[t]),
+                        before=tuple(known.mean[own].tolist()),
+                    ),
+                )
+            yield Branch(self.weight * float(chance[c]) / whole, known.given_change(c), changes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +87,12 @@ class Explanations:
 
     @property
     def space(self) -> Parameters:
+        """The numbers of the model and of all possible changes."""
         return self.branches[0].known.space
 
-    def seen(self, row: Row) -> Explanations:
-        each = [(b, b.known.seen(row)) for b in self.branches]
+    def update(self, row: Row) -> Explanations:
+        """Weigh all explanations anew by a further sighting."""
+        each = [(b, b.known.update(row)) for b in self.branches]
         logs = np.array([math.log(b.weight) + known.log_likelihood for b, known in each])
         top = float(logs.max())
         likelihood = top + math.log(float(np.exp(logs - top).sum()))
@@ -97,9 +101,16 @@ class Explanations:
             part
             for (b, known), w in zip(each, weights, strict=True)
             if w > NEGLIGIBLE
-            for part in Branch(w, known, b.changes).parted()
+            for part in Branch(w, known, b.changes).split()
         ]
-        kept = sorted(_alike_as_one(made), key=lambda b: -b.weight)[:MOST]
+        if len(made) > MOST:  # of each set of changes the most probable one, with all weight
+            merged: dict[frozenset[Key], Branch] = {}
+            for b in sorted(made, key=lambda b: b.weight):
+                keys = frozenset(c.key for c in b.changes)
+                whole = b.weight + (merged[keys].weight if keys in merged else 0.0)
+                merged[keys] = dataclasses.replace(b, weight=whole)
+            made = list(merged.values())
+        kept = sorted(made, key=lambda b: -b.weight)[:MOST]
         whole = sum(b.weight for b in kept)
         return Explanations(
             tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept), likelihood
@@ -107,18 +118,18 @@ class Explanations:
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """(q,) mean over all explanations."""
+        """The mean over all explanations, (q,)."""
         return np.sum([b.weight * b.known.expected for b in self.branches], axis=0)
 
     def covariance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (p,) of what is not known exactly, and its covariance (p, p)."""
+        """Compute the positions (p,) of what is not known exactly, and its covariance (p, p)."""
         active = np.unique(np.concatenate([b.known.active for b in self.branches]))
         made = np.zeros((len(active), len(active)))
         for b in self.branches:
-            held = np.isin(active, b.known.active)
+            own = np.isin(active, b.known.active)
             off = (b.known.expected - self.expected)[active]
             made += b.weight * np.outer(off, off)
-            made[np.ix_(held, held)] += b.weight * b.known.covariance
+            made[np.ix_(own, own)] += b.weight * b.known.covariance
         return active, made
 
     @property
@@ -128,21 +139,9 @@ class Explanations:
 
     @cached_property
     def places(self) -> dict[str, float]:
-        """Where something has changed, with the probability of it."""
+        """The probability that something has changed, by place."""
         made: dict[str, float] = {}
         for b in self.branches:
             for place in {c.where for c in b.changes}:
                 made[place] = made.get(place, 0.0) + b.weight
         return made
-
-
-def _alike_as_one(branches: list[Branch]) -> list[Branch]:
-    """Where there are too many, of each explanation the most probable one, with all weight."""
-    if len(branches) <= MOST:
-        return branches
-    made: dict[frozenset[Key], Branch] = {}
-    for b in sorted(branches, key=lambda b: b.weight):
-        name = frozenset(c.key for c in b.changes)
-        whole = b.weight + (made[name].weight if name in made else 0.0)
-        made[name] = dataclasses.replace(b, weight=whole)
-    return list(made.values())

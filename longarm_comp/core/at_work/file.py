@@ -1,4 +1,4 @@
-"""What was learned at work, on disk: a restart goes on from it.
+"""The file of what was learned at work: a restart goes on from it.
 
 Rivals that were not yet told apart are merged: the model served, and how well it is known, stay.
 """
@@ -57,7 +57,7 @@ def save(path: str | Path, learner: Learner, given: str) -> None:
 
 
 def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> Learner:
-    """What a file holds for a model, or its beginning, where there is none or of another model."""
+    """Read what a file holds for a model; its beginning, where there is none, or of another one."""
     begun = Learner.of(model, step_m)
     if not Path(path).exists():
         return begun
@@ -78,6 +78,10 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
         ),
     )
     return Learner(
-        restore(stored.served, arm, where), None, versions, stored.frozen, step_m,
-        stored.sightings, stored.doubtful,
-    )  # fmt: skip
+        restore(stored.served, arm, where),
+        versions=versions,
+        frozen=stored.frozen,
+        step_m=step_m,
+        sightings=stored.sightings,
+        doubtful=stored.doubtful,
+    )

@@ -31,7 +31,9 @@ POOL = 256
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class PoseRequest:
+    """A pose to measure at, because it tells two explanations apart."""
+
     q: np.ndarray  # (n,) commanded joints, rad and m
     side: np.ndarray  # (n,) of +-1, from which each joint arrives, by a run-up
     between: tuple[str, str]  # effects that it tells apart, the likelier first
@@ -44,21 +46,6 @@ class Asked:
         return f"{' or '.join(self.between)}? measure q = {q}, from {side}"
 
 
-def _new(branch: Branch, other: Branch) -> str:
-    """Name of an effect that has changed by one explanation and not by another, or ""."""
-    theirs = {change.key for change in other.changes}
-    return next((change.key[0] for change in branch.changes if change.key not in theirs), "")
-
-
-def _pool(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joints (N, n), even over their ranges, and sides (N, n) to arrive from."""
-    from scipy.stats import qmc  # takes a quarter of a second
-
-    unit = qmc.Sobol(2 * len(lower), seed=0).random(POOL)
-    q, side = np.split(unit, 2, axis=1)
-    return lower + (upper - lower) * q, np.where(side < 0.5, -1.0, 1.0)
-
-
 STEP_M = 2e-3
 """Largest step of the tip by one sighting's learning, m."""
 WORTH = 0.1
@@ -67,7 +54,7 @@ lost in what scatters."""
 
 
 class Named(Declared):
-    """What changed: a place, and the effect there that is the most probable.
+    """A change: its place, and the effect there that is the most probable.
 
     Attributes:
         since_s: time of the first sighting that shows it.
@@ -105,7 +92,7 @@ class Version:
 
 @dataclass(frozen=True, eq=False)
 class Learner:
-    """The model at work. Frozen: `seen` returns the next one."""
+    """The model at work. It never changes: `learn` returns the next one."""
 
     model: Model  # that is served
     known: Explanations | None = None  # what is known; None before the first sighting
@@ -118,17 +105,18 @@ class Learner:
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
-        """From a fitted model, which says how well it is known."""
+        """Begin with a fitted model, which says how well it is known."""
         if model.uncertainty is None:
             raise InputError("model", "uncertainty", "missing", "a model that a diagnosis wrote")
         return cls(model, versions=(Version(-math.inf, model, None),), step_m=step_m)
 
     @property
     def record(self) -> ModelUncertainty:
+        """The record of how good the model is that is served."""
         assert self.model.uncertainty is not None
         return self.model.uncertainty
 
-    def seen(
+    def learn(
         self, q: np.ndarray, context: Context, tip: np.ndarray, variance: np.ndarray, t_s: float
     ) -> Learner:
         """Take a sighting of an arm at rest.
@@ -141,7 +129,7 @@ class Learner:
         """
         if self.frozen:
             return self
-        known = self.known or _begun(self.model, self.record, context)
+        known = self.known or _begin(self.model, self.record, context)
         point, columns = known.space.columns(self.model, q, context)
         at = known.space.values(self.model)
         (spread,), _ = unknown_history(self.model, q[None], context)
@@ -149,53 +137,55 @@ class Learner:
         noise = noise + self.record.structure
         value = tip - point + columns @ at
         row = Row(t_s, columns, value, noise, float(np.linalg.norm(point)))
-        known, pending, doubtful = _judged(known, row, self.pending)
+        known, pending, doubtful = _take_in(known, row, self.pending)
         after = dataclasses.replace(
-            self, known=known, pending=pending, sightings=self.sightings + 1,
+            self,
+            known=known,
+            pending=pending,
+            sightings=self.sightings + 1,
             doubtful=self.doubtful + doubtful,
-        )  # fmt: skip
+        )
         if known is self.known:
             return after
-        return after._named(known, t_s)._served(known, columns, at)
-
-    def _named(self, known: Explanations, t_s: float) -> Learner:
-        """With a version for every place at which something has surely changed."""
-        made, said = self, {n.where for n in self.named}
-        for where, chance in known.places.items():
+        versions, said = self.versions, {n.where for n in self.named}
+        for where, chance in known.places.items():  # at which something has surely changed
             if where not in said and chance >= CREDIBLE:
-                version = Version(t_s, self._of(known, known.expected), _name(known, where))
-                made = dataclasses.replace(made, versions=(*made.versions, version))
-        return made
-
-    def _served(self, known: Explanations, columns: np.ndarray, at: np.ndarray) -> Learner:
-        """Serve the mean over all explanations, in a bounded step."""
+                served = self._model_at(known, known.expected)
+                versions = (*versions, Version(t_s, served, _name_change(known, where)))
+        after = dataclasses.replace(after, versions=versions)
+        # Serve the mean over all explanations, in a bounded step
         wanted = np.clip(known.expected, *known.space.bounds) - at
         step = float(np.linalg.norm(columns @ wanted))
-        if step < WORTH * math.sqrt(float(np.trace(self.record.noise + self.record.structure))):
-            return self
+        scatter = math.sqrt(float(np.trace(self.record.noise + self.record.structure)))
+        if step < WORTH * scatter:
+            return after
         share = min(1.0, self.step_m / step)
-        return dataclasses.replace(self, model=self._of(known, at + share * wanted))
+        return dataclasses.replace(after, model=self._model_at(known, at + share * wanted))
 
-    def _of(self, known: Explanations, values: np.ndarray) -> Model:
+    def _model_at(self, known: Explanations, values: np.ndarray) -> Model:
         model = known.space.at(values)
         active, covariance = known.covariance()
         slots = tuple(known.space.slots[k].identity for k in active)
         record = dataclasses.replace(self.record, slots=slots, factor=factor_of(covariance))
         return dataclasses.replace(model, uncertainty=record)
 
-    def asked(self, context: Context) -> Asked | None:
-        """The pose where the likeliest explanation and a rival disagree most, in circumstances.
+    def request_pose(self, context: Context) -> PoseRequest | None:
+        """Find the pose where the likeliest explanation and a rival disagree most.
 
-        None where there is no rival, or none that a single sighting would decide against.
+        It is sought among poses even over the ranges of the joints, in circumstances.  None where
+        there is no rival, or none that a single sighting would decide against.
         """
         if self.known is None or self.frozen:
             return None
         first, *others = self.known.branches
-        rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new(b, first)]
+        rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new_effect(b, first)]
         if not rivals:
             return None
+        from scipy.stats import qmc  # takes a quarter of a second
+
         space, arm = self.known.space, self.model.arm
-        q, side = _pool(arm.lower, arm.upper)
+        unit, turn = np.split(qmc.Sobol(2 * arm.n, seed=0).random(POOL), 2, axis=1)
+        q, side = arm.lower + (arm.upper - arm.lower) * unit, np.where(turn < 0.5, -1.0, 1.0)
         legs = np.zeros((*q.shape, LEGS))
         legs[..., 0] = side * run_up_lengths(arm)
         there = dataclasses.replace(
@@ -210,12 +200,13 @@ class Learner:
         which, best = np.unravel_index(int(odds.argmax()), odds.shape)
         if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):
             return None
-        between = _new(first, rivals[which]) or "no change", _new(rivals[which], first)
-        return Asked(q[best], side[best], between)
+        rival = rivals[which]
+        between = _new_effect(first, rival) or "no change", _new_effect(rival, first)
+        return PoseRequest(q[best], side[best], between)
 
     @property
     def named(self) -> tuple[Named, ...]:
-        """What changed, in the order in which it was sure."""
+        """The changes, in the order in which they were sure."""
         return tuple(v.named for v in self.versions if v.named is not None)
 
     @property
@@ -224,11 +215,13 @@ class Learner:
         known = self.known
         if known is None:
             return self.named
-        return tuple(_name(known, n.where) if n.where in known.places else n for n in self.named)
+        return tuple(
+            _name_change(known, n.where) if n.where in known.places else n for n in self.named
+        )
 
     @property
     def unexplained(self) -> bool:
-        """Whether something changed that no known effect explains: a matter of a diagnosis."""
+        """True if something changed that no known effect explains: a matter of a diagnosis."""
         return self.known is not None and self.known.unexplained >= CREDIBLE
 
     def freeze(self) -> Learner:
@@ -247,7 +240,14 @@ class Learner:
         )
 
 
-def _name(known: Explanations, where: str) -> Named:
+def _new_effect(branch: Branch, other: Branch) -> str:
+    """Name an effect that has changed by one explanation and not by another, or ""."""
+    theirs = {change.key for change in other.changes}
+    return next((change.key[0] for change in branch.changes if change.key not in theirs), "")
+
+
+def _name_change(known: Explanations, where: str) -> Named:
+    """Name the most probable effect of those that may have changed at a place."""
     here = [(b, c) for b in known.branches for c in b.changes if c.where == where]
     whole = sum(b.weight for b, _ in here)
     chances: dict[str, float] = {}
@@ -262,43 +262,46 @@ def _name(known: Explanations, where: str) -> Named:
     parameters = (space.slots[k].parameter for k in places)
     by = ((p.name, p.unit, float(v)) for p, v in zip(parameters, moved, strict=True) if v)
     return Named(
-        effect=first, where=where, since_s=change.since_s, by=tuple(by),
-        probability=chances[first], rivals=tuple((name, chances[name]) for name in others),
+        effect=first,
+        where=where,
+        since_s=change.since_s,
+        by=tuple(by),
+        probability=chances[first],
+        rivals=tuple((name, chances[name]) for name in others),
         sightings=change.sightings,
-    )  # fmt: skip
+    )
 
 
-def _begun(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
-    """What a fitted model's record says."""
+def _begin(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
+    """Begin with what a fitted model's record says."""
     space = Parameters.of(model, context)
-    held = [name for name in space.position if name in record.row]
-    factor = record.factor[[record.row[name] for name in held]]
-    active = np.array([space.position[name] for name in held], dtype=int)
-    known = RecursivePosterior.begun(space, space.values(model), active, factor @ factor.T)
+    fitted = [name for name in space.position if name in record.row]
+    factor = record.factor[[record.row[name] for name in fitted]]
+    active = np.array([space.position[name] for name in fitted], dtype=int)
+    known = RecursivePosterior.begin(space, space.values(model), active, factor @ factor.T)
     return Explanations((Branch(1.0, known),))
 
 
-def _judged(
+def _take_in(
     known: Explanations, row: Row, pending: tuple[Explanations, Row, float] | None
 ) -> tuple[Explanations, tuple[Explanations, Row, float] | None, bool]:
-    """Take a row in, unless it is doubtful; the one before, if that was doubtful, with it."""
-    after = known.seen(row)
-    doubt = _doubtful(known, row)
+    """Take a row in, unless it is doubtful; the one before, if that was doubtful, with it.
+
+    Returns:
+        What is known; a doubtful row with what was known before it, and its log likelihood as one
+        of anything around; whether the row before is left out for good.
+    """
+    after = known.update(row)
+    off = row.value - row.columns @ known.expected
+    square = float(off @ off) / row.reach**2
+    doubt = math.log(DOUBT) - 0.5 * square - 1.5 * math.log(2.0 * math.pi * row.reach**2)
     if pending is not None:
-        before, held, held_doubt = pending
-        both = before.seen(held)
-        together = both.seen(row)
-        if both.log_likelihood + together.log_likelihood > held_doubt + max(
-            after.log_likelihood, doubt
-        ):
-            return together, None, False
+        before, first, first_doubt = pending
+        one = before.update(first)
+        both = one.update(row)
+        likelier = max(after.log_likelihood, doubt)
+        if one.log_likelihood + both.log_likelihood > first_doubt + likelier:
+            return both, None, False
     if doubt > after.log_likelihood:
         return known, (known, row, doubt), pending is not None
     return after, None, pending is not None
-
-
-def _doubtful(known: Explanations, row: Row) -> float:
-    """Log likelihood of a sighting of anything around, with its prior odds."""
-    off = row.value - row.columns @ known.expected
-    square = float(off @ off) / row.reach**2
-    return math.log(DOUBT) - 0.5 * square - 1.5 * math.log(2.0 * math.pi * row.reach**2)

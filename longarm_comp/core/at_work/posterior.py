@@ -57,7 +57,7 @@ class _Hypotheses:
 
 @dataclass(frozen=True, eq=False)
 class RecursivePosterior:
-    """What is known after some sightings."""
+    """The knowledge after some sightings."""
 
     space: Parameters  # the numbers
     mean: np.ndarray  # (q,) if nothing changed
@@ -73,27 +73,39 @@ class RecursivePosterior:
     log_likelihood: float = 0.0  # of the last sighting
 
     @classmethod
-    def begun(
+    def begin(
         cls, space: Parameters, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
     ) -> RecursivePosterior:
+        """Begin without a sighting, from a mean and a covariance as of the attributes."""
         c, k = space.places.shape
         return cls(
-            space, mean, active, covariance, np.zeros(c, bool), np.zeros(0), np.zeros(0, int),
-            np.zeros((0, len(active), len(space))), np.zeros((0, c, k, k)), np.zeros((0, c, k)),
-            np.zeros(0),
-        )  # fmt: skip
+            space=space,
+            mean=mean,
+            active=active,
+            covariance=covariance,
+            again=np.zeros(c, bool),
+            since=np.zeros(0),
+            count=np.zeros(0, int),
+            response=np.zeros((0, len(active), len(space))),
+            gram=np.zeros((0, c, k, k)),
+            along=np.zeros((0, c, k)),
+            growth=np.zeros(0),
+        )
 
-    def seen(self, row: Row) -> RecursivePosterior:
+    def update(self, row: Row) -> RecursivePosterior:
+        """Take a sighting in: of "nothing changed", and of every change at every onset."""
         a = row.columns[:, self.active]
         carried = self.covariance @ a.T
         spread = a @ carried + row.noise
         inverse = np.linalg.inv(spread)
         gain = carried @ inverse
         off = row.value - row.columns @ self.mean
-        response = _with_new(self.response)
+        response = _add_onset(self.response)
         seen = row.columns - a @ response
         response = response + gain @ seen
-        jump = _of_changes(self.space, seen)  # (T, C, k, 3)
+        # (T, 3, q) per unit -> (T, C, k, 3) of every change, per ordinary size
+        jump = np.moveaxis((seen * self.space.widths)[:, :, self.space.places], 1, -1)
+        jump = np.where((self.space.places >= 0)[None, :, :, None], jump, 0.0)
         turned = jump @ inverse
         mean = self.mean.copy()
         mean[self.active] += gain @ off
@@ -108,15 +120,23 @@ class RecursivePosterior:
             since=np.append(self.since, row.t_s),
             count=np.append(self.count, 0) + 1,
             response=response,
-            gram=_with_new(self.gram) + turned @ np.swapaxes(jump, -1, -2),
-            along=_with_new(self.along) + turned @ off,
+            gram=_add_onset(self.gram) + turned @ np.swapaxes(jump, -1, -2),
+            along=_add_onset(self.along) + turned @ off,
             growth=np.append(self.growth, 0.0) + growth,
         )
         likelihood = -0.5 * (square + log_det) + after.total - self.total
-        return dataclasses.replace(after._thinned(), log_likelihood=likelihood)
+        if len(after.since) > _ONSETS:  # without the one that is least apart for its age
+            count = after.count
+            apart = (count[:-2] - count[2:]) / count[1:-1]
+            kept = np.arange(len(count)) != 1 + int(apart.argmin())
+            names = ("since", "count", "response", "gram", "along", "growth")
+            thinner = {name: getattr(after, name)[kept] for name in names}
+            after = dataclasses.replace(after, **thinner)
+        return dataclasses.replace(after, log_likelihood=likelihood)
 
     @cached_property
     def hypotheses(self) -> _Hypotheses:
+        """The changes of every effect at every onset, each over all `SIZES` and inside bounds."""
         values, turn = np.linalg.eigh(self.gram)
         z = np.einsum("tcik,tci->tck", turn, self.along)[:, :, None, :]
         square = SIZES[:, None] ** 2
@@ -124,7 +144,11 @@ class RecursivePosterior:
         share = square / grown  # (T, C, S, k)
         evidence = 0.5 * (share * z**2).sum(-1) - 0.5 * np.log(grown).sum(-1)
         means = np.einsum("tcik,tcsk->tcsi", turn, share * z)
-        lower, upper = (bound[:, None, :] for bound in _bounds(self.space, self.mean))
+        # (C, 1, k) least and largest jump, so that every number stays in its bounds
+        least, most = ((b - self.mean) / self.space.widths for b in self.space.bounds)
+        places, used = self.space.places, self.space.places >= 0
+        lower = np.where(used, np.minimum(least, 0.0)[places], -np.inf)[:, None, :]
+        upper = np.where(used, np.maximum(most, 0.0)[places], np.inf)[:, None, :]
         sd = np.sqrt(np.einsum("tcik,tcsk->tcsi", turn**2, share))
         inside = log_mass((lower - means) / sd, (upper - means) / sd)
         scale = SIZES[:, None]
@@ -147,7 +171,7 @@ class RecursivePosterior:
 
     @property
     def total(self) -> float:
-        """Log of the sum of all weights; that of "nothing changed" is 1."""
+        """The log of the sum of all weights; that of "nothing changed" is 1."""
         h = self.hypotheses
         top = max(float(h.log_weight.max(initial=0.0)), float(h.unnamed.max(initial=0.0)))
         whole = math.exp(-top) + np.exp(h.log_weight - top).sum() + np.exp(h.unnamed - top).sum()
@@ -155,7 +179,7 @@ class RecursivePosterior:
 
     @cached_property
     def probability(self) -> np.ndarray:
-        """(T, C) of every change at every onset."""
+        """The probability of every change at every onset, (T, C)."""
         return np.asarray(np.exp(self.hypotheses.log_weight - self.total))
 
     @property
@@ -163,8 +187,8 @@ class RecursivePosterior:
         """Probability that something changed that no known effect explains."""
         return float(np.exp(self.hypotheses.unnamed - self.total).sum())
 
-    def _moved(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions of a change, its mean jump (k,), and how all numbers follow it, (q, k)."""
+    def _jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Give positions of a change, its mean jump (k,), how all numbers follow it, (q, k)."""
         places = np.array(self.space.own(c))
         jump = self.hypotheses.mean[t, c, : len(places)] * self.space.widths[places]
         follows = np.zeros((len(self.space), len(places)))
@@ -174,25 +198,25 @@ class RecursivePosterior:
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """(q,) mean over all hypotheses."""
+        """The mean over all hypotheses, (q,)."""
         made = self.mean.copy()
         for t, c in np.argwhere(self.probability > NEGLIGIBLE):
-            _, jump, follows = self._moved(t, c)
+            _, jump, follows = self._jump(t, c)
             made += self.probability[t, c] * (follows @ jump)
         return made
 
-    def given(self, c: int) -> RecursivePosterior:
-        """What is known if an effect has changed: its onsets merged; other changes begin anew."""
+    def given_change(self, c: int) -> RecursivePosterior:
+        """Give what is known if an effect has changed: its onsets merged, other changes anew."""
         weight = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
         likely = [t for t in range(len(weight)) if weight[t] > NEGLIGIBLE]
-        moved = {t: self._moved(t, c) for t in likely}
+        moved = {t: self._jump(t, c) for t in likely}
         places = moved[likely[0]][0]
         active = np.union1d(self.active, places).astype(int)
         ends = {t: self.mean + follows @ jump for t, (_, jump, follows) in moved.items()}
         mean = np.sum([weight[t] * end for t, end in ends.items()], axis=0) / weight[likely].sum()
         covariance = np.zeros((len(active), len(active)))
-        held = np.isin(active, self.active)
-        covariance[np.ix_(held, held)] = self.covariance
+        before = np.isin(active, self.active)
+        covariance[np.ix_(before, before)] = self.covariance
         width = self.space.widths[places]
         for t, (_, _, follows) in moved.items():
             own = self.hypotheses.spread[t, c][: len(places), : len(places)]
@@ -201,34 +225,10 @@ class RecursivePosterior:
             covariance += weight[t] * (carried @ own @ carried.T + np.outer(off, off))
         again = self.again.copy()
         again[c] = True
-        begun = RecursivePosterior.begun(self.space, mean, active, covariance)
+        begun = RecursivePosterior.begin(self.space, mean, active, covariance)
         return dataclasses.replace(begun, again=again)
 
-    def _thinned(self) -> RecursivePosterior:
-        """With one onset fewer where there are too many: the one least apart for its age."""
-        if len(self.since) <= _ONSETS:
-            return self
-        apart = (self.count[:-2] - self.count[2:]) / self.count[1:-1]
-        kept = np.arange(len(self.since)) != 1 + int(apart.argmin())
-        names = ("since", "count", "response", "gram", "along", "growth")
-        return dataclasses.replace(self, **{n: getattr(self, n)[kept] for n in names})
 
-
-def _with_new(held: np.ndarray) -> np.ndarray:
-    """With one more onset, of which nothing is known."""
-    return np.concatenate([held, np.zeros((1, *held.shape[1:]))])
-
-
-def _of_changes(space: Parameters, seen: np.ndarray) -> np.ndarray:
-    """(T, 3, q) per unit -> (T, C, k, 3) of every change, per ordinary size."""
-    scaled = seen * space.widths
-    held = (space.places >= 0)[None, :, :, None]
-    return np.where(held, np.moveaxis(scaled[:, :, space.places], 1, -1), 0.0)
-
-
-def _bounds(space: Parameters, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(C, k) least and largest jump in ordinary sizes, so that every number stays in its bounds."""
-    lower, upper = ((bound - mean) / space.widths for bound in space.bounds)
-    held = space.places >= 0
-    least = np.where(held, np.minimum(lower, 0.0)[space.places], -np.inf)
-    return least, np.where(held, np.maximum(upper, 0.0)[space.places], np.inf)
+def _add_onset(before: np.ndarray) -> np.ndarray:
+    """Add one more onset, of which nothing is known."""
+    return np.concatenate([before, np.zeros((1, *before.shape[1:]))])

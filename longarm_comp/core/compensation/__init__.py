@@ -1,1 +1,1 @@
-"""From a target to joints: the pseudo-target, results, the running arm, drift."""
+"""Targets become joints: pseudo-targets, results, the running arm, drift."""

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context, stack_contexts
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
-from longarm_comp.core.compensation.compensate import (
-    compensate,
-    compensate_many,
-    lattice_of,
-    physics_of,
-)
-from longarm_comp.core.compensation.realisable import Lattice
+from longarm_comp.core.compensation.compensate import compensate, lattice_of, physics_of
 from longarm_comp.core.compensation.result import (
     Compensation,
     CompensationOptions,
@@ -65,95 +59,64 @@ def compensate_move(
         sides: (n,) sides to arrive from, asked for; by default they are chosen.
         seed: (n,) start of the search; ``start`` by default.
     """
-    options = options or CompensationOptions()
+    options, arm = options or CompensationOptions(), model.arm
     physics = physics_of(model, options.method)
-    seed = start if seed is None else seed
-    matters = history_joints(physics)
+    seed, to = start if seed is None else seed, np.asarray(target, dtype=float)[None]
+    by_field = history_joints(physics)
 
     def move_to(q: np.ndarray) -> Move:
-        return plan_move(model.arm, start, q, wanted)
+        return plan_move(arm, start, q, wanted)
 
     def context_at(q: np.ndarray) -> Context:
-        """Circumstances (M,) of the joints (M, n), each after its own move."""
+        """Give the circumstances (M,) of the joints (M, n), each after its own move."""
         return stack_contexts([context_after(history.after(move_to(x).points, start)) for x in q])
 
-    def solved(
-        context: Context, doubtful: np.ndarray, realisable: bool | Lattice = False
-    ) -> Compensation:
+    def solve(options: CompensationOptions) -> Compensation:
         return compensate(
-            model, predictor, target, context=context, seed=seed, position_only=position_only,
-            doubtful=doubtful, context_at=context_at if matters else None,
-            **{**vars(options), "realisable": realisable},
-        )  # fmt: skip
+            model, predictor, to, context=context, seed=seed, position_only=position_only,
+            doubtful=move.doubtful, context_at=context_at if by_field else None, **vars(options),
+        )[0]  # fmt: skip
 
-    wanted = np.zeros(model.arm.n) if sides is None else sides
-    move = Move(np.zeros(0), None, wanted, np.zeros(model.arm.n, bool))
+    wanted = np.zeros(arm.n) if sides is None else sides
+    move = Move(np.zeros(0), None, wanted, np.zeros(arm.n, bool))
     arrived = history
-    if predictor is not None or matters or sides is not None:
+    if predictor is not None or by_field or sides is not None:
         here = context_after(history)
         first = ik.solve(
             physics, target, seed=seed, context=here,
             position_only=position_only, locked=options.locked, max_starts=options.starts,
         )  # fmt: skip
         if sides is None and options.run_up:
-            wanted = _chosen(physics, start, first.q, matters, here)
+            joints = sorted({joint for each in by_field.values() for joint in each})
+            wanted = _choose_sides(physics, start, first.q, joints, here)
         move = move_to(first.q)
         arrived = history.after(move.points, start)
     # Commands that are tried until one arrives as it assumes; the last assumes less
     for trials_left in reversed(range(5)):
         assumed, context = arrived, context_after(arrived)
-        outcome = solved(context, move.doubtful)
+        outcome = solve(replace(options, realisable=False))
         seed, move = outcome.command, move_to(outcome.command)
         arrived = history.after(move.points, start)
-        if not outcome.success or not matters or arrived.agrees(assumed):
+        if not outcome.success or not by_field or arrived.agrees(assumed):
             break
         if trials_left == 1:
             arrived = arrived.common_with(assumed)
     if outcome.success and lattice_of(model, options.realisable) is not None:
-        outcome = solved(context, move.doubtful, options.realisable)
+        outcome = solve(options)
         move = move_to(outcome.command)
         arrived = history.after(move.points, start)
         context = context_after(arrived)
     return Arrival(outcome, move, context, arrived)
 
 
-def compensate_apart(
-    model: Model,
-    predictor: ResidualPredictor | None,
-    targets: np.ndarray,
-    context: Context,
-    *,
-    seed: np.ndarray | None,
-    position_only: bool,
-    options: CompensationOptions,
-) -> list[Arrival]:
-    """N targets by themselves, of an arm on which no way to them matters, from wherever it stands.
-
-    Args:
-        targets: (N, 3) m or (N, 4, 4), base frame.
-        context: of all or of each; no joint's history is known.
-        seed: (n,) or (N, n) start of the search; default mid-range.
-    """
-    still, unknown = np.zeros(model.arm.n), History.unknown(model.arm.n)
-    found = compensate_many(
-        model, predictor, targets, context=context, seed=seed, position_only=position_only,
-        **vars(options),
-    )  # fmt: skip
-    return [
-        Arrival(outcome, Move(outcome.command, None, still, still > 0), at, unknown)
-        for outcome, at in zip(found, context.each(len(found)), strict=True)
-    ]
-
-
-def _chosen(
+def _choose_sides(
     model: Model,
     start: np.ndarray | None,
     q: np.ndarray,
-    matters: dict[str, tuple[int, ...]],
+    joints: list[int],
     context: Context,
 ) -> np.ndarray:
-    """Sides (n,) for the joints whose side matters; 0 for the others."""
-    joints = sorted({joint for held in matters.values() for joint in held})
+    """Choose sides (n,) for the joints whose side matters; 0 for the others."""
     wanted, sure = np.zeros((2, model.arm.n))
     if joints:
         posture = model.unsagged(tuple(q), context)

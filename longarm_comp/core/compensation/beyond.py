@@ -7,7 +7,7 @@ what a heavier load does than the physics does.  So beyond the session's range a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Container
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,11 +23,11 @@ KNOWN_TO = 0.2
 are right to a fifth."""
 YIELDS = 0.5
 """How much every part of an arm may yield, in what a soft part does, where no row was asked."""
-_SLACK = 1e-6
+_ROUNDING = 1e-6
 
 
 def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, list[str]]:
-    """How far the tip may be from where the model has it, because no row was in such circumstances.
+    """Estimate how far the tip may be off, because no row was in such circumstances.
 
     Args:
         q: (M, n) commanded joints, rad and m.
@@ -39,18 +39,17 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
     variance, said = np.zeros((len(q), 3)), [""] * len(q)
     known = model.uncertainty
     for name, (low, high) in ({} if known is None else known.circumstances).items():
-        told = context.columns.get(name)
-        if told is None:
+        if name not in context.columns:
             continue
-        values = np.broadcast_to(np.asarray(told, float), len(q))
-        slack = _SLACK * max(abs(low), abs(high), 1.0)
-        beyond = (values < low - slack) | (values > high + slack)
+        values = np.broadcast_to(np.asarray(context.columns[name], float), len(q))
+        rounding = _ROUNDING * max(abs(low), abs(high), 1.0)
+        beyond = (values < low - rounding) | (values > high + rounding)
         if not beyond.any():
             continue
         columns = {**context.columns, name: np.clip(values, low, high)}
         edge = dataclasses.replace(context, columns=columns)
-        one_load = name == "payload_kg" and high - low <= slack
-        sd = np.where(beyond[:, None], _not_known(model, q, context, edge, one_load), 0.0)
+        one_load = name == "payload_kg" and high - low <= rounding
+        sd = np.where(beyond[:, None], _sd_of_change(model, q, context, edge, one_load), 0.0)
         variance += sd**2
         for row in np.flatnonzero(beyond):
             size = 1e3 * float(np.linalg.norm(sd[row]))
@@ -59,72 +58,62 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
     return np.sqrt(variance), said
 
 
-def _not_known(
+def _sd_of_change(
     model: Model, q: np.ndarray, context: Context, edge: Context, one_load: bool
 ) -> np.ndarray:
-    """(M, 3) m, sd of what the tip does from the edge of the session to the circumstances asked.
+    """Estimate the sd of what the tip does from the session's edge to the circumstances, (M, 3) m.
 
-    What the model says of it is known to `KNOWN_TO`, and no better than it explains what it saw:
+    The model's own word on it is known to `KNOWN_TO`, and no better than it explains what it saw:
     where causes without a name that feel the change move the tip by half of what the named ones
     do, to a half.  Rows of one payload (``one_load``) do not tell which of these causes feel it, so
     all count.  What the library holds and no row could show is as large as it may be.
     """
     there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]
-    felt = {e.key for e in nameless if one_load or _feels(e, there, here)}
+    felt = {e.key for e in nameless if one_load or _feels_change(e, there, here)}
+    kept = [e for e in model.effects if e.key not in felt]
     whole, named, bare = (
-        _tip_without(model, gone, q, edge)
-        for gone in ((), felt, {e.key for e in model.effects if not e.geometry})
+        dataclasses.replace(model, effects=tuple(effects)).tip(q, edge)
+        for effects in (model.effects, kept, [e for e in model.effects if e.geometry])
     )
     ratio = np.linalg.norm(whole - named, axis=1)
     ratio /= np.maximum(np.linalg.norm(named - bare, axis=1), 1e-12)
     moved = model.tip(q, context) - model.tip(q, edge)
     share = np.hypot(KNOWN_TO, np.minimum(ratio, 1.0))
-    slots, sizes = not_held(model, context)
-    columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
-    variance = (share[:, None] * moved) ** 2 + ((columns * sizes) ** 2).sum(axis=-1)
+
+    def moves(slots: Sequence[Slot], sizes: np.ndarray) -> np.ndarray:
+        """Compute by how much parameters of such sizes may move the tip from edge to there, m^2."""
+        columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
+        return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
+
+    variance = (share[:, None] * moved) ** 2 + moves(*absent_slots(model, context))
     if one_load and nameless:
-        variance += np.minimum(ratio, 1.0)[:, None] ** 2 * _may_yield(model, there, here)
+        # What a cause without a name does under one load may be the work of all that yields
+        elastic = slots_of(model.arm, [t for t in _library(model) if t.elastic])
+        sizes = np.array([YIELDS * s.parameter.width for s in elastic])
+        variance += np.minimum(ratio, 1.0)[:, None] ** 2 * moves(elastic, sizes)
     return np.sqrt(variance)
 
 
-def _may_yield(model: Model, there: Posture, here: Posture) -> np.ndarray:
-    """(M, 3) m^2, by which the tip may move between two postures as all that yields may yield.
-
-    What a cause without a name does under one load may be the work of any of these.
-    """
-    slots = slots_of(model.arm, [t for t in _library(model) if t.elastic])
-    sizes = np.array([YIELDS * s.parameter.width for s in slots])
-    columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
-    return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
-
-
 def _library(model: Model) -> list[Effect]:
-    """Every effect that is searched for, at each of its places in the arm."""
+    """List every effect that is searched for, at each of its places in the arm."""
     return [t for kind in searched() if issubclass(kind, Effect) for t in kind.for_arm(model.arm)]
 
 
-def _feels(effect: Discovered, there: Posture, here: Posture) -> bool:
-    """Whether what an effect does, or what its function reads, changes between two postures."""
+def _feels_change(effect: Discovered, there: Posture, here: Posture) -> bool:
+    """Tell whether an effect, or what its function reads, changes between two postures."""
     pairs = [(q.read(there), q.read(here)) for q in effect.of.quantities]
     mine, other = effect.twists(there), effect.twists(here)
     pairs += [pair for k in mine for pair in zip(mine[k], other[k], strict=True)]
-    return not all(np.allclose(a, b, rtol=_SLACK, atol=0.0) for a, b in pairs)
+    return not all(np.allclose(a, b, rtol=_ROUNDING, atol=0.0) for a, b in pairs)
 
 
-def _tip_without(
-    model: Model, gone: Container[tuple[str, str]], q: np.ndarray, context: Context
-) -> np.ndarray:
-    """(M, 3) m, where the tip would be without some effects."""
-    kept = tuple(e for e in model.effects if e.key not in gone)
-    return np.asarray(dataclasses.replace(model, effects=kept).tip(q, context))
+def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
+    """List k parameters of what the model lacks and no row could tell, and (k,) their sizes.
 
-
-def not_held(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
-    """Parameters (k,) of what the model lacks and no row could tell, and how large they may be.
-
-    That is every effect of the library that reads a circumstance, and all that yields where the
-    model holds nothing that does: a calibration puts the sag of its rows into its geometry.
+    They are those of every effect of the library that reads a circumstance, and all that yields
+    where the model holds nothing that does: a calibration puts the sag of its rows into its
+    geometry.
     """
     held = {effect.key for effect in model.effects}
     stiff = not any(effect.elastic for effect in model.effects)

@@ -13,8 +13,8 @@ _ROUNDING = 1e-6  # rad
 _REMEDY = "allowed: at most half a turn from one way-point to the next"
 
 
-def unwrapped(arm: Arm, joints: np.ndarray, start: np.ndarray | None) -> np.ndarray:
-    """Planned joints (k, n) that go on where the plan does: no way-point is a turn away.
+def unwrap(arm: Arm, joints: np.ndarray, start: np.ndarray | None) -> np.ndarray:
+    """Write planned joints (k, n) so that they go on where the plan does.
 
     A joint that stands the same after a whole turn is written at most half a turn from the
     way-point before, or from ``start`` (n,).

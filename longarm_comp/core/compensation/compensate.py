@@ -9,89 +9,45 @@ is the one that was corrected.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.compensation.expected import ExpectedMiss, expected_miss
 from longarm_comp.core.compensation.realisable import Lattice, Realisable, Search, choose
 from longarm_comp.core.compensation.result import (
-    NO_PREDICTOR,
     Compensation,
     CompensationOptions,
     Method,
     ResidualPredictor,
     Status,
-    missed,
-    other_unit,
-    outside,
-    shifted,
+    describe_miss,
+    describe_outside,
+    guess_unit,
+    pseudo_targets,
 )
 from longarm_comp.core.compensation.unknown import (
     missing_column,
-    not_known,
     outside_data,
+    unknown_circumstances,
 )
-from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model
 
-_ContextAt = Callable[[np.ndarray], Context]
-
-
-def rigid(model: Model) -> Model:
-    """The model without deflection: its calibrated geometry alone."""
-    return _part(model, "_rigid", lambda effect: effect.geometry)
-
-
-def commandable(model: Model) -> Model:
-    """The model without what no command can undo: a servo's rounding (it stays in the residual)."""
-    return _part(model, "_commandable", lambda effect: effect.continuous)
-
 
 def physics_of(model: Model, method: Method) -> Model:
-    """The part of a model that a method's inverse kinematics knows."""
-    return commandable(model) if method.physics else rigid(model)
-
-
-def _part(model: Model, name: str, wanted: Callable[[Effect], bool]) -> Model:
-    """The model with some of its effects; built once, so that what was compiled for it lasts."""
-    kept = tuple(e for e in model.effects if wanted(e))
-    if len(kept) == len(model.effects):
-        return model
-    part: Model | None = model.__dict__.get(name)
-    if part is None:
-        part = model.__dict__[name] = dataclasses.replace(model, effects=kept)
-    return part
+    """Give the part of a model that a method's inverse kinematics knows."""
+    return model.commandable if method.physics else model.rigid
 
 
 def compensate(
-    model: Model,
-    predictor: ResidualPredictor | None,
-    target: np.ndarray | Frame,
-    **given: Any,
-) -> Compensation:
-    """Joints that bring the *real* tip to one target, (3,) m, (4, 4) or `Frame`, base frame.
-
-    As `compensate_many`; ``context_at`` may give the circumstances at joints (M, n), in which the
-    choice among the steps judges each command.
-    """
-    one = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
-    if one.shape not in ((3,), (4, 4)):
-        raise InputError("compensate", "target", f"shape {one.shape}", "shape (3,) or (4, 4)")
-    return compensate_many(model, predictor, one[None], **given)[0]
-
-
-def compensate_many(
     model: Model,
     predictor: ResidualPredictor | None,
     targets: np.ndarray,
@@ -100,32 +56,42 @@ def compensate_many(
     seed: np.ndarray | None = None,
     position_only: bool = False,
     doubtful: np.ndarray | None = None,
-    context_at: _ContextAt | None = None,
+    context_at: Callable[[np.ndarray], Context] | None = None,
     **options: Any,
 ) -> list[Compensation]:
-    """Joints that bring the *real* tip to each of N targets, each by itself.
+    """Find joints that bring the *real* tip to each of N targets, each by itself.
 
     Args:
         predictor: the learned residual of the model that the method uses.
-        targets: positions (N, 3) in m, or poses (N, 4, 4), base frame.
+        targets: positions (N, 3) in m, or poses (N, 4, 4), base frame; or one of them.
         context: circumstances in which the arm will stand, of all or of each.
         seed: (n,) or (N, n) current joints; default mid-range.
         doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
-        context_at: of one target only, see `compensate`. Default: ``context``.
+        context_at: of one target only, the circumstances at joints (M, n), in which the choice
+            among the steps judges each command. Default: ``context``.
         options: of `CompensationOptions`.
 
     Returns:
         Invalid or unreachable targets, and a recorded quantity that an effect of the model needs
         and the context lacks, are reported in `status`, not raised.
     """
-    return _Targets(
-        model, predictor, targets, context or Context(),
-        ik.checked_seed(model, seed, len(targets), "compensate"),
-        position_only or targets.ndim == 2, doubtful, context_at, CompensationOptions(**options),
-    ).reach()  # fmt: skip
+    settings, to = CompensationOptions(**options), np.asarray(targets, dtype=float)
+    if to.shape in ((3,), (4, 4)):
+        to = to[None]
+    start = ik.checked_seed(model, seed, len(to), "compensate")
+    free = position_only or to.ndim == 2
+    batch = _Batch(
+        model, predictor if settings.method.learned else None, to, start, context or Context(),
+        free, context_at, settings,
+    )  # fmt: skip
+    batch.correct(batch.solve_ideal())
+    lattice = lattice_of(model, settings.realisable)
+    if lattice is not None and not settings.single_pass:
+        batch.choose_steps(lattice)
+    return batch.judge(doubtful)
 
 
-def judged(
+def judge(
     model: Model,
     method: Method,
     command: np.ndarray,
@@ -134,7 +100,7 @@ def judged(
     sigma: np.ndarray | None,
     doubtful: np.ndarray | None = None,
 ) -> tuple[ExpectedMiss, np.ndarray, list[str]]:
-    """How far off a command may be, or each of M, by all that the model knows; what it cannot know.
+    """Estimate how far off a command, or each of M, may be by all that the model knows.
 
     Args:
         command: (n,) or (M, n) joints. pseudo: (..., 3) m, where the physics should bring the tip.
@@ -148,190 +114,219 @@ def judged(
     physics = physics_of(model, method)
     whole = sigma is None and not missing_column(model, context)
     miss = expected_miss(model if whole else physics, command, context, pseudo, sigma)
+    largest = -np.inf if model.uncertainty is None else model.uncertainty.largest_m
+    is_known = miss.sizes[0] <= largest
     rows = np.atleast_2d(command)
-    spread, why = not_known(physics, rows, context, doubtful)
-    further = (spread**2).reshape(miss.mean.shape)
+    spread, why = unknown_circumstances(physics, rows, context, doubtful)
+    if spread.any():
+        miss = miss.plus((spread**2).reshape(miss.mean.shape))
     said = zip(why, outside_data(physics, rows, context), strict=True)
-    doubts = ["; ".join(filter(None, each)) for each in said]
-    known = -np.inf if model.uncertainty is None else model.uncertainty.largest_m
-    return miss.beside(further), miss.sizes[0] <= known, doubts
+    return miss, is_known, ["; ".join(filter(None, each)) for each in said]
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
-    """Where the servos can stand, by the arm or by steps that were found; None: that is not known,
-    or not asked for."""
+    """Give the values at which the servos can stand.
+
+    They are those of the arm and its effects, or a lattice that was found. None: they are not
+    known, or not asked for.
+    """
     if not realisable:
         return None
-    lattice = realisable if isinstance(realisable, Lattice) else _lattice(model)
+    own = Lattice(model.steps, *np.zeros((2, model.arm.n)))
+    lattice = realisable if isinstance(realisable, Lattice) else own
     return lattice if lattice.step.any() else None
 
 
-def _lattice(model: Model) -> Lattice:
-    """Of the steps that a model's arm declares, and of those that its effects have."""
-    held: Lattice | None = model.__dict__.get("_lattice")
-    if held is None:
-        arm, steps = model.arm, model.arm.steps.copy()
-        for effect in model.effects:
-            if step := effect.step(arm):
-                steps[[arm.commanded.index(row) for row in effect.joints]] = step
-        held = model.__dict__["_lattice"] = dataclasses.replace(Lattice.of(arm), step=steps)
-    return held
-
-
 @dataclass
-class _Targets:
-    """N targets on their way: ideal joints, then passes of the pseudo-target."""
+class _Batch:
+    """N targets that are solved side by side: ideal joints, then passes of the pseudo-target.
 
-    whole: Model
+    Attributes:
+        predictor: None where nothing learned is wanted, or there is none.
+        target: (N, 3) or (N, 4, 4). q: (N, n) joints found last. ideal: (N, n) by physics alone.
+        error, sigma: (N, 3) m, as learned at the joints that were looked up last.
+        in_domain: (N,) whether the predictor answered. passes: (N,) of the pseudo-target.
+        status, reason: of each target; one that is no success was given up, or lacks what is
+            learned. chosen: choice among the servos' steps, by target.
+    """
+
+    model: Model
     predictor: ResidualPredictor | None
     target: np.ndarray
-    context: Context
     q: np.ndarray
+    context: Context
     position_only: bool
-    doubtful: np.ndarray | None
-    context_at: _ContextAt | None
+    context_at: Callable[[np.ndarray], Context] | None
     options: CompensationOptions
+    chosen: dict[int, Realisable] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count, self.method = len(self.target), self.options.method
-        self.model, self.ideal = physics_of(self.whole, self.method), self.q.copy()
+        self.physics, self.ideal = physics_of(self.model, self.method), self.q
         self.error, self.sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
-        self.inside, self.passes = np.zeros(count, bool), np.zeros(count, int)
+        self.in_domain, self.passes = np.zeros(count, bool), np.zeros(count, int)
         self.status, self.reason = [Status.SUCCESS] * count, [""] * count
 
-    def reach(self) -> list[Compensation]:
-        """Solve for the targets, then correct for the expected error until it settles."""
-        ids = np.arange(len(self.target))
+    def solve_ideal(self) -> list[int]:
+        """Find the joints by physics alone; gives the targets that were reached."""
         faults = ik.target_faults(self.target, self.position_only, "compensate")
-        ids = self._without(ids, Status.BAD_TARGET, {k: f for k, f in enumerate(faults) if f})
-        if lacking := missing_column(self.model, self.context):
-            ids = self._without(ids, Status.STALE_CONTEXT, dict.fromkeys(ids.tolist(), lacking))
-        failed = self._searched(ids, self.target, self.options.starts)
-        self.ideal[ids] = self.q[ids]
-        ids = self._without(ids, Status.UNREACHABLE, {
-            k: other_unit(ik.position_of(self.target[k]), *reach(self.model))
-            or missed("target", found)
-            for k, found in failed.items()
-        })  # fmt: skip
-        if self.method.learned and self.predictor is not None:
-            self._correct(self.predictor, ids)
-        elif self.method.learned:
-            self._without(ids, Status.NO_PREDICTOR, dict.fromkeys(ids.tolist(), NO_PREDICTOR))
-        return self._ended()
+        lacking = missing_column(self.physics, self.context)
+        for k, fault in enumerate(faults):
+            if fault:
+                self.status[k], self.reason[k] = Status.BAD_TARGET, fault
+            elif lacking:
+                self.status[k], self.reason[k] = Status.STALE_CONTEXT, lacking
+        valid = self._rows_of(Status.SUCCESS)
+        for k, found in self._search(valid, self.target, self.options.starts).items():
+            unit = guess_unit(ik.position_of(self.target[k]), *reach(self.physics))
+            self.status[k] = Status.UNREACHABLE
+            self.reason[k] = unit or describe_miss("target", found)
+        self.ideal = self.q.copy()
+        return self._rows_of(Status.SUCCESS)
 
-    def _without(self, ids: np.ndarray, status: Status, why: Mapping[int, str]) -> np.ndarray:
-        """The targets that go on; some have ended, each for its reason."""
-        for k, reason in why.items():
-            self.status[k], self.reason[k] = status, reason
-        return ids[~np.isin(ids, list(why))] if why else ids
-
-    def _correct(self, predictor: ResidualPredictor, ids: np.ndarray) -> None:
+    def correct(self, going: list[int]) -> None:
+        """Take the expected error off the targets, until it is that of the joints found."""
         options = self.options
-        while ids.size:
-            expected, before = predictor.predict(self.q[ids], self._at(ids)), self.error.copy()
-            self.error[ids], self.sigma[ids] = expected.error, expected.sigma
-            size, moved = (np.linalg.norm(e, axis=1) for e in (self.error, self.error - before))
-            self.inside[ids] = expected.in_domain & np.isfinite(size[ids])
-            said = expected.reason or [""] * len(ids)
-            ids = self._without(ids, Status.OUT_OF_DOMAIN, {
-                k: outside(reason)
-                for k, reason in zip(ids.tolist(), said, strict=True) if not self.inside[k]
-            })  # fmt: skip
-            large = ids[size[ids] > options.max_correction_m].tolist()
-            why = {k: options.too_large(size[k]) for k in large}
-            ids = self._without(ids, Status.CORRECTION_TOO_LARGE, why)
-            ids = ids[(self.passes[ids] == 0) | (moved[ids] > options.tol_m)]
-            late = ids[self.passes[ids] == options.max_passes].tolist()
-            ids = self._without(ids, Status.NOT_CONVERGED, dict.fromkeys(late, options.unsettled))
-            self.passes[ids] += 1
+        if self.predictor is None:
+            for k in going if self.method.learned else ():
+                self.status[k] = Status.NO_PREDICTOR
+                self.reason[k] = "no predictor: compensated with physics only"
+            return
+        for passes in range(options.max_passes + 1 if going else 0):
+            found = self.predictor.predict(self.q[going], self._context_of(going))
+            size = np.linalg.norm(found.error, axis=1)
+            change = np.linalg.norm(found.error - self.error[going], axis=1)
+            inside = found.in_domain & np.isfinite(size)
+            self.error[going], self.sigma[going] = found.error, found.sigma
+            self.in_domain[going] = inside
+            reasons = found.reason or [""] * len(going)
+            each = zip(going, size.tolist(), change.tolist(), inside.tolist(), reasons, strict=True)
+            unsettled = []
+            for k, size_m, change_m, is_inside, why in each:
+                if not is_inside:
+                    self.status[k], self.reason[k] = Status.OUT_OF_DOMAIN, describe_outside(why)
+                elif size_m > options.max_correction_m:
+                    self.status[k] = Status.CORRECTION_TOO_LARGE
+                    self.reason[k] = options.too_large(size_m)
+                elif passes and change_m <= options.tol_m:
+                    continue
+                elif passes == options.max_passes:
+                    self.status[k], self.reason[k] = Status.NOT_CONVERGED, options.unsettled
+                else:
+                    unsettled.append(k)
+            if not unsettled:
+                return
             # A pseudo-target lies next to its target: look near its joints only
-            pseudo = shifted(self.target, self.error)
-            failed = self._searched(ids, pseudo, min(options.starts, 3))
-            why = {k: missed("pseudo-target", found) for k, found in failed.items()}
-            ids = self._without(ids, Status.UNREACHABLE, why)
-            if options.single_pass:
+            pseudo = pseudo_targets(self.target, self.error)
+            failed = self._search(unsettled, pseudo, min(options.starts, 3))
+            self.passes[unsettled] += 1
+            for k, missed in failed.items():
+                self.status[k] = Status.UNREACHABLE
+                self.reason[k] = describe_miss("pseudo-target", missed)
+            going = [k for k in unsettled if k not in failed]
+            if options.single_pass or not going:
                 return
 
-    def _searched(self, ids: np.ndarray, to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
-        """Take the joints that bring the tip to some of (N, ...) places; which fail, and how."""
+    def choose_steps(self, lattice: Lattice) -> None:
+        """Choose the joints to send among those at which the servos can stand."""
+        search = Search(characteristic_length(self.physics))
+        locked = ik.locked_joints(self.physics, self.options.locked)
+        for k in self._rows_of(Status.SUCCESS, *_PHYSICS_ONLY):
+            sent, target = self.status[k] is Status.SUCCESS, self.target[k]
+            chosen = self.chosen[k] = choose(
+                self.model.arm,
+                lattice,
+                partial(self._predict_tip, k, learned=sent),
+                ik.position_of(target) if self.position_only else target,
+                self.q[k] if sent else self.ideal[k],
+                search,
+                locked=locked,
+            )
+            if self.context_at is not None:
+                self.context = self.context_at(chosen.joints[None]).take(0)
+            if sent and self.predictor is not None:  # it is looked up again at the joints chosen
+                expected = self.predictor.predict(chosen.joints[None], self._context_of([k]))
+                self.error[k], self.sigma[k] = expected.error[0], expected.sigma[0]
+
+    def _predict_tip(self, k: int, q: np.ndarray, learned: bool) -> np.ndarray:
+        """Predict poses (M, 4, 4) of the tip at joints (M, n) in the circumstances of target k."""
+        here = self._context_of([k])
+        context = here if self.context_at is None else self.context_at(q)
+        poses = tip_poses(self.physics, q, context)
+        if learned and self.predictor is not None:
+            poses[:, :3, 3] += self.predictor.predict(q, here).error
+        return poses
+
+    def judge(self, doubtful: np.ndarray | None) -> list[Compensation]:
+        """Give the answers, and how good each is expected to be."""
+        count, status, reason = len(self.target), self.status, self.reason
+        sent, alone = self._rows_of(Status.SUCCESS), self._rows_of(*_PHYSICS_ONLY)
+        command, error = self.ideal.copy(), self.error.copy()
+        command[sent], error[alone] = self.q[sent], 0.0
+        for k, realisable in self.chosen.items():
+            command[k] = realisable.joints
+            reason[k] = "; ".join(filter(None, (reason[k], realisable.note)))
+        pseudo = pseudo_targets(self.target, error)
+        sigma, sizes = np.full((count, 3), np.nan), np.full((2, count), np.nan)
+        for rows, learned in ((sent, self.method.learned), (alone, False)):
+            if not rows:
+                continue
+            of: Any = rows if len(rows) > 1 else rows[0]  # one is quicker than an array of one
+            miss, known, doubts = judge(
+                self.model, self.method, command[of], self._context_of(rows),
+                ik.position_of(pseudo)[of], self.sigma[of] if learned else None, doubtful,
+            )  # fmt: skip
+            sigma[of] = miss.sigma
+            sizes[0, of], sizes[1, of] = miss.sizes
+            for k, is_known, doubt in zip(rows, np.atleast_1d(known), doubts, strict=True):
+                if is_known and status[k] is Status.OUT_OF_DOMAIN:
+                    status[k] = Status.SUCCESS
+                reason[k] = "; ".join(filter(None, (reason[k], doubt)))
+        in_domain, passes = self.in_domain.tolist(), self.passes.tolist()
+        expected_m, p90_m = sizes.tolist()
+        return [
+            Compensation(
+                target=self.target[k],
+                ideal=self.ideal[k],
+                predicted_error=error[k],
+                sigma=sigma[k],
+                in_domain=in_domain[k],
+                pseudo_target=pseudo[k],
+                command=command[k],
+                passes=passes[k],
+                status=status[k],
+                reason=reason[k],
+                realisable=self.chosen.get(k),
+                expected_m=expected_m[k],
+                p90_m=p90_m[k],
+            )
+            for k in range(count)
+        ]
+
+    def _search(self, rows: list[int], to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
+        """Take the joints that bring the tip to some of N places; which fail, and how."""
         given: dict[str, Any] = {
             "position_only": self.position_only, "locked": self.options.locked,
             "max_starts": starts,
         }  # fmt: skip
-        if len(ids) == 1:  # quicker than many of one
-            k = int(ids[0])
-            one = ik.solve(self.model, to[k], seed=self.q[k], context=self._at(ids), **given)
+        if len(rows) == 1:  # quicker than many of one
+            k, here = rows[0], self._context_of(rows)
+            one = ik.solve(self.physics, to[k], seed=self.q[k], context=here, **given)
             self.q[k] = one.q
             return {} if one.ok else {k: one}
-        if not ids.size:
+        if not rows:
             return {}
-        found = ik.solve_many(self.model, to[ids], seed=self.q[ids], context=self._at(ids), **given)
-        self.q[ids] = found.q
-        return {int(ids[i]): found[i] for i in np.flatnonzero(~found.ok).tolist()}
+        here = self._context_of(rows)
+        found = ik.solve_many(self.physics, to[rows], seed=self.q[rows], context=here, **given)
+        self.q[rows] = found.q
+        return {rows[i]: found[i] for i in np.flatnonzero(~found.ok).tolist()}
 
-    def _at(self, ids: Sequence[int] | np.ndarray) -> Context:
-        return self.context.take(np.asarray(ids) if len(ids) > 1 else int(ids[0]))
+    def _rows_of(self, *status: Status) -> list[int]:
+        return [k for k, each in enumerate(self.status) if each in status]
 
-    def _ended(self) -> list[Compensation]:
-        ended = np.array(self.status)
-        alone, sent = (np.isin(ended, kinds) for kinds in (_ALONE, [Status.SUCCESS]))
-        applied = np.where(alone[:, None], 0.0, self.error)
-        command = np.where(sent[:, None], self.q, self.ideal)
-        lattice = lattice_of(self.whole, self.options.realisable)
-        chosen: dict[int, Realisable] = {}
-        if lattice and not self.options.single_pass:
-            for k in np.flatnonzero(sent | alone).tolist():
-                chosen[k] = self._chosen(lattice, command[k], k, learned=bool(sent[k]))
-                command[k] = chosen[k].joints
-                applied[k] = self.error[k] * sent[k]
-                self.reason[k] = "; ".join(filter(None, (self.reason[k], chosen[k].note)))
-        pseudo = shifted(self.target, applied)
-        left, sizes = np.full(self.error.shape, np.nan), np.full((2, len(ended)), np.nan)
-        for these, learned in ((sent, self.method.learned), (alone, False)):
-            ids = np.flatnonzero(these)
-            if not ids.size:
-                continue
-            of = ids if len(ids) > 1 else ids[0]  # one is quicker than an array of one
-            miss, inside, doubts = judged(
-                self.whole, self.method, command[of], self._at(ids),
-                ik.position_of(pseudo)[of], self.sigma[of] if learned else None, self.doubtful,
-            )  # fmt: skip
-            left[ids], sizes[:, ids] = miss.sigma, np.reshape(miss.sizes, (2, -1))
-            for k, known, doubt in zip(ids.tolist(), np.atleast_1d(inside), doubts, strict=True):
-                if known and self.status[k] is Status.OUT_OF_DOMAIN:
-                    self.status[k] = Status.SUCCESS
-                self.reason[k] = "; ".join(filter(None, (self.reason[k], doubt)))
-        columns = (
-            self.target, self.ideal, applied, left, self.inside.tolist(), pseudo, command,
-            self.passes.tolist(), self.status, self.reason, map(chosen.get, range(len(ended))),
-            *sizes.tolist(),
-        )  # fmt: skip
-        return [Compensation(*each) for each in zip(*columns, strict=True)]
-
-    def _chosen(self, lattice: Lattice, joints: np.ndarray, k: int, *, learned: bool) -> Realisable:
-        """Realisable joints in place of some; what is learned is looked up again where they are."""
-        predictor = self.predictor if self.method.learned and learned else None
-        context_at = self.context_at or (lambda _: self._at([k]))
-
-        def tip(q: np.ndarray) -> np.ndarray:
-            poses = tip_poses(self.model, q, context_at(q))
-            if predictor is not None:
-                poses[:, :3, 3] += predictor.predict(q, self._at([k])).error
-            return poses
-
-        free = self.position_only and self.target.ndim == 3
-        target = self.target[k, :3, 3] if free else self.target[k]
-        arm = self.model.arm
-        locked = ik.locked_joints(self.model, self.options.locked)
-        search = Search(characteristic_length(self.model))
-        chosen = choose(arm, lattice, tip, target, joints, search, locked=locked)
-        if self.context_at is not None:
-            self.context = self.context_at(chosen.joints[None]).take(0)
-        if predictor is not None:
-            expected = predictor.predict(chosen.joints[None], self._at([k]))
-            self.error[k], self.sigma[k] = expected.error[0], expected.sigma[0]
-        return chosen
+    def _context_of(self, rows: Sequence[int]) -> Context:
+        return self.context.take(np.asarray(rows) if len(rows) > 1 else rows[0])
 
 
-_ALONE = [Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN]
+_PHYSICS_ONLY = (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)
 """The learned error was wanted and is left out."""

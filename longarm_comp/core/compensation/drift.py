@@ -24,7 +24,7 @@ _TESTS = ("+x", "-x", "+y", "-y", "+z", "-z", "growth")
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the test says after some samples.
+    """The word of the test after some samples.
 
     `finding` tells size and onset in one sentence once a cumulative sum has passed the threshold.
     `evidence` is the largest sum over the threshold; 1 is an alarm.
@@ -60,11 +60,16 @@ class Monitor:
 
     @property
     def threshold(self) -> float:
+        """The cumulative sum at which a test raises the alarm."""
         return math.log(len(_TESTS) * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
-        """Take one independent sample into account: (3,) m, measured - predicted, and the sigma
-        that model and measurement promise together."""
+        """Take one independent sample into account.
+
+        Args:
+            residual: (3,) m, measured - predicted.
+            sigma: (3,) m, what model and measurement promise together.
+        """
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():
             raise InputError("monitor", "residual", residual, "three finite numbers, m")
@@ -85,6 +90,7 @@ class Monitor:
         )  # fmt: skip
 
     def verdict(self) -> Verdict:
+        """Judge by the largest of the cumulative sums."""
         k = int(np.argmax(self.sums))
         evidence = float(self.sums[k] / self.threshold)
         if evidence < 1.0:

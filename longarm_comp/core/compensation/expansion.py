@@ -16,7 +16,7 @@ LINEAR_M = 5e-6
 
 @dataclass(frozen=True)
 class Expansion:
-    """Expected residual at joints (n,) and its linear expansion.
+    """The expected residual at joints (n,) and its linear expansion.
 
     A compensation needs the error at joints that differ by a few millirad: with the slope one
     request is enough, which matters when it is a round trip to another process.
@@ -42,21 +42,21 @@ class Nearby:
 
     def __init__(self, ask: Callable[[np.ndarray, Context], Expansion]) -> None:
         self._ask = ask
-        self._held: tuple[np.ndarray, Context, Expansion] | None = None
+        self._last: tuple[np.ndarray, Context, Expansion] | None = None
 
     def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
-        """Expected residual at joints (N, n); as `Predictor.predict`.
+        """Give the expected residual at joints (N, n), as `Predictor.predict`.
 
         The expansion is around the first of them. The others are extrapolated from it, also
         beyond its reach.
         """
         joints, given = q[0], context or Context()
-        held = self._held
-        if held is None or not (
-            (np.abs(joints - held[0]) <= held[2].reach).all() and given == held[1]
+        last = self._last
+        if last is None or not (
+            (np.abs(joints - last[0]) <= last[2].reach).all() and given == last[1]
         ):
-            held = self._held = joints.copy(), given, self._ask(joints, given)
-        at, _, found = held
+            last = self._last = joints.copy(), given, self._ask(joints, given)
+        at, _, found = last
         count = len(q)
         return Prediction(
             found.error + (q - at) @ found.jacobian.T,

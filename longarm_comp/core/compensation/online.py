@@ -1,4 +1,4 @@
-"""What is known of the running arm right now: its joints, and the circumstances of a target."""
+"""The running arm as it is known right now: its joints, and the circumstances of a target."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class StaleContext(JobError):  # noqa: N818
 
 
 class _Reading(NamedTuple):
-    """What one source told last: columns as `Context` names them, and when (s, monotonic).
+    """The last word of one source: columns as `Context` names them, and when (s, monotonic).
 
     ``wrong``: why the arm cannot be in these circumstances; empty where it can.
     """
@@ -38,14 +38,14 @@ class Readings:
 
     readings: Mapping[str, _Reading] = field(default_factory=dict)
 
-    def told(
+    def with_reading(
         self, source: str, columns: Mapping[str, float], at_s: float, wrong: str = ""
     ) -> Readings:
-        """With a new reading. One that is ``wrong`` stands for nothing until another one comes."""
+        """Add a reading. One that is ``wrong`` stands for nothing until another one comes."""
         return replace(self, readings={**self.readings, source: _Reading(columns, at_s, wrong)})
 
     def fresh(self, source: str, now_s: float, max_age_s: float) -> Mapping[str, float]:
-        """What a source told last; nothing where it is older than ``max_age_s``, or wrong."""
+        """Give the last word of a source; nothing if it is older than ``max_age_s``, or wrong."""
         reading = self.readings.get(source)
         good = reading and not reading.wrong and now_s - reading.at_s <= max_age_s
         return reading.columns if reading and good else {}
@@ -53,7 +53,7 @@ class Readings:
     def context(
         self, model: Model, now_s: float, max_age_s: float, history: History | None = None
     ) -> Context:
-        """The context of a target that is asked for now, with the history on arrival.
+        """Build the context of a target that is asked for now, with the history on arrival.
 
         A payload that was never told is the declared one. The latest word counts.
 
@@ -118,7 +118,7 @@ class JointTrust:
 
     @property
     def doubt(self) -> str:
-        """Why the joints are not believed now; empty where they are."""
+        """The reason why the joints are not believed now; empty where they are."""
         return self._why if self._agreeing < _AGREEING else ""
 
     def heard(self, number: int | None, now_s: float) -> None:
@@ -126,11 +126,11 @@ class JointTrust:
         self._now_s, self._numbered = now_s, number is not None
         if number is not None:
             if number <= self._number:
-                self._changed()
+                self._change_publisher()
             self._number = number
 
     def read(self, q: np.ndarray, at_s: float) -> bool:
-        """Take a reading (n,) of a time (s); whether the joints are believed after it."""
+        """Take a reading (n,) of a time (s). True: the joints are believed after it."""
         before, self._last = self._last, (q, at_s)
         settled = self._now_s >= self._until_s
         self._agreeing = min(self._agreeing + 1, _AGREEING) if settled else 0
@@ -154,7 +154,7 @@ class JointTrust:
                     "does another node publish joint_states?"
                 )
                 if not self._numbered:
-                    self._changed()
+                    self._change_publisher()
         return not self.doubt
 
     def distrust(self, why: str) -> None:
@@ -163,8 +163,8 @@ class JointTrust:
         if self._now_s >= self._until_s:
             self._why = why
 
-    def _changed(self) -> None:
-        """The joints come from another publisher than before."""
+    def _change_publisher(self) -> None:
+        """Doubt the joints for a while, as they come from another publisher than before."""
         again = self._now_s - self._changed_s < _RIVALS_S
         rivals = "two publishers tell joint_states in turn: end one of them"
         self._agreeing, self._changed_s = 0, self._now_s

@@ -17,15 +17,15 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.measuring import VISIBLE_M
-from longarm_comp.core.compensation.circle import check_no_turn, unwrapped
-from longarm_comp.core.compensation.compensate import judged, physics_of
+from longarm_comp.core.compensation.circle import check_no_turn, unwrap
+from longarm_comp.core.compensation.compensate import judge, physics_of
 from longarm_comp.core.compensation.planned_path import (
     MotionLimits,
     PlannedPath,
     between,
     fastest,
-    retimed,
-    smoothed,
+    retime,
+    smooth,
 )
 from longarm_comp.core.compensation.result import (
     Compensation,
@@ -34,16 +34,16 @@ from longarm_comp.core.compensation.result import (
     PathRefused,
     ResidualPredictor,
     Status,
-    missed,
-    other_unit,
-    outside,
-    shifted,
+    describe_miss,
+    describe_outside,
+    guess_unit,
+    pseudo_targets,
 )
-from longarm_comp.core.compensation.take_up import TakeUp, Turn, slowed, taken_up
+from longarm_comp.core.compensation.take_up import TakeUp, Turn, slow_down, take_up_play
 from longarm_comp.core.compensation.unknown import (
     missing_column,
-    not_known,
     outside_data,
+    unknown_circumstances,
 )
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
@@ -84,25 +84,37 @@ class CompensatedPath:
     notes: tuple[str, ...]
 
     def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
-        """The answers at the way-points of the plan, (k, 3) or (k, 4, 4), with how good each is
-        expected to be.  Nothing of it holds at a way-point where the arm stood already."""
-        pseudo, command = shifted(targets, self.error), self.timed.joints
+        """Give the answers at the way-points of the plan, (k, 3) or (k, 4, 4).
+
+        They say how good each is expected to be, which does not hold where the arm stood already.
+        """
+        pseudo, command = pseudo_targets(targets, self.error), self.timed.joints
         place = ik.position_of(pseudo)
         learned = np.isfinite(self.sigma).all(axis=1)
         made: dict[int, Compensation] = {}
         for with_it in (True, False):
             if not len(rows := np.flatnonzero(learned == with_it)):
                 continue
-            miss, _, doubts = judged(
+            miss, _, doubts = judge(
                 model, method, command[rows], self.context.take(rows), place[rows],
                 self.sigma[rows] if with_it else None,
             )  # fmt: skip
             said = (miss.sigma, doubts, *(size.tolist() for size in miss.sizes))
             for k, sigma, doubt, expected, p90 in zip(rows.tolist(), *said, strict=True):
                 made[k] = Compensation(
-                    targets[k], self.ideal[k], self.error[k], sigma, with_it, pseudo[k],
-                    command[k], self.passes, Status.SUCCESS, doubt, None, expected, p90,
-                )  # fmt: skip
+                    target=targets[k],
+                    ideal=self.ideal[k],
+                    predicted_error=self.error[k],
+                    sigma=sigma,
+                    in_domain=with_it,
+                    pseudo_target=pseudo[k],
+                    command=command[k],
+                    passes=self.passes,
+                    status=Status.SUCCESS,
+                    reason=doubt,
+                    expected_m=expected,
+                    p90_m=p90,
+                )
         return [made[k] for k in range(len(targets))]
 
 
@@ -131,7 +143,7 @@ def compensate_path(
     position_only: bool = False,
     options: CompensationOptions | None = None,
 ) -> CompensatedPath:
-    """Joints and times for a plan, or the reason why there are none.
+    """Find joints and times for a plan, or the reason why there are none.
 
     Where the predictor cannot answer for every way-point, none is corrected by it: no jumps.
 
@@ -163,26 +175,17 @@ def compensate_path(
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
     begun = plan.begun and start is not None
     if plan.joints is not None:
-        plan = replace(plan, joints=unwrapped(arm, plan.joints, start if begun else None))
+        plan = replace(plan, joints=unwrap(arm, plan.joints, start if begun else None))
     way = _Way(
-        model, predictor, plan, start, history, context_at, begun, turn_m, max_longer,
-        limits or MotionLimits(*np.full((2, arm.n), np.inf)), max_correction_m, max_turn_rad, free,
-        options,
+        model, predictor if options.method.learned else None, plan, start, history, context_at,
+        begun, turn_m, max_longer, limits or MotionLimits(*np.full((2, arm.n), np.inf)),
+        max_correction_m, max_turn_rad, free, options,
     )  # fmt: skip
     try:
-        return way.solved(seed)
+        return way.solve(seed)
     except _Unanswered as unanswered:
-        made = replace(way, predictor=None).solved(seed)
+        made = replace(way, predictor=None).solve(seed)
         return replace(made, notes=(str(unanswered), *made.notes))
-
-
-def _turned(turn: np.ndarray) -> tuple[str, ...]:
-    """Where the orientation is most off (k,), rad, in words; nothing where it is held."""
-    row = int(np.argmax(turn))
-    if turn[row] <= REACHED:
-        return ()
-    off = f"up to {np.degrees(turn[row]):.2g} deg, at way-point {row}"
-    return (f"the joints cannot hold the orientation: it is off by {off}",)
 
 
 class _Unanswered(Exception):  # noqa: N818
@@ -212,25 +215,25 @@ class _Way:
     def physics(self) -> Model:
         return physics_of(self.model, self.options.method)
 
-    def solved(self, seed: np.ndarray | None) -> CompensatedPath:
-        options = self.options
-        learned = self.predictor is not None and options.method.learned
+    def solve(self, seed: np.ndarray | None) -> CompensatedPath:
+        """Find the joints, until what is learned and the play are those of the joints found."""
+        options, learned = self.options, self.predictor is not None
         take, seeds = TakeUp(self.physics, self.turn_m), self._seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
         context = self._context(self.history)  # as if no joint turned: so the way of each is known
         lag = take.lag(seeds, context)
-        q, turn = self._reached(seeds + lag, error, context)
+        q, turn = self._reach(seeds + lag, error, context)
         bare = q - lag
         if learned:
-            error, sigma = self._expected(q, context)
-            q, turn = self._reached(q, error, context)
+            error, sigma = self._predict(q, context)
+            q, turn = self._reach(q, error, context)
         way, passes = q - lag, int(learned)
         while True:
-            came = take.came(way, lag, self.history, self.start)
+            came = take.follow(way, lag, self.history, self.start)
             context, before = self._context(came), (lag, error)
             lag = take.lag(q, context)
             if learned and not options.single_pass:
-                error, sigma = self._expected(q, context)
+                error, sigma = self._predict(q, context)
             near = np.maximum(take.near, options.tol_m)
             changes = np.linalg.norm(error - before[1], axis=1) / options.tol_m
             changes = np.maximum(changes, (np.abs(lag - before[0]) / near).max(axis=1))
@@ -238,34 +241,45 @@ class _Way:
                 break
             if passes == options.max_passes:
                 raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), options.unsettled)
-            q, turn = self._reached(q - before[0] + lag, error, context)
+            q, turn = self._reach(q - before[0] + lag, error, context)
             passes += 1
         lag = before[0]  # that q was found with
         check_no_turn(self.model.arm, q)
-        timed = self._timed(way, q - lag - way, lag, take.turns(way, lag, came.approach))
-        ideal = self._standing(bare + lag) if learned else timed.joints
-        moved = self._corrections(timed.joints)
-        self._keep_out(timed)
-        came = self.history.along(timed.joints, timed.joints[0] if self.begun else self.start)
-        return CompensatedPath(
-            timed, ideal, *before[1:], sigma, context, passes, moved, turn,
-            History(came.approach[-1], came.legs[-1]),
-            (*_turned(turn), *self._doubts(timed.joints, context)),
-        )  # fmt: skip
-
-    def _doubts(self, command: np.ndarray, context: Context) -> tuple[str, ...]:
-        """What is not known where the path begins, and what lies beyond the data."""
-        first = slice(int(self.begun), int(self.begun) + 1)
-        begins = self.physics, command[first], context.take(first)
-        rows = slice(first.start, None)
-        found = [
-            *not_known(*begins)[1],
-            *outside_data(self.physics, command[rows], context.take(rows)),
+        timed = self._time(way, q - lag - way, lag, take.turns(way, lag, came.approach))
+        command = timed.joints
+        moved = self._measure_corrections(command)
+        if self.model.arm.keep_out:
+            declared = declared_model(self.model.arm)
+            places = np.split(between(timed), max(1, len(timed.times) - 1))
+            for row, times in enumerate(places, 1):
+                if entry := entered_at(declared, timed.at(times)):
+                    raise PathRefused(Status.KEPT_OUT, row, entry)
+        came = self.history.along(command, command[0] if self.begun else self.start)
+        # What is not known where the path begins, and what lies beyond the data
+        first = int(self.begun)
+        begins, rest = slice(first, first + 1), slice(first, None)
+        notes = [
+            *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
+            *outside_data(self.physics, command[rest], context.take(rest)),
         ]
-        return tuple(dict.fromkeys(filter(None, found)))
+        if turn[worst := int(np.argmax(turn))] > REACHED:
+            off = f"up to {np.degrees(turn[worst]):.2g} deg, at way-point {worst}"
+            notes.insert(0, f"the joints cannot hold the orientation: it is off by {off}")
+        return CompensatedPath(
+            timed=timed,
+            ideal=self._standing(bare + lag) if learned else command,
+            error=before[1],
+            sigma=sigma,
+            context=context,
+            passes=passes,
+            correction_m=moved,
+            turn_rad=turn,
+            history=History(came.approach[-1], came.legs[-1]),
+            notes=tuple(dict.fromkeys(filter(None, notes))),
+        )
 
-    def _corrections(self, joints: np.ndarray) -> np.ndarray:
-        """(k,) m: how far the declared arm's tip is moved; refused where that is too far."""
+    def _measure_corrections(self, joints: np.ndarray) -> np.ndarray:
+        """Measure how far the declared arm's tip is moved, (k,) m; refuse where it is too far."""
         wanted, first = ik.position_of(self.plan.targets), int(self.begun)
         rigid = Model(self.model.arm, elements_per_beam=1)
         meant = carried(self.plan.base, rigid.tip(joints))
@@ -276,19 +290,10 @@ class _Way:
             raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
         return moved
 
-    def _keep_out(self, timed: CubicPath) -> None:
-        if not self.model.arm.keep_out:
-            return
-        model = declared_model(self.model.arm)
-        places = np.split(between(timed), max(1, len(timed.times) - 1))
-        for row, times in enumerate(places, 1):
-            if entry := entered_at(model, timed.at(times)):
-                raise PathRefused(Status.KEPT_OUT, row, entry)
-
-    def _timed(
+    def _time(
         self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]
     ) -> CubicPath:
-        """Commands of parts (k, n) as `taken_up` has them, and when they are due."""
+        """Time the commands, whose parts (k, n) are as `take_up_play` has them."""
         plan, arm = self.plan, self.model.arm
         planned = np.arange(float(len(way))) if plan.times is None else plan.times
         begun = self._standing(way + off + lag)[:2]
@@ -298,18 +303,19 @@ class _Way:
         box = arm.bounds
 
         def commands(times: np.ndarray) -> CubicPath:
-            stands, beyond = taken_up(way, off, lag, turns, times)
+            stands, beyond = take_up_play(way, off, lag, turns, times)
             stands[0] = stands[second] - first  # what is beyond is gone first
             beyond[0] = begun[0] - stands[0]
-            return smoothed(plan, planned, times, stands, beyond, box)
+            return smooth(plan, planned, times, stands, beyond, box)
 
         bare = np.vstack([way[second] - first, way[1:]])
-        times = slowed(planned, bare, arm.upper - arm.lower, begins, turns, self.max_longer,
+        times = slow_down(planned, bare, arm.upper - arm.lower, begins, turns, self.max_longer,
                        commands)  # fmt: skip
         try:
-            if plan.times is None and self.limits.bounded and len(way) > 1:
+            limited = np.isfinite([self.limits.velocity, self.limits.acceleration]).all()
+            if plan.times is None and limited and len(way) > 1:
                 return fastest(commands(times).joints, self.limits)
-            return retimed(commands(times), self.limits)
+            return retime(commands(times), self.limits)
         except JobError as error:
             raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
 
@@ -320,7 +326,7 @@ class _Way:
         return context
 
     def _seeds(self, seed: np.ndarray | None) -> np.ndarray:
-        """(k, n) joints to start from: as planned, or each from those of the one before."""
+        """Give joints (k, n) to start from: as planned, or each from those of the one before."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._standing(np.clip(plan.joints, *arm.bounds))
@@ -338,17 +344,17 @@ class _Way:
         return self._standing(np.array(made))
 
     def _standing(self, q: np.ndarray) -> np.ndarray:
-        """Joints (k, n) on the path; a path that has begun begins where the arm stands."""
+        """Put joints (k, n) on the path: one that has begun begins where the arm stands."""
         if self.begun:
             q[0] = self.start
         return q
 
-    def _reached(
+    def _reach(
         self, seeds: np.ndarray, error: np.ndarray, context: Context
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Joints (k, n), and by how much the orientation is off there (k,), rad."""
+        """Find joints (k, n), and by how much the orientation is off there (k,), rad."""
         found = ik.solve_many(
-            self.physics, shifted(self.plan.targets, error), seed=seeds, context=context,
+            self.physics, pseudo_targets(self.plan.targets, error), seed=seeds, context=context,
             position_only=self.free, near=True, locked=self.options.locked, max_starts=1,
         )  # fmt: skip
         turn = found.angle_residual_rad
@@ -359,18 +365,18 @@ class _Way:
         return self._standing(found.q), turn
 
     def _refuse(self, row: int, found: ik.Solution) -> None:
-        """If it did not reach its way-point, or in another orientation than may be."""
+        """Refuse what did not reach its way-point, or in another orientation than may be."""
         if not found.ok:
             here = ik.position_of(self.plan.targets[row])
-            why = other_unit(here, *reach(self.physics)) or missed("target", found)
+            why = guess_unit(here, *reach(self.physics)) or describe_miss("target", found)
             raise PathRefused(Status.UNREACHABLE, row, why)
         if found.angle_residual_rad > self.max_turn_rad:
             off = f"its orientation would be off by {found.angle_residual_rad:.3g} rad"
             why = f"{off}, allowed {self.max_turn_rad:g} rad; position_only leaves it free"
             raise PathRefused(Status.UNREACHABLE, row, why)
 
-    def _expected(self, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
-        """What is learned at all way-points (k, n): error and sigma (k, 3) m."""
+    def _predict(self, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+        """Look up what is learned at all way-points (k, n): error and sigma (k, 3) m."""
         error, sigma = np.zeros((len(q), 3)), np.full((len(q), 3), np.nan)
         assert self.predictor is not None
         for row in range(int(self.begun), len(q)):
@@ -378,7 +384,7 @@ class _Way:
             error[row], sigma[row] = found.error[0], found.sigma[0]
             size = float(np.linalg.norm(error[row]))
             if not found.in_domain[0] or not np.isfinite(size):
-                why = outside(*found.reason[:1])
+                why = describe_outside(*found.reason[:1])
                 raise _Unanswered(f"physics only, as way-point {row} is {why}")
             if size > self.options.max_correction_m:
                 why = self.options.too_large(size)

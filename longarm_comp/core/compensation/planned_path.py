@@ -49,14 +49,14 @@ class PlannedPath:
     def of_joints(
         cls, arm: Arm, times: np.ndarray, joints: np.ndarray, velocities: np.ndarray | None = None
     ) -> PlannedPath:
-        """What a planner means with joints (k, n): the tip of the declared arm, rigid.
+        """Take what a planner means with joints (k, n): the tip of the declared arm, rigid.
 
         The first way-point is where it believes the arm to stand.
         """
         return cls(Model(arm).pose(joints), times, joints, velocities, begun=True)
 
     def seen_from(self, base: np.ndarray) -> PlannedPath:
-        """The same in a frame in which the base frame has a pose (4, 4)."""
+        """Carry the plan to a frame in which the base frame has a pose (4, 4)."""
         return replace(self, targets=carried(base, self.targets), base=base @ self.base)
 
     def check(self, n: int) -> None:
@@ -82,7 +82,7 @@ class PlannedPath:
 def as_planned(
     rigid: Model, real: np.ndarray, q: np.ndarray, position_only: bool = False
 ) -> np.ndarray:
-    """(n,) joints at which the declared, ``rigid`` arm has its tip at a real pose (4, 4), near q.
+    """Find joints (n,) near q that bring the declared, ``rigid`` arm's tip to a pose (4, 4).
 
     The orientation is as near as the joints allow. Where none inside the limits do, the nearest.
     """
@@ -92,40 +92,35 @@ def as_planned(
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """(n,) largest velocity (rad/s, m/s) and acceleration (rad/s^2, m/s^2); inf: none."""
+    """Largest velocity (rad/s, m/s) and acceleration (rad/s^2, m/s^2), (n,) each; inf: none."""
 
     velocity: np.ndarray
     acceleration: np.ndarray
 
-    @property
-    def bounded(self) -> bool:
-        """Whether every joint has both."""
-        return bool(np.isfinite(self.velocity).all() and np.isfinite(self.acceleration).all())
-
     def excess(self, path: CubicPath) -> float:
-        """The largest share of a limit that velocity, or root of acceleration, takes."""
+        """Compute the largest share of a limit that velocity, or root of acceleration, takes."""
         speed = path.peak_velocity() / self.velocity
         force = path.peak_acceleration() / self.acceleration
         return float(max(speed.max(), np.sqrt(force.max())))
 
 
 def between(path: CubicPath) -> np.ndarray:
-    """Times on the way: 16 in every segment, and its ends from inside."""
+    """List times on the way: 16 in every segment, and its ends from inside."""
     share = np.linspace(1e-9, 1.0 - 1e-9, _LOOKED_AT)
     return (path.times[:-1, None] + np.diff(path.times)[:, None] * share).ravel()
 
 
-def retimed(path: CubicPath, limits: MotionLimits) -> CubicPath:
-    """The path within limits, at the same way-points and nowhere faster."""
+def retime(path: CubicPath, limits: MotionLimits) -> CubicPath:
+    """Keep the path within limits, at the same way-points and nowhere faster."""
     if limits.excess(path) <= 1.0 + _ROUNDING:
         return path
     begins = path.times[0]
-    made = _found(replace(path, times=path.times - begins), limits)
+    made = _find_times(replace(path, times=path.times - begins), limits)
     return replace(made, times=made.times + begins)
 
 
 def fastest(joints: np.ndarray, limits: MotionLimits) -> CubicPath:
-    """The fastest way through way-points (k, n) from rest to rest."""
+    """Find the fastest way through way-points (k, n) from rest to rest."""
     ways = (np.abs(np.diff(joints, axis=0)) / limits.velocity).max(axis=1)  # s at full speed
     times = np.concatenate([[0.0], np.cumsum(np.maximum(ways, _ROUNDING * ways.sum()))])
     if not times[-1]:
@@ -133,10 +128,10 @@ def fastest(joints: np.ndarray, limits: MotionLimits) -> CubicPath:
     slopes = smooth_slopes(times, joints)  # of the way itself, which is at rest nowhere
     slopes[[0, -1]] = np.diff(joints, axis=0)[[0, -1]] / np.diff(times)[[0, -1], None]
     path = CubicPath(times, joints, slopes)
-    return replace(_found(path, limits), stretch=1.0)
+    return replace(_find_times(path, limits), stretch=1.0)
 
 
-def smoothed(
+def smooth(
     plan: PlannedPath,
     planned: np.ndarray,
     times: np.ndarray,
@@ -144,7 +139,7 @@ def smoothed(
     beyond: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
 ) -> CubicPath:
-    """Commands at times (k,), smooth between.
+    """Lay a smooth path through commands at times (k,).
 
     Args:
         planned: (k,) s, the plan's own times.
@@ -167,8 +162,8 @@ def smoothed(
     return CubicPath(times, joints, slopes, float(np.ptp(times) / np.ptp(planned)))
 
 
-def _found(path: CubicPath, limits: MotionLimits) -> CubicPath:
-    """Times by TOPP-RA, from rest to rest."""
+def _find_times(path: CubicPath, limits: MotionLimits) -> CubicPath:
+    """Find the times by TOPP-RA, from rest to rest."""
     try:
         from toppra import algorithm, constraint
     except ImportError:
@@ -200,7 +195,7 @@ def _found(path: CubicPath, limits: MotionLimits) -> CubicPath:
 
 
 def _with_clock(path: CubicPath) -> Any:
-    """The path with the plan's own time as one joint more: its limit of 1 keeps the plan's pace."""
+    """Add the plan's own time as one joint more: its limit of 1 keeps the plan's pace."""
     from toppra.interpolator import AbstractGeometricPath
 
     class Clocked(AbstractGeometricPath):  # type: ignore[misc]

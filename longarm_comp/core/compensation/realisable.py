@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,7 @@ KNOWN_TO = 0.15
 
 @dataclass(frozen=True)
 class Lattice:
-    """Where the servos can stand: joint j at ``offset[j] + step[j] k`` for whole k.
+    """The values at which servos can stand: joint j at ``offset[j] + step[j] k`` for whole k.
 
     Attributes:
         step: (n,) rad or m; 0: the joint is continuous.
@@ -51,7 +50,7 @@ class Lattice:
 
     @classmethod
     def of(cls, arm: Arm, offset: Any = 0.0, offset_sd: Any = 0.0) -> Lattice:
-        """The steps that an arm declares, with an offset for all joints or for each, (n,)."""
+        """Take the steps that an arm declares, with an offset for all joints or for each, (n,)."""
         made = [arm.steps]
         for name, value in (("offset", offset), ("offset_sd", offset_sd)):
             given = np.asarray(value, float)
@@ -72,7 +71,7 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Search:
-    """How realisable joints are looked for.
+    """The settings of a search for realisable joints.
 
     Attributes:
         length_m: metres that a radian of tool angle counts for; best the arm's own
@@ -93,7 +92,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Realisable:
-    """What was chosen for one target.
+    """The choice for one target.
 
     Attributes:
         joints: (n,) to command, inside the limits.
@@ -129,7 +128,7 @@ def choose(
     *,
     locked: Sequence[int] = (),
 ) -> Realisable:
-    """Realisable joints for a target, the tip as near to it as they let it be.
+    """Choose realisable joints for a target, the tip as near to it as they let it be.
 
     Args:
         lattice: where its servos can stand; a joint whose offset is not known to `KNOWN_TO` of its
@@ -139,15 +138,7 @@ def choose(
         ideal: (n,) joints that bring the tip to the target, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
     """
-    problem = _Problem(arm, lattice, predict, target, ideal, search, locked)
-    joints, (ideal_error, rounded_error, error), nodes = problem.solved()
-    why = "" if len(problem.stepped) else "no joint's steps are known"
-    if not why and (joints == problem.rounded).all():
-        why = "no choice was better than rounding"
-    return Realisable(
-        joints, problem.ideal, problem.rounded, ideal_error, rounded_error, error, nodes,
-        np.isin(np.arange(arm.n), problem.stepped), why, problem.note,
-    )  # fmt: skip
+    return _Problem(arm, lattice, predict, target, ideal, search, locked).solve()
 
 
 class _Problem:
@@ -158,29 +149,42 @@ class _Problem:
         stepped: numbers of the joints with steps: ``offset + step k``, k from low to high, each
             of these of length s.
         free: numbers of the joints that are solved for beside them; the others stay.
+        moving: of both, the free ones first.
+        whole: (s,) the k inside the limits that are nearest to the ideal joints.
+        rounded: (n,) the ideal joints with each rounded by itself.
         price: (n,) m per rad or m off the ideal joints.
         note: as of `Realisable`.
     """
 
     def __init__(
-        self, arm: Arm, lattice: Lattice, predict: Predict, target: np.ndarray, ideal: np.ndarray,
-        search: Search, locked: Sequence[int],
-    ) -> None:  # fmt: skip
+        self,
+        arm: Arm,
+        lattice: Lattice,
+        predict: Predict,
+        target: np.ndarray,
+        ideal: np.ndarray,
+        search: Search,
+        locked: Sequence[int],
+    ) -> None:
         self.predict, self.target, self.search = predict, target, search
         self.lower, self.upper = arm.box_about(ideal)
         self.ideal = np.clip(ideal, self.lower, self.upper)
         slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
         self.price = search.price_m / np.where(slides, search.length_m, 1.0)
-        held = np.isin(np.arange(arm.n), locked)
+        is_locked = np.isin(np.arange(arm.n), locked)
         # Lowest and highest k inside the limits; of a continuous joint, of no use
         step = np.where(lattice.step > 0, lattice.step, 1.0)
         low = np.ceil((self.lower - lattice.offset) / step - EDGE)
         high = np.floor((self.upper - lattice.offset) / step + EDGE)
-        declared = (lattice.step > 0) & ~held
+        declared = (lattice.step > 0) & ~is_locked
         on = self.stepped = np.flatnonzero(declared & lattice.known & (low <= high))
-        self.free = np.flatnonzero((lattice.step == 0) & ~held)
+        self.free = np.flatnonzero((lattice.step == 0) & ~is_locked)
         self.offset, self.step = lattice.offset[on], lattice.step[on]
         self.low, self.high = low[on], high[on]
+        self.moving = np.concatenate([self.free, on])
+        whole = np.rint((self.ideal[on] - self.offset) / self.step)
+        self.whole = np.clip(whole, self.low, self.high)
+        self.rounded = self.at_steps(self.ideal, self.whole)
         causes = {
             f"the offset of its steps is not known to {KNOWN_TO} of a step": ~lattice.known,
             "none of its steps lies inside its limits": lattice.known & (low > high),
@@ -191,42 +195,23 @@ class _Problem:
             for j in np.flatnonzero(declared & mask)
         )
 
-    @cached_property
-    def moving(self) -> np.ndarray:
-        """Numbers of the joints that are not held: the free ones, then the stepped ones."""
-        return np.concatenate([self.free, self.stepped])
-
-    @cached_property
-    def whole(self) -> np.ndarray:
-        """(s,) the k inside the limits that are nearest to the ideal joints."""
-        nearest_k = np.rint((self.ideal[self.stepped] - self.offset) / self.step)
-        return np.clip(nearest_k, self.low, self.high)
-
-    @cached_property
-    def rounded(self) -> np.ndarray:
-        """(n,) the ideal joints with each rounded by itself."""
-        return self.at(self.ideal, self.whole)
-
-    def at(self, q: np.ndarray, k: np.ndarray) -> np.ndarray:
-        """Joints (..., n) with the stepped ones at k (..., s)."""
+    def at_steps(self, q: np.ndarray, k: np.ndarray) -> np.ndarray:
+        """Put the stepped ones of joints (..., n) at k (..., s)."""
         q = q.copy()
         q[..., self.stepped] = self.offset + self.step * k
         return np.clip(q, self.lower, self.upper)
 
-    def solved(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """Round after round the best of rounding, of what was the best, and of what is near.
-
-        Joints (n,), errors (3, 2) at the ideal joints, the rounded and these (m and rad), nodes.
-        """
-        errors = self.errors(np.vstack([self.ideal, self.around(self.rounded)]))
+    def solve(self) -> Realisable:
+        """Take round after round the best of rounding, of the best so far, and of what is near."""
+        errors = self.errors(np.vstack([self.ideal, self.step_aside(self.rounded)]))
         if not np.isfinite(errors[:2]).all():
             allowed = "a finite tip at the ideal and the rounded joints"
             raise InputError("realisable", "predict", "not finite", allowed)
         best, error, local, nodes = self.rounded, errors[1], errors[1:], 0
         for turn in range(self.search.rounds if len(self.stepped) else 0):
             if turn:
-                local = self.errors(self.around(best))
-            near, visited = self.near(best, local)
+                local = self.errors(self.step_aside(best))
+            near, visited = self.find_near(best, local)
             tried = np.vstack([best, near])
             left = self.errors(tried)
             moved = self.price * (tried - self.ideal)
@@ -235,10 +220,25 @@ class _Problem:
             best, error, nodes = tried[place], left[place], nodes + visited
         rows = np.vstack([errors[:2], error])
         angle = np.linalg.norm(rows[:, 3:], axis=1) / self.search.length_m
-        return best, np.stack([np.linalg.norm(rows[:, :3], axis=1), angle], axis=1), nodes
+        sizes = np.stack([np.linalg.norm(rows[:, :3], axis=1), angle], axis=1)
+        why = "" if len(self.stepped) else "no joint's steps are known"
+        if not why and (best == self.rounded).all():
+            why = "no choice was better than rounding"
+        return Realisable(
+            joints=best,
+            ideal=self.ideal,
+            rounded=self.rounded,
+            ideal_error=sizes[0],
+            rounded_error=sizes[1],
+            error=sizes[2],
+            nodes=nodes,
+            on_lattice=np.isin(np.arange(len(best)), self.stepped),
+            reason=why,
+            note=self.note,
+        )
 
     def errors(self, q: np.ndarray) -> np.ndarray:
-        """Tip less target at joints (M, n): m, and rad times a length, (M, m)."""
+        """Compute tip less target at joints (M, n): m, and rad times a length, (M, m)."""
         tip = self.predict(q)
         made = position_of(tip) - position_of(self.target)
         if self.target.ndim == 1:
@@ -247,18 +247,20 @@ class _Problem:
         turn, _ = rotation_error(axes.T, axes_of(tip).T)
         return np.column_stack([made, *(self.search.length_m * v for v in turn)])
 
-    def near(self, at: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, int]:
-        """Candidates (M, n) by the model linearised at joints (n,), and nodes that it took.
+    def find_near(self, at: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, int]:
+        """Find candidates (M, n) by the model linearised at joints (n,), and the nodes it took.
 
         Of joints ``rounded + size x`` the tip's error and the price are ``A x + b``; with the free
         joints before the stepped ones the triangular factor of (A b) parts them.
 
         Args:
-            local: errors at the joints that `around` gives.
+            local: errors at the joints that `step_aside` gives.
         """
         moving, m, f = self.moving, local.shape[1], len(self.free)
         size = np.concatenate([np.ones(f), self.step])
-        price, slope = self.price[moving], self.slope(at, local)
+        price, (up, down) = self.price[moving], self._aside(at)
+        slope = ((local[1 : 1 + len(moving)] - local[1 + len(moving) :]) / (up - down)[:, None]).T
+        slope = np.where(np.isfinite(slope), slope, 0.0)
         A = np.empty((m + len(moving), len(moving) + 1))
         A[:m, :-1] = slope * size
         A[:m, -1] = local[0] + slope @ (self.rounded - at)[moving]
@@ -274,46 +276,39 @@ class _Problem:
         if f:
             b = k @ R[:f, f:-1].T + R[:f, -1]
             low, high = ((v - self.ideal)[self.free] for v in (self.lower, self.upper))
-            q[:, self.free] += _in_box(R[:f, :f], b, low, high)
-        return self.at(q, self.whole + k), nodes
+            q[:, self.free] += _solve_in_box(R[:f, :f], b, low, high)
+        return self.at_steps(q, self.whole + k), nodes
 
-    def around(self, at: np.ndarray) -> np.ndarray:
-        """Joints (n,), then with each moving one a little up, then a little down, in limits."""
+    def step_aside(self, at: np.ndarray) -> np.ndarray:
+        """Give joints (n,), then with each moving one a little up, then each down, in limits."""
         count = len(self.moving)
         q = np.repeat(at[None], 1 + 2 * count, axis=0)
         up, down = self._aside(at)
         q[np.arange(1, 1 + 2 * count), np.tile(self.moving, 2)] = np.append(up, down)
         return q
 
-    def slope(self, at: np.ndarray, local: np.ndarray) -> np.ndarray:
-        """Derivative (m, moving) from the errors at the joints that `around` gives."""
-        count = len(self.moving)
-        up, down = self._aside(at)
-        slope = ((local[1 : 1 + count] - local[1 + count :]) / (up - down)[:, None]).T
-        return np.where(np.isfinite(slope), slope, 0.0)
-
     def _aside(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The moving joints a little up and a little down, in limits."""
+        """Give the moving joints a little up and a little down, in limits."""
         up = np.minimum(at + _DIFFERENCE, self.upper)
         return up[self.moving], np.maximum(at - _DIFFERENCE, self.lower)[self.moving]
 
 
-def _in_box(R: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """x (M, f) between low and high (f,) with ``|R x + b|`` small; R (f, f), b (M, f).
+def _solve_in_box(R: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Find x (M, f) between low and high (f,) with ``|R x + b|`` small; R (f, f), b (M, f).
 
     What leaves the box is put on its edge, the furthest out first, and the rest solved again.
     """
     G, g = R.T @ R, b @ R
-    x, held = np.zeros_like(g), np.zeros(g.shape, bool)
+    x, on_edge = np.zeros_like(g), np.zeros(g.shape, bool)
     for _ in range(g.shape[1] + 1):
-        open_ = ~held
+        open_ = ~on_edge
         matrix = np.where(open_[:, :, None] & open_[:, None, :], G, np.eye(len(G)))
-        rest = -(g + (held * x) @ G)
-        x = np.linalg.solve(matrix, np.where(held, x, rest)[..., None])[..., 0]
+        rest = -(g + (on_edge * x) @ G)
+        x = np.linalg.solve(matrix, np.where(on_edge, x, rest)[..., None])[..., 0]
         inside = np.clip(x, low, high)
         out = np.abs(x - inside)
         if not out.any():
             break
         worst = (out > 0) & (out == out.max(axis=1, keepdims=True))
-        x, held = np.where(worst, inside, x), held | worst
+        x, on_edge = np.where(worst, inside, x), on_edge | worst
     return np.clip(x, low, high)

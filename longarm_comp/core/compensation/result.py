@@ -1,4 +1,4 @@
-"""What goes into a compensation and what comes out of it: options, predictor, status, result."""
+"""The input and output of a compensation: options, predictor, status, result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from longarm_comp.core.ik.solver import MAX_STARTS, Solution, position_of
 
 
 class Method(Enum):
-    """What is compensated: rows of the paper's Table I."""
+    """The errors that are compensated: rows of the paper's Table I."""
 
     NONE = "none"
     DEFLECTION = "deflection"
@@ -26,17 +26,17 @@ class Method(Enum):
 
     @property
     def physics(self) -> bool:
-        """Whether the inverse kinematics knows the effects beyond geometry."""
+        """True where the inverse kinematics knows the effects beyond geometry."""
         return self in (Method.DEFLECTION, Method.BOTH)
 
     @classmethod
     def learned_beside(cls, *, deflection: bool) -> Method:
-        """The method of a predictor that was trained on what physics with or without it leaves."""
+        """Give the method of a predictor by the physics, with deflection or not, beside it."""
         return cls.BOTH if deflection else cls.NETWORK
 
     @property
     def learned(self) -> bool:
-        """Whether the predictor's expected error is taken off."""
+        """True where the predictor's expected error is taken off."""
         return self in (Method.NETWORK, Method.BOTH)
 
 
@@ -66,7 +66,7 @@ class Status(IntEnum):
 
     @property
     def success(self) -> bool:
-        """Whether the command is fit to be sent."""
+        """True if the command is fit to be sent."""
         return self <= Status.OUT_OF_DOMAIN
 
 
@@ -80,7 +80,7 @@ class PathRefused(JobError):  # noqa: N818
 
 @dataclass(frozen=True)
 class CompensationOptions:
-    """How far compensation may go.
+    """The limits of a compensation.
 
     Attributes:
         locked: joints that stay at their seed, by name or number from 0.
@@ -114,13 +114,13 @@ class CompensationOptions:
             raise InputError("compensate", "max_passes", self.max_passes, "1 or more")
 
     def too_large(self, size_m: float) -> str:
-        """Why an expected error is not corrected."""
+        """Say why an expected error is not corrected."""
         most = f"the permitted correction of {1e3 * self.max_correction_m:g} mm"
         return f"expected error {1e3 * size_m:.2f} mm is above {most}"
 
     @property
     def unsettled(self) -> str:
-        """Why it is given up."""
+        """The reason why a target is given up after the last pass."""
         size = f"more than {1e3 * self.tol_m:g} mm after {self.max_passes} passes"
         return f"the expected error still changes by {size}"
 
@@ -148,7 +148,7 @@ class ResidualPredictor(Protocol):
 
 @dataclass(frozen=True)
 class Compensation:
-    """What came of one target.
+    """The outcome of one target.
 
     Attributes:
         target: as asked: (3,) m or (4, 4).
@@ -183,20 +183,17 @@ class Compensation:
 
     @property
     def success(self) -> bool:
-        """Whether the command is fit to be sent."""
+        """True if the command is fit to be sent."""
         return self.status.success
 
     @property
     def position(self) -> np.ndarray:
-        """(3,) m, of the target."""
+        """The position of the target, (3,) m."""
         return position_of(self.target)
 
 
-NO_PREDICTOR = "no predictor: compensated with physics only"
-
-
-def outside(reason: str = "") -> str:
-    """Why the learned error is left out."""
+def describe_outside(reason: str = "") -> str:
+    """Say why the learned error is left out."""
     text = "outside the predictor's training data, compensated with physics only"
     return f"{text}: {reason}" if reason else text
 
@@ -204,8 +201,8 @@ def outside(reason: str = "") -> str:
 _UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
 
 
-def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
-    """A guess at the unit of a target far beyond an arm's reach, as a question; else empty."""
+def guess_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
+    """Guess the unit of a target far beyond an arm's reach, as a question; else empty."""
     away = math.dist(position, base)
     # Times its reach: no one means a target so far away, and no unit is so close to the metre
     if away <= 10.0 * reach_m:
@@ -214,8 +211,8 @@ def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
     return f"{away / reach_m:.3g} times the arm's reach away; are these {named}?"
 
 
-def missed(what: str, found: Solution) -> str:
-    """How far a target or pseudo-target is missed, and why."""
+def describe_miss(what: str, found: Solution) -> str:
+    """Say how far a target or pseudo-target is missed, and why."""
     # No declared length reaches so far; only a linear deflection of an arm far too weak does
     if not found.position_residual_m < 1e7:
         why = "the declared arm bends without limit (check loads, masses, stiffness)"
@@ -224,8 +221,8 @@ def missed(what: str, found: Solution) -> str:
     return f"{what} missed by {by}: {found.reason.value}"
 
 
-def shifted(targets: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Pseudo-targets: positions (..., 3) or poses (..., 4, 4) less an error (..., 3)."""
+def pseudo_targets(targets: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Take an error (..., 3) off positions (..., 3) or poses (..., 4, 4): pseudo-targets."""
     pseudo = targets.copy()
     position_of(pseudo)[...] -= error
     return pseudo

@@ -35,7 +35,7 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
 @dataclass(frozen=True, eq=False)
 class TakeUp:
-    """How a model's arm takes up what the history of its joints leaves.
+    """The take-up of what the history of joints leaves in a model's arm.
 
     Attributes:
         model: physics that commands are solved with.
@@ -52,21 +52,13 @@ class TakeUp:
 
     @cached_property
     def near(self) -> np.ndarray:
-        """(n,) a joint that stands so far from its way moves the tip within the tolerance."""
+        """Distance from its way at which a joint moves the tip by the tolerance, (n,) rad or m."""
         arm = self.model.arm
         slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
         return np.where(slides, 1.0, 1.0 / reach(arm)) * self.tolerance_m
 
-    def steady(self, q: np.ndarray) -> np.ndarray:
-        """(k, n): joints (k, n) without ways back that are too short to matter at the tip."""
-        made, half = q.copy(), 0.5 * self.near
-        low, high = q - half, q + half
-        for row in range(1, len(q)):
-            made[row] = np.minimum(np.maximum(made[row - 1], low[row]), high[row])
-        return made
-
     def lag(self, q: np.ndarray, context: Context) -> np.ndarray:
-        """(k, n): how far commands (k, n) are beyond where their joints stand, by their history."""
+        """Compute how far commands (k, n) are beyond where their joints stand, (k, n)."""
         behind, arm = np.zeros_like(q), self.model.arm
         if not self.joints:
             return behind
@@ -82,16 +74,23 @@ class TakeUp:
                     behind[:, joint] -= twist[2 if arm.joints[row - 1].type == "prismatic" else 5]
         return behind
 
-    def came(
-        self, stands: np.ndarray, lag: np.ndarray, held: History, start: np.ndarray | None
+    def follow(
+        self, stands: np.ndarray, lag: np.ndarray, history: History, start: np.ndarray | None
     ) -> History:
-        """Of commands at which joints stand at (k, n), lag (k, n) behind; first from a start (n,).
+        """Follow the history of joints that stand at (k, n), lag (k, n) behind their commands.
 
         A joint's side is that of its own way: what its command crosses where it turns is no way
-        back.  A joint that turns on the first way, while near where it starts, turns at once.
+        back, nor is a way back that is too short to matter at the tip.  A joint that turns on the
+        first way, while near where it starts, turns at once.
+
+        Args:
+            history: of the joints at ``start`` (n,), from where they come first.
         """
-        steady = self.steady(stands)
-        came = held.along(steady + lag, start)
+        steady, half = stands.copy(), 0.5 * self.near
+        low, high = stands - half, stands + half
+        for row in range(1, len(stands)):
+            steady[row] = np.minimum(np.maximum(steady[row - 1], low[row]), high[row])
+        came = history.along(steady + lag, start)
         moves = np.diff(steady, axis=0, prepend=steady[:1])
         last = np.where(np.abs(moves) >= SAME_POSE, np.arange(len(moves))[:, None], 0)
         last = np.maximum.accumulate(last, axis=0)
@@ -108,7 +107,7 @@ class TakeUp:
         return History(sides, legs)
 
     def turns(self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray) -> list[Turn]:
-        """Where joints that stand at (k, n) turn: their sides (k, n) change where they have."""
+        """Find where joints that stand at (k, n) turn: their sides (k, n) change after that."""
         found = []
         for joint in self.joints:
             begun = 0
@@ -124,9 +123,9 @@ class TakeUp:
 
 
 class Turn(NamedTuple):
-    """From the ``first`` to the ``last`` way-point a joint stands near its turn (0-based).
+    """A turn of a joint, which stands near it from the ``first`` to the ``last`` way-point.
 
-    Its command crosses so much play (rad, m) there.
+    All are numbers from 0.  Its command crosses so much play (rad, m) there.
     """
 
     joint: int
@@ -135,10 +134,10 @@ class Turn(NamedTuple):
     crossed: float
 
 
-def taken_up(
+def take_up_play(
     way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: Sequence[Turn], times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where joints stand at times (k,), and how far commands are beyond: (k, n) each.
+    """Give where joints stand at times (k,), and how far commands are beyond: (k, n) each.
 
     They are smooth in time from one side of the play to the other.
 
@@ -156,12 +155,16 @@ def taken_up(
     return way + off, lag
 
 
-def slowed(
-    times: np.ndarray, ways: np.ndarray, unit: np.ndarray,
-    begins: np.ndarray, turns: Sequence[Turn], most: float,
-    made: Callable[[np.ndarray], CubicPath],
-) -> np.ndarray:  # fmt: skip
-    """(k,) s: planned times (k,) made later where joints turn.
+def slow_down(
+    times: np.ndarray,
+    ways: np.ndarray,
+    unit: np.ndarray,
+    begins: np.ndarray,
+    turns: Sequence[Turn],
+    most: float,
+    path_at: Callable[[np.ndarray], CubicPath],
+) -> np.ndarray:
+    """Make planned times (k,), s, later where joints turn.
 
     Args:
         ways: (k, n) joints as if none turned.
@@ -170,7 +173,7 @@ def slowed(
         turns: what joints cross where they turn.
         most: share by which the path may take longer.  Where that is less than it takes, time has
             a higher price.
-        made: the path to be sent, at times (k,).
+        path_at: gives the path to be sent, at times (k,).
     """
     plan = CubicPath(times, ways, smooth_slopes(times, ways))
     planned2, allowed_s = plan.mean_square_jerk(unit), most * float(np.ptp(times))
@@ -182,7 +185,7 @@ def slowed(
     speed2 = ((np.diff(ways, axis=0) / unit / steps) ** 2).sum(axis=1)
     enough = True
     for _ in range(_ROUNDS):
-        later = _later(times, speed2, unit, turns, jerk2)
+        later = _delay_at_turns(times, speed2, unit, turns, jerk2)
         lasts = (720.0 * first2 / jerk2) ** (1.0 / 6.0)
         later[0] += max(0.0, lasts - float(steps[0, 0]))
         if not later.any():
@@ -192,7 +195,7 @@ def slowed(
         enough &= over <= 1.0
         if over > 1.0:
             jerk2 *= over**_STEEP
-        elif enough and (more := made(slow).mean_square_jerk(unit) / planned2) > 1.0 + _NEAR:
+        elif enough and (more := path_at(slow).mean_square_jerk(unit) / planned2) > 1.0 + _NEAR:
             jerk2 /= more**_ALONE
         else:
             break
@@ -206,10 +209,10 @@ _ALONE, _NEAR = 2.0, 0.02
 A hundredth of the jerk is not looked for."""
 
 
-def _later(
+def _delay_at_turns(
     times: np.ndarray, speed2: np.ndarray, unit: np.ndarray, turns: Sequence[Turn], jerk2: float
 ) -> np.ndarray:
-    """(k - 1,) s: by how much each way takes longer, at a price of time of ``5 jerk2``."""
+    """Compute by how much each way takes longer, (k - 1,) s, at a price of time of ``5 jerk2``."""
     later = np.zeros(len(times) - 1)
     for joint, first, last, crossed in turns:
         near_s = times[last] - times[first]
@@ -224,7 +227,11 @@ def _later(
             fast2 = max(speed2[there].mean(), speed2[first:last].mean())
             change_s = (14.4 * share * fast2 / jerk2) ** 0.25
             reaches_s = 0.5 * near_s + change_s * (1.0 - 0.5 * share)
-        planned, real = _slow(0.5 * near_s, 0.5 * lasts, share, change_s)
+        # Planned and real times after the middle of the turn: slow, then as planned again
+        slow_s = change_s * _SHARE
+        fast_s = (1.0 - share) * slow_s + share * change_s * (_SHARE**3 - 0.5 * _SHARE**4)
+        planned = np.append(0.0, 0.5 * near_s + fast_s)
+        real = np.append(0.0, 0.5 * lasts + slow_s)
         gained = np.sign(away) * np.interp(np.abs(away), planned, real - planned)
         later += np.diff(gained) ** _TOGETHER
     return np.asarray(later ** (1.0 / _TOGETHER))
@@ -233,12 +240,3 @@ def _later(
 _TOGETHER = 3
 """Turns that are near each other use the same time: the most of what each takes, but smoothly."""
 _SHARE = np.linspace(0.0, 1.0, 129)
-
-
-def _slow(
-    near_s: float, lasts: float, share: float, change_s: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Planned times after the middle of a turn, and the real ones: slow, then as planned again."""
-    real = change_s * _SHARE
-    planned = (1.0 - share) * real + share * change_s * (_SHARE**3 - 0.5 * _SHARE**4)
-    return np.append(0.0, near_s + planned), np.append(0.0, lasts + real)

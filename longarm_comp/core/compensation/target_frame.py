@@ -27,7 +27,7 @@ FRAMES = (BASE, MEASURED)
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where a target lies for the model.
+    """The place of a target for the model.
 
     Attributes:
         frame: of the target, ``base`` or ``measured``.
@@ -46,12 +46,8 @@ class Placement:
     solved: bool
 
     @property
-    def apart(self) -> bool:
-        """Whether base and measurements have a frame of their own each."""
-        return self.frame == BASE and self.solved
-
-    @property
     def text(self) -> str:
+        """The frame of the targets and the place of the base, in one line."""
         turned = (f"{np.degrees(v):.2f}" for v in roll_pitch_yaw(self.base[:3, :3]))
         at = ", ".join(f"{v:.4f}" for v in self.base[:3, 3])
         how = "by calibration" if self.solved else "as arm.yaml declares"
@@ -61,24 +57,24 @@ class Placement:
         )
 
     def carried(self, target: np.ndarray) -> np.ndarray:
-        """Targets (..., 3) or (..., 4, 4) in the frame of the model."""
+        """Carry targets (..., 3) or (..., 4, 4) to the frame of the model."""
         return carried(self.motion, target)
 
     def asked(self, place: np.ndarray) -> np.ndarray:
-        """Places (..., 3) or (..., 4, 4) of the model in the frame of the target, m."""
+        """Carry places (..., 3) or (..., 4, 4) of the model to the frame of the target, m."""
         return carried(np.linalg.inv(self.motion), place)
 
     @property
     def measurements(self) -> np.ndarray:
-        """(4, 4) where the frame of the measurements lies in the frame of the target."""
+        """The frame of the measurements in the frame of the target, (4, 4)."""
         return self.asked(self.seen)
 
     def back(self, vector: np.ndarray) -> np.ndarray:
-        """A vector (3,) of the model in the frame of the target."""
+        """Turn a vector (3,) of the model into the frame of the target."""
         return np.asarray(self.motion[:3, :3].T @ vector)
 
-    def told(self, outcome: Compensation) -> Compensation:
-        """What came of a target, with its places in the frame of the target."""
+    def carry_back(self, outcome: Compensation) -> Compensation:
+        """Carry the places of a target's outcome to the frame of the target."""
         return replace(
             outcome,
             target=self.asked(outcome.target),
@@ -90,7 +86,7 @@ class Placement:
 def placement(
     model: Model, points: np.ndarray, frame: str = "", group: str = "", where: str = "targets"
 ) -> Placement:
-    """Where targets of one frame and group lie for a model.
+    """Find where targets of one frame and group lie for a model.
 
     Args:
         points: (k, 3) m, their positions.
@@ -124,7 +120,7 @@ def placement(
 
 
 def base_of_graph(model: Model) -> Placement:
-    """Where the graph's base lies for a model, at every target.
+    """Find where the graph's base lies for a model, at every target.
 
     It is that of arm.yaml where the calibration found the measurements' frame farther from it than
     an ordinary error of setting up; else both are one, and the model's own.
@@ -140,14 +136,14 @@ def base_of_graph(model: Model) -> Placement:
 
 
 def _seen(model: Model) -> np.ndarray:
-    """(4, 4) from the frame of the measurements to that of the model: what moved all rows alike."""
+    """Give the motion (4, 4) from the measurements' frame to the model's: it moved all rows."""
     made = np.eye(4)
     made[:3, 3] = np.negative(model.frame_shift)
     return made
 
 
 def _bases(model: Model) -> dict[str, np.ndarray]:
-    """Where the base stands in the frame of the measurements (4, 4), by group, as calibrated."""
+    """List the base's poses (4, 4) in the frame of the measurements, by group, as calibrated."""
     found: dict[str, np.ndarray] = {}
     for effect in model.effects:
         stands = effect.base(model.arm)
@@ -157,12 +153,12 @@ def _bases(model: Model) -> dict[str, np.ndarray]:
 
 
 def _away(motion: np.ndarray, points: np.ndarray) -> float:
-    """The farthest, m, that a motion (4, 4) takes points (k, 3)."""
+    """Compute the farthest, m, that a motion (4, 4) takes points (k, 3)."""
     return float(np.linalg.norm(carried(motion, points) - points, axis=1).max())
 
 
 def _usual(arm: Arm) -> float:
-    """How far off a declared base, and the tip on it, usually are (90 of 100), m."""
+    """Compute how far off a declared base, with the tip on it, usually is (90 of 100), m."""
     if arm.hash not in _usual_of:
         model, slots = Model(arm), slots_of(arm, geometry_of(arm))
         columns = model.columns(model.posture(tuple(arm.mid.tolist())), slots)[1].reshape(3, -1)

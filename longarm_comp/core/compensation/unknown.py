@@ -1,4 +1,4 @@
-"""What a model needs of the circumstances and a command cannot know: said, never filled in."""
+"""Circumstances that a model needs and a command cannot know: they are said, never filled in."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST_M = 1e-5
 
 
 def missing_column(model: Model, context: Context) -> str:
-    """Which recorded quantity an effect of the model needs and the context lacks, or ""."""
+    """Name a recorded quantity that an effect of the model needs and the context lacks, or ""."""
     for effect in model.effects:
         if name := effect.missing(context):
             if name == CLOCK:
@@ -32,10 +32,10 @@ def missing_column(model: Model, context: Context) -> str:
     return ""
 
 
-def not_known(
+def unknown_circumstances(
     model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[str]]:
-    """All that a command cannot know of its circumstances, (M, 3) m; as `unknown_history`."""
+    """Estimate all that a command cannot know, (M, 3) m; arguments as of `unknown_history`."""
     each = (
         unknown_history(model, q, context, doubtful),
         uncertain_payload(model, q, context),
@@ -47,7 +47,7 @@ def not_known(
 
 
 def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
-    """Which effects stand outside the data that they were found in at joints (M, n), in words."""
+    """Name the effects that are outside the data they were found in, at each of joints (M, n)."""
     beyond: list[set[str]] = [set() for _ in q]
     if bounded := [e for e in model.effects if type(e).outside is not Effect.outside]:
         posture = model.posture(unstack(q), context)
@@ -59,7 +59,7 @@ def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
 
 
 def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
-    """Per-joint fields that effects of the model read, and of which joints (0-based)."""
+    """List the per-joint fields that effects of the model read, and of which joints (0-based)."""
     read: dict[str, set[int]] = {}
     for effect in model.effects:
         for name in effect.inputs:
@@ -71,7 +71,7 @@ def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
 def unknown_history(
     model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[str]]:
-    """How far the tip depends on circumstances that are not known of the joints' history.
+    """Estimate how far the tip depends on what is not known of the joints' history.
 
     Args:
         q: (M, n) commanded joints, rad and m.
@@ -86,21 +86,22 @@ def unknown_history(
     if not any(read.values()):
         return np.zeros((m, 3)), [""] * m
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
-    held = {
-        name: np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float)
+    recorded = {
+        name: np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float).T.reshape(
+            m, n, -1
+        )
         for name in PER_JOINT
     }
-    held = {name: values.T.reshape(m, n, -1) for name, values in held.items()}
     open_ = [
         (name, joint, extremes)
         for name, joints in read.items()
         for joint in joints
-        if (extremes := _FIELDS[name][1](held[name][:, joint], bool(unsure[joint]))) is not None
+        if (extremes := _FIELDS[name][1](recorded[name][:, joint], bool(unsure[joint]))) is not None
     ]
     if not open_:
         return np.zeros((m, 3)), [""] * m
     times = 2 * len(open_)
-    trials = {name: np.repeat(rows[None], times, axis=0) for name, rows in held.items()}
+    trials = {name: np.repeat(rows[None], times, axis=0) for name, rows in recorded.items()}
     for k, (name, joint, extremes) in enumerate(open_):
         trials[name][2 * k : 2 * k + 2, :, joint] = extremes
     history: dict[str, Any] = {
@@ -123,7 +124,7 @@ def unknown_history(
 def uncertain_payload(
     model: Model, q: np.ndarray, context: Context
 ) -> tuple[np.ndarray, list[str]]:
-    """How far the tip depends on a payload that is known to `SD` only: as `unknown_history`."""
+    """Estimate how far the tip depends on a payload known to `SD` only: as `unknown_history`."""
     sd = np.broadcast_to(np.asarray(context.column(SD, 0.0)), len(q))
     if not sd.any():
         return np.zeros((len(q), 3)), [""] * len(q)
@@ -140,13 +141,13 @@ def uncertain_payload(
 
 
 def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:
-    """Both sides (2, M, 1) where the side (M, 1) is not known, the side where it is."""
+    """Give both sides (2, M, 1) where the side (M, 1) is not known, the side where it is."""
     unknown = (side == 0.0) | unsure
     return np.where(unknown, [[[1.0]], [[-1.0]]], side) if unknown.any() else None
 
 
 def _any_way_before(legs: np.ndarray, unsure: bool) -> np.ndarray:
-    """The known legs (M, LEGS) after a long way up and after one down, (2, M, LEGS).
+    """Give the known legs (M, LEGS) after a long way up and after one down, (2, M, LEGS).
 
     Between the two lies every state that play of any radius can have.
     """

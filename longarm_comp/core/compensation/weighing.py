@@ -34,7 +34,7 @@ _MOST = 40
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """What efforts of the joints tell, (n,) each, N m and N; NaN where it is not known."""
+    """The friction and the steps of joints' efforts, (n,) each, N m and N; NaN: not known."""
 
     friction: np.ndarray  # of a joint turning free
     step: np.ndarray  # of the reading
@@ -49,7 +49,7 @@ class Wrist(NamedTuple):
 
 
 class Felt(NamedTuple):
-    """What was felt at one rest, (k,) each: of the joints, then of the wrist; N m, N.
+    """The loads felt at one rest, (k,) each: of the joints, then of the wrist; N m, N.
 
     Attributes:
         value: as measured, in the sense of the load; NaN where nothing was.
@@ -67,42 +67,47 @@ class Felt(NamedTuple):
 
     @property
     def finite(self) -> bool:
-        """Whether the statics say a number, or none, of every channel."""
+        """True where the statics say a number, or none, of every channel."""
         here = ~np.isnan(self.without)
         return bool(np.isfinite([self.without[here], self.per_kg[here]]).all())
 
 
-def felt(
-    model: Model, q: np.ndarray, context: Context, effort: np.ndarray, drives: Drives,
+def feel_rest(
+    model: Model,
+    q: np.ndarray,
+    context: Context,
+    effort: np.ndarray,
+    drives: Drives,
     wrist: Wrist | None = None,
-) -> Felt:  # fmt: skip
-    """What drives and wrist say at one rest.
+) -> Felt:
+    """Compare what drives and wrist say at one rest with the arm's statics.
 
     Args:
         q: (n,) joints, rad and m.
         context: circumstances at q, with the sides of arrival.
         effort: (n,) of the drives, N m and N.
     """
+
+    def loads(kg: float) -> np.ndarray:
+        carried = replace(context, columns={**context.columns, "payload_kg": kg})
+        at = model.posture(tuple(q.tolist()), carried)
+        joints = [joint_load(at, row) for row in model.arm.commanded]
+        hand = (np.nan,) * 3 if wrist is None else at.force(at.frame(wrist.row))
+        return np.array([*joints, *hand], float)
+
     declared = model.arm.payload
     heavy = float(context.payload_kg(0.0 if declared is None else declared.mass_kg)) or 1.0
-    none, some = (_loads(model, q, context, kg, wrist) for kg in (0.0, heavy))
+    none, some = loads(0.0), loads(heavy)
     force, sigma = (np.full(3, np.nan), np.nan) if wrist is None else (wrist.force, wrist.sigma)
     sides = np.asarray(context.of_all("approach", model.arm.n), float)
     return Felt(
-        np.concatenate([-effort, force]), none, (some - none) / heavy,
-        np.concatenate([-sides, np.ones(3)]), np.concatenate([drives.friction, np.full(3, sigma)]),
-        np.concatenate([drives.step, np.zeros(3)]),
-    )  # fmt: skip
-
-
-def _loads(
-    model: Model, q: np.ndarray, context: Context, kg: float, wrist: Wrist | None
-) -> np.ndarray:
-    told = replace(context, columns={**context.columns, "payload_kg": kg})
-    at = model.posture(tuple(q.tolist()), told)
-    joints = [joint_load(at, row) for row in model.arm.commanded]
-    hand = (np.nan,) * 3 if wrist is None else at.force(at.frame(wrist.row))
-    return np.array([*joints, *hand], float)
+        value=np.concatenate([-effort, force]),
+        without=none,
+        per_kg=(some - none) / heavy,
+        side=np.concatenate([-sides, np.ones(3)]),
+        friction=np.concatenate([drives.friction, np.full(3, sigma)]),
+        step=np.concatenate([drives.step, np.zeros(3)]),
+    )
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,7 @@ class _FeltPayload:
     rests: int
 
     def tells(self, reference_kg: float) -> bool:
-        """Whether it tells a payload from none; if not, friction hides it."""
+        """True if it tells a payload from none; if not, friction hides it."""
         return 2.0 * self.sigma_kg <= reference_kg
 
     def __str__(self) -> str:
@@ -136,16 +141,16 @@ class Weighing:
     loads: tuple[int, ...] = ()
     load: int = 0
 
-    def changed(self) -> Weighing:
-        """Another payload is carried from now on."""
+    def change_payload(self) -> Weighing:
+        """Take it that another payload is carried from now on."""
         return replace(self, load=self.load + 1) if self.load in self.loads else self
 
-    def felt(self, rest: Felt) -> Weighing:
-        """With a further rest."""
+    def with_rest(self, rest: Felt) -> Weighing:
+        """Take a further rest into account."""
         rests, loads = (*self.rests, rest)[-_MOST:], (*self.loads, self.load)[-_MOST:]
         load = self.load + 1  # of another payload
         if self.load in loads[:-1]:
-            (before, now), covariance = _solved(rests, (*loads[:-1], load))
+            (before, now), covariance = _solve(rests, (*loads[:-1], load))
             apart = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
             if abs(now - before) > self.limit * np.sqrt(apart):
                 return replace(self, rests=rests, load=load, loads=(*loads[:-1], load))
@@ -161,18 +166,21 @@ class Weighing:
         """The present one; None before the first rest with it."""
         if self.load not in self.loads:
             return None
-        means, covariance = _solved(self.rests, self.loads)
+        means, covariance = _solve(self.rests, self.loads)
         sigma = float(np.sqrt(covariance[-1, -1]))
         return _FeltPayload(float(means[-1]), sigma, self.loads.count(self.load))
 
     def contradicts(self, told_kg: float) -> bool:
-        """Whether a told payload cannot be what is felt."""
+        """True if a payload that somebody tells cannot be what is felt."""
         found = self.payload
         return found is not None and abs(found.kg - told_kg) > self.limit * found.sigma_kg
 
 
-def _solved(rests: tuple[Felt, ...], loads: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of the last two payloads (or the only one), kg; infinite if not felt."""
+def _solve(rests: tuple[Felt, ...], loads: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate the last two payloads (or the only one), kg: mean and covariance.
+
+    The covariance is infinite where nothing is felt.
+    """
     value, without, per_kg, side, friction, step = map(np.array, zip(*rests, strict=True))
     here = np.isfinite(value - without) & (friction > 0)
     numbers = sorted(set(loads))
@@ -180,14 +188,14 @@ def _solved(rests: tuple[Felt, ...], loads: tuple[int, ...]) -> tuple[np.ndarray
     row, channel = np.nonzero(here)
     masses = np.zeros((len(row), len(numbers)))
     masses[np.arange(len(row)), which[row]] = per_kg[here]
-    held = np.eye(value.shape[1])[channel] * (side * friction)[here][:, None]
+    alike_each = np.eye(value.shape[1])[channel] * (side * friction)[here][:, None]
     weight = _OWN_WEIGHT * without[here][:, None]
     y, least = (value - without)[here], step[here] ** 2 / 12.0
     known, count = side[here] != 0, len(numbers)
     scale, alike = (x.reshape(-1, 1) for x in np.meshgrid(_SCALES, _ALIKE))
     alone = np.where(known, 1.0 - alike, 1.0) * (scale * friction[here]) ** 2 + least
     fixed = np.broadcast_to(np.hstack([masses, weight]), (len(scale), len(row), count + 1))
-    a = np.concatenate([fixed, (np.sqrt(alike) * scale)[..., None] * held], axis=2)
+    a = np.concatenate([fixed, (np.sqrt(alike) * scale)[..., None] * alike_each], axis=2)
     white = np.swapaxes(a, 1, 2) / alone[:, None, :]
     h = white @ a + np.diag(np.arange(a.shape[2]) >= count)
     last = slice(max(count - 2, 0), count)

@@ -142,6 +142,31 @@ class Model:
         return np.array([s.value for s in self.slots], dtype=float)
 
     @cached_property
+    def rigid(self) -> Model:
+        """The model without deflection: its calibrated geometry alone."""
+        return self._with_effects([e for e in self.effects if e.geometry])
+
+    @cached_property
+    def commandable(self) -> Model:
+        """The model without what no command can undo: a servo's rounding stays in the residual."""
+        return self._with_effects([e for e in self.effects if e.continuous])
+
+    def _with_effects(self, effects: Sequence[Effect]) -> Model:
+        """A copy with some of its effects; itself with all."""
+        if len(effects) == len(self.effects):
+            return self
+        return dataclasses.replace(self, effects=tuple(effects))
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Steps of the joints' servos, (n,), rad or m: of an effect, else as the arm declares."""
+        steps = self.arm.steps.copy()
+        for effect in self.effects:
+            if step := effect.step(self.arm):
+                steps[[self.arm.commanded.index(row) for row in effect.joints]] = step
+        return steps
+
+    @cached_property
     def memo(self) -> dict[str, Any]:
         """Results that others derive from this model and keep with it, by name."""
         return {}
