@@ -61,10 +61,26 @@ class ArmState:
         base_frame: full name of the arm's frame.
         readings: of circumstances. effort: (n,) N m and N, NaN where none is told.
         worker: the thread that computes with all this; ``capacity`` jobs may wait for it.
-        moved: called with every joint reading (n,) that is believed, and its time (ROS clock, s).
     """
 
-    def __init__(self, node: ArmNode, capacity: int, *, trimmed: bool = False) -> None:
+    def __init__(
+        self,
+        node: ArmNode,
+        capacity: int,
+        *,
+        trimmed: bool = False,
+        on_joints: Callable[[np.ndarray, float], None] = lambda q, at_s: None,
+        on_command: Callable[[np.ndarray, History], None] = lambda q, history: None,
+        on_motion: Callable[[Motion], None] = lambda motion: None,
+    ) -> None:
+        """Begin to listen; nothing is called before the node spins and the worker has started.
+
+        Args:
+            on_joints: gets every joint reading (n,) that is believed, and its time (ROS clock, s).
+            on_command: gets the joints (n,) of every command and their history on arrival; called
+                on the worker.
+            on_motion: gets every message on `motion`; called on the worker.
+        """
         self.node, self.p, p = node, node.p, node.p
         self.files = ModelFiles(p["arm"], p["model"], trimmed=trimmed)
         self.arm = self.files.arm
@@ -72,9 +88,9 @@ class ArmState:
         self.worker = node.worker(capacity)
         caller = self.worker.caller(graph.PREDICT_ERROR)
         self.predictor = PredictorClient(caller, self.arm, p["predictor_timeout_s"])
-        self.driver = DriverLink(self)
+        self.driver = DriverLink(self, on_command, on_motion)
         node.health.parts["messages"] = node.tally.report
-        self.moved: Callable[[np.ndarray, float], None] = lambda q, at_s: None
+        self._tell_joints = on_joints
         self._max_age_s = p["joints_max_age_s"]
         self._trust = JointTrust(self.arm, p["joints_max_rate"])
         self.readings = Readings()
@@ -176,7 +192,7 @@ class ArmState:
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints, self.effort = (q, now), efforts_of(message, self.arm)
-            self.moved(q, 1e-9 * stamp if stamp else self.now_s)
+            self._tell_joints(q, 1e-9 * stamp if stamp else self.now_s)
             return
         self.node.tally.count("doubtful joint_states", self._trust.doubt)
 
@@ -193,28 +209,30 @@ class DriverLink:
 
     Attributes:
         history: of the joints, when they have come to the end of what was commanded last.
-        commanded: called for every command, with its joints (n,) and their history on arrival.
-        told: called with every message on `motion`.
     """
 
-    def __init__(self, state: ArmState) -> None:
+    def __init__(
+        self,
+        state: ArmState,
+        on_command: Callable[[np.ndarray, History], None],
+        on_motion: Callable[[Motion], None],
+    ) -> None:
         self._arm, self._arm_state = state.arm, state
         self._dropped = state.node.tally.dropped
         self.acknowledged = state.p["acknowledged"]
-        self.commanded: Callable[[np.ndarray, History], None] = lambda q, history: None
-        self.told: Callable[[Motion], None] = lambda motion: None
+        self._tell_command, self._tell_motion = on_command, on_motion
         self.history = History.unknown(state.arm.n)
         self._end: np.ndarray | None = None
         self._state: DriverState | None = None
         self._heard_s = self._rival_s = -_SILENT_S
         self._known: set[str] = set()
         self._asked, self._answer = "", None
+        hear = state.worker.hear  # so that what comes is known before the next target
         if self.acknowledged:
-            heard = {graph.MOTION: self._on_motion, graph.DRIVER_STATE: self._on_state}
+            hear(graph.MOTION, self._on_motion)
+            hear(graph.DRIVER_STATE, self._on_state)
         else:
-            heard = {graph.JOINT_TRAJECTORY: self._on_trajectory}
-        for topic, callback in heard.items():
-            state.worker.hear(topic, callback)  # so that it is known before the next target
+            hear(graph.JOINT_TRAJECTORY, self._on_trajectory)
 
     @property
     def refusal(self) -> str:
@@ -252,25 +270,22 @@ class DriverLink:
         refused = self._answer.event == Motion.REFUSED
         return f"the driver refused it: {self._answer.message}" if refused else ""
 
-    def _on_motion(self, message: Motion) -> None:
+    def _on_motion(self, message: Motion, sent: float) -> None:
         if message.event == Motion.ACCEPTED:
-            self._accepted(message)
+            try:
+                start, path = motion_of(message, self._arm)
+            except InputError as error:
+                self._dropped("motion", str(error))
+                self.lose()
+            else:
+                self.went(path, start)
         elif message.event in (Motion.REPLACED, Motion.BROKEN_OFF):
             self.lose()
         if message.id == self._asked and message.event in (Motion.ACCEPTED, Motion.REFUSED):
             self._answer = message
-        self.told(message)
+        self._tell_motion(message)
 
-    def _accepted(self, message: Motion) -> None:
-        try:
-            start, path = motion_of(message, self._arm)
-        except InputError as error:
-            self._dropped("motion", str(error))
-            self.lose()
-            return
-        self.went(path, start)
-
-    def _on_trajectory(self, message: JointTrajectory) -> None:
+    def _on_trajectory(self, message: JointTrajectory, sent: float) -> None:
         try:
             path = path_of(message, self._arm)
         except InputError as error:
@@ -282,13 +297,13 @@ class DriverLink:
         """Joints are on their way through (k, n) from a start (n,)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
-        self.commanded(path[-1], self.history)
+        self._tell_command(path[-1], self.history)
 
     def lose(self) -> None:
         """Where the joints come from is not known from here on."""
         self.history, self._end = History.unknown(self._arm.n), None
 
-    def _on_state(self, message: DriverState) -> None:
+    def _on_state(self, message: DriverState, sent: float) -> None:
         now, instance = time.monotonic(), message.instance
         known = self._state is not None and self._state.instance == instance
         if not known and instance in self._known:  # it speaks again after another one did

@@ -169,5 +169,5 @@ class ImageInlet:
         self._subscription = self._topic.subscription(self._node, self._hear, listens=wanted)
 
     def _hear(self, message: Any, info: Any) -> None:
-        self.watch.taken([info["publication_sequence_number"] or 0], full=True)
+        self.watch.count([info["publication_sequence_number"] or 0], full=True)
         self._take(message)

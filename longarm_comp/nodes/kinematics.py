@@ -58,7 +58,14 @@ class Kinematics(ArmNode):
         super().__init__(executor, "kinematics", PARAMS)
         p, twins = self.p, Twins(self)
         self._twins = twins
-        self._arm = state = ArmState(self, p["queue"], trimmed=p["trimmed"])
+        self._arm = state = ArmState(
+            self,
+            p["queue"],
+            trimmed=p["trimmed"],
+            on_joints=self._on_joints,
+            on_command=self._on_command,
+            on_motion=self._on_motion,
+        )
         self._monitor = monitoring.TipMonitor(state)
         self._learning = learning.Learning(state)
         self._markers = drawing.Markers(state)
@@ -71,8 +78,6 @@ class Kinematics(ArmNode):
         self._ringing = monitoring.RingTeller(state, p["shaped"])
         self._reach = reach.ReachServer(state, inlet, self._monitor, tips)
         graph.TIP_MEASURED.subscription(self, self._on_tip)
-        state.moved, state.driver.commanded = self._on_joints, self._on_command
-        state.driver.told = self._on_told
         self.on_request(graph.RELOAD, state.worker, lambda request: self._reload())
         self.on_request(graph.UNDO, state.worker, lambda request: self._learning.undo())
         self.on_request(
@@ -95,7 +100,7 @@ class Kinematics(ArmNode):
         }
         if self._learning.learner is not None:
             self.health.parts[LEARNED_SAID] = self._learning.report
-        state.worker.start()
+        state.worker.start(inlet.serve_topic)
 
     def _reload(self) -> tuple[bool, str]:
         done = self._arm.files.reload()
@@ -125,7 +130,7 @@ class Kinematics(ArmNode):
         self._weigher.moving()
         self._monitor.on_command(q, history)
 
-    def _on_told(self, motion: Motion) -> None:
+    def _on_motion(self, motion: Motion) -> None:
         self._reach.told(motion)
         self._ringing.told(motion)
         if motion.event != Motion.REACHED:

@@ -55,7 +55,7 @@ class ReachServer:
 
     async def _serve(self, goal: Any) -> Reach.Result:
         turn = object()
-        request = self._targets.asked(
+        request = self._targets.new_request(
             Compensate.Request(
                 target=goal.request.target, position_only=goal.request.position_only, execute=True
             )

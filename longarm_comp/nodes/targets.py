@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from std_msgs.msg import String
 
@@ -42,13 +41,9 @@ PARAMS = (
 )
 
 
-_Sent = tuple[bytes, float]
-"""A message of `target_pose` as it came, and when it was sent (monotonic s)."""
-
-
 @dataclass
 class Request:
-    """One target in work: its id, the request, since when (monotonic s) it is, its answer."""
+    """One target in work: its id, its message, when it was sent (monotonic s), and its answer."""
 
     name: str
     message: Compensate.Request
@@ -71,25 +66,24 @@ class TargetInlet:
         self._state, self._monitor, self._markers = state, monitor, markers
         self._max_age_s, node, worker = state.p["target_max_age_s"], state.node, state.worker
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
-        self._latest: _Sent | None = None
-        self._passed: deque[_Sent] = deque()
-        self._untold = 0
+        self._latest: tuple[PoseStamped, float] | None = None  # and when it was sent
+        self._superseded: deque[tuple[PoseStamped, float]] = deque()
+        self._unrecorded = 0
         self._fresh, self._stamps = Freshness(node, self._max_age_s), Stamps(node.get_clock())
         self._broken = ""  # the last fault of this software, until a target succeeds
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(node)
         self._compensation = graph.COMPENSATION.publisher(node)
         self._withdrawals = graph.WITHDRAWN.publisher(node)
-        worker.idle = self._idle
-        worker.hear_sent(graph.TARGET_POSE, self._on_target)
+        worker.hear(graph.TARGET_POSE, self._on_target)
         worker.serve(graph.COMPENSATE, self._on_compensate)
 
-    def asked(self, message: Compensate.Request, sent: float | None = None) -> Request:
-        """A target that is taken now; ``sent`` when (monotonic s), where that is known."""
+    def new_request(self, message: Compensate.Request, sent: float | None = None) -> Request:
+        """Give a target its id. ``sent``: when (monotonic s), where that is known."""
         since = time.monotonic() - self._fresh.away_s if sent is None else sent
         return Request(f"{self._run}-{next(self._numbers)}", message, since)
 
     def stale(self, request: Request) -> str:
-        """Why a target is too old to be carried out now, in words; empty if it is not."""
+        """Say why a target is too old to be carried out now; empty if it is not."""
         stamp = stamp_ns(request.message.target.header.stamp)
         why = untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
         age_s = time.monotonic() - request.since
@@ -97,72 +91,73 @@ class TargetInlet:
             return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"
         return why and f"the target's stamp {why}, allowed {self._max_age_s:g} s"
 
-    def _on_target(self, message: bytes, sent: float) -> None:
+    def _on_target(self, message: PoseStamped, sent: float) -> None:
         if self._latest is not None:
-            self._passed.append(self._latest)
-        if len(self._passed) > graph.TARGET_POSE.depth:
-            self._passed.popleft()
-            self._untold += 1
+            self._superseded.append(self._latest)
+        if len(self._superseded) > graph.TARGET_POSE.depth:
+            self._superseded.popleft()
+            self._unrecorded += 1
         self._latest = message, sent
 
-    def _idle(self) -> bool:
-        """Serve the latest target of the topic, else tell of one that it has superseded."""
-        (taken, late), self._latest = (self._latest, False), None
-        if taken is None:
-            if not self._passed:
-                return False
-            taken, late = self._passed.popleft(), True
-        pose = deserialize_message(taken[0], PoseStamped)
+    def serve_topic(self) -> bool:
+        """Serve the latest target of the topic, else tell of one that it has superseded.
+
+        Returns whether there was one.
+        """
+        latest = self._latest is not None
+        if not latest and not self._superseded:
+            return False
+        pose, sent = self._latest or self._superseded.popleft()
+        self._latest = None
         free = self._node.get_parameter("position_only").value
-        asked = Compensate.Request(target=pose, position_only=free, execute=True)
-        request = self.asked(asked, taken[1])
-        if late:
-            self._refuse(request, Status.SUPERSEDED, "a later target came before work on it began")
-        else:
+        message = Compensate.Request(target=pose, position_only=free, execute=True)
+        request = self.new_request(message, sent)
+        if latest:
             self._serve(request)
-        self._publish_answer(request)
+        else:
+            self._refuse(request, Status.SUPERSEDED, "a later target came before work on it began")
+            self._publish_answer(request)
         return True
 
     def _on_compensate(
         self, message: Compensate.Request, reply: Callable[[Compensate.Response], None],
         sent: float,
     ) -> None:  # fmt: skip
-        request = self.asked(message, sent)
+        request = self.new_request(message, sent)
 
-        def answer() -> None:
-            try:
-                reply(response_of(self._serve(request), self._arm, self._base_frame))
-            finally:  # published even when the client is gone
-                self._publish_answer(request)
+        def respond(answer: Answer) -> None:
+            reply(response_of(answer, self._arm, self._base_frame))
 
-        if not self._worker.submit(answer):
+        if not self._worker.submit(partial(self._serve, request, respond)):
             waiting = f"{self._worker.waiting} targets wait already"
             refused = self._refuse(request, Status.NOT_READY, waiting)
             self._publish_answer(request)
-            reply(response_of(refused, self._arm, self._base_frame))
+            respond(refused)
 
     def execute(self, request: Request) -> Future | None:
         """Compute and send a target in its turn: its `Answer`; None where too many wait."""
-        return self._worker.ask(partial(self._served, request))
-
-    def _served(self, request: Request) -> Answer:
-        try:
-            return self._serve(request)
-        finally:
-            self._publish_answer(request)
+        return self._worker.ask(partial(self._serve, request))
 
     def _refuse(self, request: Request, status: Status, why: str) -> Answer:
         request.answer = self._compensator.refused(request.name, request.message, status, why)
         return request.answer
 
-    def _serve(self, request: Request) -> Answer:
-        """Compute and send, on the worker's thread. The caller publishes the answer afterwards."""
-        if why := self.stale(request):
-            return self._refuse(request, Status.STALE_TARGET, why)
-        request.answer = self._compensator.answer(request.name, request.message)
-        if request.message.execute and request.answer.status.success:
-            request.answer = self._send(request, request.answer)
-        return request.answer
+    def _serve(
+        self, request: Request, respond: Callable[[Answer], None] = lambda answer: None
+    ) -> Answer:
+        """Compute a target, send its joints, respond, then publish; on the worker's thread."""
+        try:
+            if why := self.stale(request):
+                answer = self._refuse(request, Status.STALE_TARGET, why)
+            else:
+                answer = self._compensator.answer(request.name, request.message)
+                request.answer = answer
+                if request.message.execute and answer.status.success:
+                    answer = request.answer = self._send(request, answer)
+            respond(answer)
+            return answer
+        finally:  # published even when the client is gone
+            self._publish_answer(request)
 
     def _send(self, request: Request, answer: Answer) -> Answer:
         """Send the joints and wait for the driver to say whether it takes them."""
@@ -210,8 +205,8 @@ class TargetInlet:
         facts: dict[str, object] = {
             **self._node.tally.facts,
             "waiting": self._worker.waiting + (self._latest is not None),
-            "superseded, not told yet": len(self._passed),
-            "superseded; its fate was not recorded": self._untold,
+            "superseded, not told yet": len(self._superseded),
+            "superseded; its fate was not recorded": self._unrecorded,
             "lost on the way": self._worker.lost,
         }
         if self._state.doubt:

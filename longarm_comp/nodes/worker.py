@@ -44,6 +44,8 @@ _USED: dict[str, tuple[str, ...]] = {
 }
 
 Job = Callable[[], Any]
+Hear = Callable[[Any, float], None]
+"""Takes a message, and when it was sent (monotonic s)."""
 
 _LAST_JOB_S = 2.0
 """Time that the current job has when the node ends, s: a node has three in all."""
@@ -51,8 +53,6 @@ _WAIT_S = 0.05
 """The longest wait at once, s: a longer one is a process that was stopped."""
 _PAUSE_S = 0.01
 """Pause after an exception, s, so that a repeating one does not use the whole processor."""
-
-
 _FAILING_S = 60.0
 """A job that failed and is not done again is held against the worker for so long, s."""
 
@@ -77,10 +77,12 @@ class SequenceWatch:
         self._last: list[int] = []
         self.lost = 0
 
-    def taken(self, numbers: list[int], *, full: bool) -> None:
-        """Enter the numbers (from 1 for each publisher) of messages taken at once, oldest first.
+    def count(self, numbers: list[int], *, full: bool) -> None:
+        """Enter the numbers of messages taken at once.
 
-        ``full``: whether the queue may have been full.
+        Args:
+            numbers: from 1 for each publisher; the oldest first.
+            full: the queue may have been full.
         """
         for number in numbers:
             before = max((last for last in self._last if last < number), default=None)
@@ -109,9 +111,6 @@ class Worker:
     Args:
         executor: woken when an awaited job is done.
         capacity: number of jobs that may wait; further ones are refused.
-
-    Attributes:
-        idle: called while no job waits; does a piece of what can wait, and says whether it did.
     """
 
     def __init__(
@@ -123,22 +122,15 @@ class Worker:
         self._capacity = capacity
         self._closing = False
         self._thread: threading.Thread | None = None
-        self.idle: Callable[[], bool] = lambda: False
         self._aside = _Aside()
         self._bell = GuardCondition(None, None, context=node.context)
-        self._topics: list[tuple[Subscription, SequenceWatch, Callable[[Any, float], None]]] = []
+        self._topics: list[tuple[Subscription, SequenceWatch, Hear]] = []
         self._services: list[Service] = []
         self._set: Any = None
         self._failed: dict[str, tuple[str, float]] = {}
 
-    def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
-        self.hear_sent(topic, lambda message, _: callback(message), raw=False)
-
-    def hear_sent(
-        self, topic: Topic, callback: Callable[[Any, float], None], *, raw: bool = True
-    ) -> None:
-        """The same; the callback gets bytes, and when they were sent (monotonic s)."""
-        made = topic.subscription(self._node, lambda message: None, self._aside, raw=raw)
+    def hear(self, topic: Topic, callback: Hear) -> None:
+        made = topic.subscription(self._node, lambda message: None, self._aside)
         self._topics.append((made, SequenceWatch(), callback))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Any, float], None]) -> None:
@@ -146,7 +138,7 @@ class Worker:
         self._services.append(service.server(self._node, callback, self._aside))
 
     def caller(self, service: ServiceName) -> ServiceCaller:
-        """A client of a service, for this thread."""
+        """Make a client of a service, for this thread."""
         return ServiceCaller(service.client(self._node, self._aside), self._node)
 
     @property
@@ -156,7 +148,7 @@ class Worker:
 
     @property
     def failing(self) -> str:
-        """Why one of its jobs failed of late and has not succeeded since; empty if none did."""
+        """The failure of a job that has not succeeded since; empty if there is none of late."""
         recent = time.monotonic() - _FAILING_S
         return next((why for why, at_s in self._failed.values() if at_s > recent), "")
 
@@ -164,12 +156,18 @@ class Worker:
     def waiting(self) -> int:
         return len(self._jobs)
 
-    def start(self) -> None:
+    def start(self, idle: Callable[[], bool] = lambda: False) -> None:
+        """Begin to work.
+
+        Args:
+            idle: called while no job waits; does a piece of what can wait, and returns whether it
+                did.
+        """
         with self._node.context.handle:
             self._set = rclpy_implementation.WaitSet(
                 len(self._topics), 1, 0, 0, len(self._services), 0, self._node.context.handle
             )
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(idle,), daemon=True)
         self._thread.start()
 
     def submit(self, job: Job) -> bool:
@@ -200,7 +198,7 @@ class Worker:
         return future if self.submit(answer) else None
 
     def take(self, until: Callable[[], bool], within_s: float) -> bool:
-        """Take messages and requests, inside a job, until a condition holds; whether it does.
+        """Take messages and requests, inside a job, until a condition holds, and return it.
 
         Time in which this process was stopped does not count: what came meanwhile is still heard.
         """
@@ -217,7 +215,7 @@ class Worker:
         return until()
 
     def close(self) -> bool:
-        """Finish the current job and drop the others; whether the thread has ended."""
+        """Finish the current job, drop the others, and return whether the thread has ended."""
         self._closing = True
         self.wake()
         if self._thread is None:
@@ -239,7 +237,7 @@ class Worker:
             self._set.add_service(service.handle)
         self._set.wait(-1 if at_most_s is None else max(1, int(1e9 * at_most_s)))
 
-    def _run(self) -> None:
+    def _run(self, idle: Callable[[], bool]) -> None:
         while not self._closing and self._node.context.ok():
             doing = "hearing messages"
             try:
@@ -250,7 +248,7 @@ class Worker:
                     job()
                     if doing in self._failed:  # replaced whole: other threads read it
                         self._failed = {k: v for k, v in self._failed.items() if k != doing}
-                elif not self.idle():
+                elif not idle():
                     self.wait()
             except Exception as error:  # reported; the worker goes on with the next job
                 why = f"{doing} failed: {type(error).__name__}: {error}"
@@ -273,12 +271,12 @@ class Worker:
             numbers: list[int] = []
             for _ in range(max(self._capacity, depth)):
                 with topic.handle:
-                    taken = topic.handle.take_message(topic.msg_type, topic.raw)
+                    taken = topic.handle.take_message(topic.msg_type, False)
                 if taken is None:
                     break
                 numbers.append(taken[1]["publication_sequence_number"] or 0)
                 callback(taken[0], sent_s(taken[1]["source_timestamp"]))
-            watch.taken(numbers, full=len(numbers) >= depth > 1)
+            watch.count(numbers, full=len(numbers) >= depth > 1)
 
 
 def _name_of(job: Any) -> str:
