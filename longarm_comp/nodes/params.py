@@ -110,22 +110,21 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
         except (TypeError, ValueError, ParameterException):
             raise InputError(where(node), name, value, param.allowed) from None
         values[name] = value
-    node.add_on_set_parameters_callback(lambda asked: _checked(known, asked))
+
+    def check_set(asked: Sequence[Parameter]) -> SetParametersResult:
+        """Refuse what a parameter does not allow while the node runs, in words."""
+        for given in asked:  # others are of ROS, or of a section that is checked elsewhere
+            if given.name in known:
+                param = known[given.name]
+                try:
+                    param.check(given.value)
+                except (TypeError, ValueError):
+                    why = f"{given.name}: {given.value!r}; allowed: {param.allowed}"
+                    return SetParametersResult(successful=False, reason=why)
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(check_set)
     return values
-
-
-def _checked(known: Mapping[str, Param], asked: Sequence[Parameter]) -> SetParametersResult:
-    """Refuse what a parameter does not allow while the node runs, in words."""
-    for given in asked:
-        param = known.get(given.name)
-        if param is None:  # of ROS, or of a section that is checked elsewhere
-            continue
-        try:
-            param.check(given.value)
-        except (TypeError, ValueError):
-            why = f"{given.name}: {given.value!r}; allowed: {param.allowed}"
-            return SetParametersResult(successful=False, reason=why)
-    return SetParametersResult(successful=True)
 
 
 def _redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
@@ -136,39 +135,44 @@ def _redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescripto
 
 
 def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
-    """Declare what was given below some prefixes, each field described; nested, to be checked."""
+    """Declare what was given below some prefixes, each field with its meaning and range.
+
+    Returns it nested; a model of the section checks it.
+    """
     tree: dict[str, Any] = {}
     for name, value in overrides(node).items():
-        *path, last = name.split(".")
-        section = name.split(".")[0]
-        if section not in sections:
+        *path, field = name.split(".")
+        if not path or path[0] not in sections:
             continue
-        _redeclare(node, name, value, described(sections[section], last))
+        # An unknown field is refused by the section's own check
+        schema = sections[path[0]].model_json_schema()["properties"].get(field, {})
+        if "enum" in schema:
+            limits = ["one of " + ", ".join(map(str, schema["enum"]))]
+        else:
+            kinds = (schema, *schema.get("anyOf", ()))
+            limits = [
+                f"{word} {k[limit]:g}" for k in kinds for limit, word in _LIMITS if limit in k
+            ]
+        described = ParameterDescriptor(
+            read_only=True,
+            description=schema.get("description", ""),
+            additional_constraints=" ".join(limits),
+        )
+        _redeclare(node, name, value, described)
         place = tree
         for part in path:
             place = place.setdefault(part, {})
-        place[last] = value
+        place[field] = value
     return tree
 
 
-_LIMITS = {
-    "minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below",
-}  # fmt: skip
+_LIMITS = (
+    ("minimum", "from"),
+    ("exclusiveMinimum", "above"),
+    ("maximum", "to"),
+    ("exclusiveMaximum", "below"),
+)
 """Limits of a number in JSON Schema, in words."""
-
-
-def described(section: type[BaseModel], field: str) -> ParameterDescriptor:
-    """The descriptor of one field of a section that is checked elsewhere: meaning and range."""
-    # An unknown field is refused by the section's own check
-    told = section.model_json_schema()["properties"].get(field, {})
-    said = [f"{word} {kind[limit]:g}" for kind in (told, *told.get("anyOf", ()))
-            for limit, word in _LIMITS.items() if limit in kind]  # fmt: skip
-    if "enum" in told:
-        said = ["one of " + ", ".join(map(str, told["enum"]))]
-    return ParameterDescriptor(
-        read_only=True, description=told.get("description", ""),
-        additional_constraints=" ".join(said),
-    )  # fmt: skip
 
 
 def overrides(node: Node) -> dict[str, Any]:
