@@ -55,7 +55,7 @@ def watched(
         q = ARM.mid + 0.2 * (ARM.upper - ARM.lower) * (rng.random(ARM.n) - 0.5)
         noise = 3e-4 * rng.standard_normal(3)
         seen = model.measured(q) + np.array([0.0, 0.0, off_prediction]) + noise
-        monitor.aimed(q, stands.asked(model.tip(q)) - [0.0, 0.0, off_target])
+        monitor.aim_at(q, stands.asked(model.tip(q)) - [0.0, 0.0, off_target])
         rest = RestPose(q, History.unknown(ARM.n), seen, np.full(3, 1e-8))
         monitor.judge(rest, model, Context())
     assert monitor.sighted is not None
@@ -103,7 +103,7 @@ def test_commands_for_other_circumstances_show_at_the_target_alone(model: Model)
 
 def test_a_pose_that_is_no_target_is_not_judged_by_one(model: Model) -> None:
     monitor = monitor_of()
-    monitor.aimed(ARM.mid, np.zeros(3))
+    monitor.aim_at(ARM.mid, np.zeros(3))
     q = ARM.mid + 0.01
     rest = RestPose(q, History.unknown(ARM.n), model.measured(q), np.full(3, 1e-8))
     monitor.judge(rest, model, Context())
@@ -136,7 +136,8 @@ def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -
     known = [Context()]
     worker = SimpleNamespace(waiting=0, submit_once=jobs.append)
     state = SimpleNamespace(
-        arm=ARM, worker=worker, known=lambda: known[0], driver=SimpleNamespace(acknowledged=True),
+        arm=ARM, worker=worker, known_context=lambda: known[0],
+        driver=SimpleNamespace(acknowledged=True),
         files=SimpleNamespace(loaded=SimpleNamespace(model=Model(ARM))),
     )  # fmt: skip
     teller = RingTeller(state, shaped=False)

@@ -25,7 +25,7 @@ from longarm_interfaces.msg import DriverState, Motion
 
 @dataclass(frozen=True)
 class Pace:
-    """How long a visit may take.
+    """The time that a visit may take, and what counts as rest.
 
     Attributes:
         sightings: averaged at each pose.
@@ -138,7 +138,7 @@ class ArmClient(GraphClient):
             self._refused = message.message if message.event == Motion.REFUSED else ""
 
     def driver_takes(self, *, held: bool = False) -> bool:
-        """Whether the driver tells that it takes trajectories; true of one that never tells.
+        """Return whether the driver takes trajectories; true of one that never tells.
 
         Raises:
             DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.
@@ -199,7 +199,7 @@ class ArmClient(GraphClient):
         return int(self.node.get_clock().now().nanoseconds)
 
     def _short_of(self, q: np.ndarray, pace: Pace) -> str:
-        """Which joint did not come to its command (n,), by how much, and what helps."""
+        """Say which joint did not come to its command (n,), by how much, and what helps."""
         waited = f"the joints did not come to rest at their command within {pace.arrive_s:g} s"
         if self.joints is None:
             return f"{waited}: no joint_states"

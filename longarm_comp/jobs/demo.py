@@ -42,7 +42,7 @@ _PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 
 
 
 def table_row(trial: Trial) -> dict[str, Any]:
-    """What the cameras measured, what really was, what the paper has."""
+    """Make a table's row: what the cameras measured, what really was, what the paper has."""
     seen = Errors.of(trial.error)
     told = ("mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
     mean, variance = _PAPER.get(trial.name, (None, None))
@@ -56,8 +56,8 @@ def table_row(trial: Trial) -> dict[str, Any]:
     }
 
 
-def improved(trials: Sequence[Trial]) -> bool:
-    """Whether the last trial came nearer to the targets than the first, measured and truly."""
+def is_improved(trials: Sequence[Trial]) -> bool:
+    """Return whether the last trial came nearer to the targets than the first, in both measures."""
     first, last = table_row(trials[0]), table_row(trials[-1])
     return all(last[name] < first[name] for name in ("mean_mm", "true_mean_mm"))
 
@@ -95,7 +95,7 @@ class DemoSettings:
         )
 
     def graph(self) -> BringUp:
-        """The graph; model and predictor are taken up once they are there."""
+        """Make the graph; model and predictor are taken up once they are there."""
         given: dict[str, dict[str, Any]] = {
             "servo_driver": {
                 "follower.blend_s": 0.05, "order_max_age_s": PACE.look_s,
@@ -157,7 +157,7 @@ def demonstrate(
     (found,) = done["rounds"]
     return {
         "rows": [table_row(trial) for trial in trials],
-        "improved": improved(trials),
+        "improved": is_improved(trials),
         "collected": found["collected"],
         "outside_training_data": int(np.sum(trials[-1].status == Status.OUT_OF_DOMAIN)),
         "verdict": found["verdict"],

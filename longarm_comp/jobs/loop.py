@@ -104,7 +104,7 @@ class LoopSettings:
         return self.out / (what if k == 1 else f"{name}_{k}{dot}{ending}")
 
     def facts(self) -> dict[str, Any]:
-        """What must be the same where an interrupted loop goes on; ``rounds`` may grow."""
+        """Return what must be the same where an interrupted loop goes on; ``rounds`` may grow."""
         return {k: v for k, v in asdict(self).items() if k not in ("out", "rounds")}
 
 
@@ -134,14 +134,14 @@ class Journal:
         return step in self._steps
 
     def once(self, step: str, make: Callable[[], Any]) -> Any:
-        """The result of a step as plain data, made now unless it was made before."""
+        """Return the result of a step as plain data, made now unless it was made before."""
         if step not in self._steps:
             self._steps[step] = make()
             write_text(self._path, json.dumps(self._steps))
         return self._steps[step]
 
     def trial(self, step: str, make: Callable[[], Trial]) -> Trial:
-        """The same for a run over targets."""
+        """Return the result of a run over targets, made now unless it was made before."""
 
         def plain() -> dict[str, Any]:
             trial = make()

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, cast
 
 from rclpy.node import Node
 
@@ -58,7 +57,7 @@ class Recorder:
         self.newest: dict[str, int] = {}
         """The latest time (ns) that a message of a topic was about."""
         for topic in topics:
-            name, message = node.resolve_topic_name(topic.name), cast("Any", topic.type)
+            name, message = node.resolve_topic_name(topic.name), topic.type
             kind = f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
             if "header" in message.get_fields_and_field_types():
                 self._stamped.add(name)

@@ -80,7 +80,7 @@ class Trial:
         return sum(not Status(int(status)).success for status in self.status)
 
     def against(self, before: Trial, seed: int = 0) -> Verification:
-        """Compared with another run over the same targets, paired."""
+        """Compare with another run over the same targets, paired."""
         return verification((before.name, self.name), before.off, self.off, seed)
 
 
@@ -101,7 +101,7 @@ class TargetRunner:
         """Wait until kinematics knows the joints, so that it can answer for a target (3,), m."""
         client = self._client
         reports = Reports(client)
-        said = partial(reports.said, "kinematics", "targets")
+        said = partial(reports.last_message, "kinematics", "targets")
 
         def knows() -> bool:
             answer = self.ask(target, execute=False)
@@ -115,7 +115,7 @@ class TargetRunner:
 
     @contextmanager
     def method(self, method: Method) -> Iterator[None]:
-        """What the kinematics node compensates meanwhile; afterwards as before."""
+        """Set what kinematics compensates meanwhile; afterwards as before."""
         (before,) = self._client.parameters("kinematics", "method")
         self._client.set_parameter("kinematics", "method", method.value)
         try:
@@ -125,7 +125,7 @@ class TargetRunner:
                 self._client.set_parameter("kinematics", "method", before)
 
     def refusals(self, targets: np.ndarray, methods: Sequence[Method]) -> list[str]:
-        """Why each of (N, 3) targets, m, would be refused with one of the methods; "" if not."""
+        """Ask why each of (N, 3) targets, m, would be refused with a method; "" if none would."""
         why = [""] * len(targets)
         for method in methods:
             with self.method(method):
@@ -224,7 +224,7 @@ def one_by_one(targets: np.ndarray) -> Draw:
 
 
 def method_at_work(client: GraphClient) -> Method:
-    """What the kinematics node compensates now; everything, where it compensates nothing."""
+    """Ask what kinematics compensates now; everything, where it compensates nothing."""
     (name,) = client.parameters("kinematics", "method")
     return Method.BOTH if Method(name) is Method.NONE else Method(name)
 

@@ -1,4 +1,4 @@
-"""What a node knows of its arm: the model, and what the graph and the driver tell of it."""
+"""The state of a node's arm: the model, and what the graph and the driver tell of it."""
 
 from __future__ import annotations
 
@@ -127,8 +127,8 @@ class ArmState:
             self.driver.history if history is None else history,
         )  # fmt: skip
 
-    def known(self, history: History | None = None) -> Context | None:
-        """The same; None while one that the model needs is unknown."""
+    def known_context(self, history: History | None = None) -> Context | None:
+        """Return the circumstances of now; None while one that the model needs is unknown."""
         try:
             return self.context(history)
         except StaleContext:
@@ -137,14 +137,14 @@ class ArmState:
     @property
     def standing(self) -> tuple[Model, np.ndarray, Context] | None:
         """Model in use, readings (n,) and circumstances of now; None while they are not known."""
-        q, context = self.joints, self.known()
+        q, context = self.joints, self.known_context()
         return None if q is None or context is None else (self.files.loaded.model, q, context)
 
     def _on_inclination(self, message: Imu) -> None:
         try:
             row, columns = tilt_of(message)
         except InputError as error:
-            self.node.tally.dropped("inclination", str(error))
+            self.node.tally.count_dropped("inclination", str(error))
             return
         self._read(f"inclination {row}", columns)
 
@@ -153,13 +153,13 @@ class ArmState:
         whoever says it knows of another circumstance than the last one."""
         now = time.monotonic()
         if not all(math.isfinite(value) for value in columns.values()):
-            self.node.tally.dropped(source, f"{source}: {columns} is not finite")
+            self.node.tally.count_dropped(source, f"{source}: {columns} is not finite")
             return
         try:
             for name, value in columns.items():
                 check_circumstance(self.arm, name, value, source)
         except InputError as error:
-            self.node.tally.dropped(source, str(error))
+            self.node.tally.count_dropped(source, str(error))
             self.readings = self.readings.told(source, columns, now, wrong=str(error))
             return
         self.readings = self.readings.told(source, columns, now)
@@ -172,7 +172,7 @@ class ArmState:
 
     @property
     def doubt(self) -> str:
-        """Why the arm must not be moved from where `joints` say that it is; empty if it may."""
+        """The reason not to move the arm from where `joints` say that it is; empty if it may."""
         held = self._joints
         if held is None:
             return self._trust.doubt or NO_JOINTS
@@ -184,7 +184,7 @@ class ArmState:
         try:
             q = joints_of(message, self.arm, "joint_states")
         except InputError as error:
-            self.node.tally.dropped("joint_states", str(error))
+            self.node.tally.count_dropped("joint_states", str(error))
             return
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
         self._trust.heard(info["publication_sequence_number"], now)
@@ -218,7 +218,7 @@ class DriverLink:
         on_motion: Callable[[Motion], None],
     ) -> None:
         self._arm, self._arm_state = state.arm, state
-        self._dropped = state.node.tally.dropped
+        self._count_dropped = state.node.tally.count_dropped
         self.acknowledged = state.p["acknowledged"]
         self._tell_command, self._tell_motion = on_command, on_motion
         self.history = History.unknown(state.arm.n)
@@ -236,7 +236,7 @@ class DriverLink:
 
     @property
     def refusal(self) -> str:
-        """Why nothing can be sent now; empty where the driver takes trajectories."""
+        """The reason that nothing can be sent now; empty where the driver takes trajectories."""
         if not self.acknowledged:
             return ""
         now, state = time.monotonic(), self._state
@@ -256,13 +256,13 @@ class DriverLink:
         self._asked, self._answer = name, None
 
     @property
-    def answered(self) -> bool:
-        """Whether the driver has said if it takes the trajectory; true where it never says."""
+    def has_answered(self) -> bool:
+        """True once the driver has said if it takes the trajectory, and where it never says."""
         return self._answer is not None or not self.acknowledged
 
     @property
     def not_accepted(self) -> str:
-        """Why the trajectory that was expected is not taken up; empty where it is."""
+        """The reason that the expected trajectory is not taken up; empty where it is."""
         if not self.acknowledged:
             return ""
         if self._answer is None:
@@ -275,7 +275,7 @@ class DriverLink:
             try:
                 start, path = motion_of(message, self._arm)
             except InputError as error:
-                self._dropped("motion", str(error))
+                self._count_dropped("motion", str(error))
                 self.lose()
             else:
                 self.went(path, start)
@@ -289,18 +289,18 @@ class DriverLink:
         try:
             path = path_of(message, self._arm)
         except InputError as error:
-            self._dropped("joint_trajectory", str(error))
+            self._count_dropped("joint_trajectory", str(error))
             return
         self.went(path, self._end if self._end is not None else self._arm_state.joints)
 
     def went(self, path: np.ndarray, start: np.ndarray | None) -> None:
-        """Joints are on their way through (k, n) from a start (n,)."""
+        """Enter that the joints are on their way through (k, n) from a start (n,)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
         self._tell_command(path[-1], self.history)
 
     def lose(self) -> None:
-        """Where the joints come from is not known from here on."""
+        """Forget the history of the joints: from here on it is not known."""
         self.history, self._end = History.unknown(self._arm.n), None
 
     def _on_state(self, message: DriverState, sent: float) -> None:

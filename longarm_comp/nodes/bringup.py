@@ -293,13 +293,13 @@ class BringUp:
 
 
 def _apart() -> dict[str, str]:
-    """Where stops of a simulated arm are kept: no reset there is one of the real arm."""
+    """Return the folder of a simulated arm's stops: no reset there is one of the real arm."""
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     return {"state": str(state_folder() / "simulated" / domain)}
 
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:
-    """A parameter that holds a path; absent where there is none."""
+    """Return a parameter that holds a path; no parameter where there is none."""
     return {} if path is None else {name: str(path.absolute())}
 
 

@@ -60,7 +60,7 @@ class Compensator:
         self._base_frame = state.base_frame
 
     def kind(self) -> Hashable:
-        """What the programs that a target needs depend on: model, options, what is known.
+        """Return what a target's programs depend on: model, options, the circumstances known.
 
         Raises:
             StaleContext: a circumstance that the model needs is not known.
@@ -80,24 +80,22 @@ class Compensator:
         self.answer("", Compensate.Request(target=target, seed=seed))
 
     def answer(self, name: str, request: Compensate.Request) -> Answer:
-        """The answer to a request; a refusal is one too. ``name``: id of the target."""
+        """Answer a request; a refusal is an answer too. ``name``: id of the target."""
         try:
             return self._compensate(name, request)
         except Refusal as refusal:
-            return self.refused(name, request, refusal.status, str(refusal))
+            return self.refuse(name, request, refusal.status, str(refusal))
         except StaleContext as error:
-            return self.refused(name, request, Status.STALE_CONTEXT, str(error))
+            return self.refuse(name, request, Status.STALE_CONTEXT, str(error))
         except InputError as error:
-            return self.refused(name, request, Status.BAD_TARGET, str(error))
+            return self.refuse(name, request, Status.BAD_TARGET, str(error))
         except Exception as error:
             self._node.health.fault(error)
             text = f"{type(error).__name__}: {error}"
-            return self.refused(name, request, Status.INTERNAL_ERROR, text)
+            return self.refuse(name, request, Status.INTERNAL_ERROR, text)
 
-    def refused(
-        self, name: str, request: Compensate.Request, status: Status, reason: str
-    ) -> Answer:
-        """The answer to a request that is refused before any computation."""
+    def refuse(self, name: str, request: Compensate.Request, status: Status, reason: str) -> Answer:
+        """Make the answer to a request that is refused before any computation."""
         return Answer(
             name, request.target, request.position_only, status, reason,
             str(self._node.get_parameter("method").value), self._files.loaded.file_hash,
@@ -122,7 +120,7 @@ class Compensator:
             ),
             options=options,
         )  # fmt: skip
-        arrival, used, why = self._state.predictor.tried(options.method, compensate)
+        arrival, used, why = self._state.predictor.compensate_with(options.method, compensate)
         arrival = replace(arrival, outcome=stands.told(arrival.outcome))
         outcome = arrival.outcome
         status, reason = outcome.status, outcome.reason
@@ -138,7 +136,7 @@ class Compensator:
         )  # fmt: skip
 
     def _target(self, request: Compensate.Request) -> tuple[PoseStamped, np.ndarray]:
-        """The target in the base frame: as a message, and as (4, 4) or (3,), m."""
+        """Return the target in the base frame: as a message, and as (4, 4) or (3,), m."""
         target, header = target_of(request.target, request.position_only), request.target.header
         if header.frame_id in (self._base_frame, self._state.p["base_frame"]):
             return request.target, target
@@ -161,7 +159,7 @@ class Compensator:
         )  # fmt: skip
 
     def _start(self, request: Compensate.Request) -> tuple[np.ndarray, np.ndarray | None]:
-        """Where the move starts and where the search does, (n,) each.
+        """Return where the move starts and where the search does, (n,) each.
 
         Without a seed both are the joints. A move that is executed starts at the joints also with
         one; only a computation may start elsewhere.
@@ -201,18 +199,18 @@ class Readiness:
 
     def look(self) -> None:
         """Have the worker prepare what is not at hand."""
-        if self._needed()[0] != self._prepared or not self._predictor.answers:
+        if self._programs_needed()[0] != self._prepared or not self._predictor.answers:
             self._worker.submit_once(self._prepare)
 
-    def _needed(self) -> tuple[Hashable, str]:
-        """What the programs of the next target depend on; why that is not known, or nothing."""
+    def _programs_needed(self) -> tuple[Hashable, str]:
+        """Return what the next target's programs depend on; and why that is not known, or ""."""
         try:
             return (self._compute.kind() if self._compiled else "not compiled"), ""
         except StaleContext as unknown:
             return self._prepared, str(unknown)
 
     def _prepare(self) -> None:
-        needed, _ = self._needed()
+        needed, _ = self._programs_needed()
         try:
             self._predictor.probe()
             self._probed = True
@@ -222,9 +220,9 @@ class Readiness:
             self._prepared = needed  # also after a fault, which every target would repeat
 
     def report(self) -> Report:
-        """Whether the next target takes its ordinary time, for diagnostics."""
+        """Report whether the next target takes its ordinary time."""
         facts = {"programs compiled": Compiled.programs}
-        needed, unknown = self._needed()
+        needed, unknown = self._programs_needed()
         if unknown:
             return Report(WARN, unknown, facts)
         if not self._probed or needed != self._prepared:

@@ -1,4 +1,4 @@
-"""How the arm is shown: its links and URDF on /tf, markers for RViz."""
+"""Pictures of the arm: its links and URDF on /tf, markers for RViz."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class ArmFrames:
             return
         placed = link_frames(state.files.rigid, q, self._prefix)
         others = self._teller.listeners > 1  # one is this node's own
-        if others and (context := state.known()) is not None:
+        if others and (context := state.known_context()) is not None:
             loaded = state.files.loaded
             tip = loaded.stands.asked(loaded.model.pose(q, context))  # takes 10 times as long
             placed.append(Placed.at(state.base_frame, self._prefix + _TIP_PREDICTED, tip))

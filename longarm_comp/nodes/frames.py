@@ -26,7 +26,7 @@ from longarm_comp.nodes.messages import quaternion_message, vector_message
 
 
 def prefix_of(node: Node) -> str:
-    """What the names of a node's frames start with: nothing without a namespace."""
+    """Return what the names of a node's frames start with: nothing without a namespace."""
     namespace = node.get_namespace().strip("/")
     return f"{namespace}/" if namespace else ""
 

@@ -61,7 +61,7 @@ class Topic:
     """
 
     name: str
-    type: type
+    type: Any  # of its messages
     depth: int
     listens: ReliabilityPolicy
     latched: bool = False

@@ -114,35 +114,35 @@ class Kinematics(ArmNode):
         self._monitor.unplaced = self._sightings.unplaced
         self._markers.on_tip(told)
         rest = None if of_model is None else self._monitor.on_tip(of_model)
-        context = None if rest is None else self._arm.known(rest.history)
+        context = None if rest is None else self._arm.known_context(rest.history)
         if rest is not None and context is not None:
             self._arm.worker.submit(partial(self._judge, rest, context))
 
     def _judge(self, rest: RestPose, context: Context) -> None:
         learned = self._monitor.judge(rest, self._arm.files.loaded.model, context)
-        self._learning.seen(rest, context, learned)
+        self._learning.learn_from(rest, context, learned)
 
     def _on_joints(self, q: np.ndarray, at_s: float) -> None:
         self._monitor.on_joints(q, at_s)
-        self._weigher.read()
+        self._weigher.on_joints()
 
     def _on_command(self, q: np.ndarray, history: History) -> None:
-        self._weigher.moving()
+        self._weigher.on_command()
         self._monitor.on_command(q, history)
 
     def _on_motion(self, motion: Motion) -> None:
-        self._reach.told(motion)
-        self._ringing.told(motion)
+        self._reach.on_motion(motion)
+        self._ringing.on_motion(motion)
         if motion.event != Motion.REACHED:
             return
         self._monitor.on_reached()
-        self._weigher.reached()
+        self._weigher.on_reached()
         now = self._arm.standing
         if now is not None:
             self._arm.worker.submit(partial(self._monitor.judge_servos, *now))
 
     def _graph_report(self) -> Report:
-        """Whether others are on the graph that must not be, or cannot be heard."""
+        """Report others on the graph that must not be there, or cannot be heard."""
         if self._twins.refusal:
             return Report(ERROR, self._twins.refusal)
         ends = self.get_publishers_info_by_topic(self.resolve_topic_name(graph.TARGET_POSE.name))

@@ -1,4 +1,4 @@
-"""What all nodes have alike: checked parameters, workers, health, and the process they run in."""
+"""The base of all nodes: checked parameters, workers, health, and the process they run in."""
 
 from __future__ import annotations
 

@@ -45,19 +45,19 @@ class Param:
         described = ParameterDescriptor(
             name=self.name, description=self.description, read_only=not self.live
         )
-        if self.bounded and isinstance(self.default, float):
+        if self.is_bounded and isinstance(self.default, float):
             real = FloatingPointRange(from_value=float(self.lower), to_value=float(self.upper))
             described.floating_point_range = [real]
-        elif self.bounded and isinstance(self.default, int):
+        elif self.is_bounded and isinstance(self.default, int):
             whole = IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=1)
             described.integer_range = [whole]
-        elif self.bounded:
+        elif self.is_bounded:
             described.additional_constraints = self.allowed
         return described
 
     @property
-    def bounded(self) -> bool:
-        """Whether not every value of the type is allowed."""
+    def is_bounded(self) -> bool:
+        """True where not every value of the type is allowed."""
         return bool(self.choices) or self.lower > -1e9 or self.upper < 1e9
 
     @property
@@ -65,13 +65,13 @@ class Param:
         kind = "numbers" if isinstance(self.default, list) else type(self.default).__name__
         if self.choices:
             return "one of " + ", ".join(self.choices)
-        return f"{kind}, {self.lower:g} to {self.upper:g}" if self.bounded else kind
+        return f"{kind}, {self.lower:g} to {self.upper:g}" if self.is_bounded else kind
 
     @property
     def comment(self) -> str:
         """The comment on this parameter in the parameter file."""
         live = "; may be set while running" if self.live else ""
-        return self.description + (f" ({self.allowed})" if self.bounded else "") + live
+        return self.description + (f" ({self.allowed})" if self.is_bounded else "") + live
 
     def check(self, value: Any) -> Any:
         """The value in the parameter's own type. Raises ValueError."""

@@ -45,13 +45,13 @@ class Weigher:
         self._last_s = -math.inf
         graph.WRENCH.subscription(state.node, self._on_wrench)
 
-    def moving(self) -> None:
+    def on_command(self) -> None:
         self._due = math.inf
 
-    def reached(self) -> None:
+    def on_reached(self) -> None:
         self._due = time.monotonic() + self._settle_s
 
-    def read(self) -> None:
+    def on_joints(self) -> None:
         """Look at the joints' last reading: weigh where it is due, tell what was found."""
         now = time.monotonic()
         standing = self._state.standing if now >= self._due else None
@@ -68,7 +68,7 @@ class Weigher:
         try:
             row, force = wrench_of(message, self._arm)
         except InputError as error:
-            self._state.node.tally.dropped("wrench", str(error))
+            self._state.node.tally.count_dropped("wrench", str(error))
             return
         self._wrist = Wrist(row, force, self._sigma)
 
@@ -82,7 +82,7 @@ class Weigher:
             self._weighing, self._told = self._weighing.changed(), kg
         rest = felt(model, q, context, effort, self._drives, wrist)
         if not rest.finite:
-            self._state.node.tally.dropped("rest", "what was felt at a rest is not finite")
+            self._state.node.tally.count_dropped("rest", "what was felt at a rest is not finite")
             return
         self._weighing = self._weighing.felt(rest)
 
@@ -120,7 +120,7 @@ class Weigher:
 
 
 def drives(servos: str, arm: Arm) -> Drives:
-    """What the servos of a driver's file tell of loads; NaN for joints of which it is not known."""
+    """Read how a driver's servos tell loads; NaN for joints of which it is not known."""
     config = ServoConfig.load(servos).joints if servos else {}
     friction, step = np.full((2, arm.n), np.nan)
     for k, name in enumerate(arm.joint_names):

@@ -56,7 +56,7 @@ class PredictorClient:
     def present(self) -> bool:
         return self._caller.present
 
-    def tried(
+    def compensate_with(
         self, method: Method, compensate: Callable[[Nearby | None], Found]
     ) -> tuple[Found, str, str]:
         """Compensate with what answers, or without where none does or the method needs none.

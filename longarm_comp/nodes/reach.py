@@ -41,14 +41,14 @@ class ReachServer:
         self._told: dict[str, Motion] = {}  # by trajectory, since the goal at hand was begun
         self._server = graph.REACH.server(node, self._serve)
 
-    def told(self, motion: Motion) -> None:
+    def on_motion(self, motion: Motion) -> None:
         """Take what the driver says of a trajectory; from any thread."""
         if self._turns and motion.event != Motion.ACCEPTED:
             self._told.setdefault(motion.id, motion)
 
     @property
     def _no_driver(self) -> str:
-        """Why no driver will say that a move is done; empty where it does."""
+        """The reason that no driver will say that a move is done; empty where it does."""
         if not self._state.driver.acknowledged:
             return "the driver does not report what is reached: acknowledged is false"
         return self._state.driver.refusal

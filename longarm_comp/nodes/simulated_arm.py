@@ -94,7 +94,7 @@ def numbers(field: str, text: str, count: int, allowed: str) -> dict[str, list[f
     return by_name
 
 
-def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
+def _check_names(field: str, text: str, known: Iterable[str]) -> list[str]:
     """The words of a text; each must be known."""
     for word in text.split():
         if word not in known:
@@ -176,10 +176,12 @@ class _SimulatedArm(ArmNode):
 
     def _unplug(self, text: str) -> None:
         ids = {joint.name: joint.servo_id for joint in self._plant.config.servos.joints}
-        self._plant.emulator.faults.silent = {ids[name] for name in _named("unplugged", text, ids)}
+        self._plant.emulator.faults.silent = {
+            ids[name] for name in _check_names("unplugged", text, ids)
+        }
 
     def _cover(self, text: str) -> None:
-        self._covered = _named("covered", text, SIDES)
+        self._covered = _check_names("covered", text, SIDES)
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:

@@ -26,14 +26,14 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
-from longarm_comp.nodes.images import ImageInlet, decoded, pixels_of, same_camera
+from longarm_comp.nodes.images import ImageInlet, decode, pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 
 _TRANSPORTS = {
     "raw": ((graph.LEFT_IMAGE, graph.RIGHT_IMAGE), pixels_of),
-    "compressed": ((graph.LEFT_COMPRESSED, graph.RIGHT_COMPRESSED), decoded),
+    "compressed": ((graph.LEFT_COMPRESSED, graph.RIGHT_COMPRESSED), decode),
 }
 
 MARKER_LOST = "marker lost: "
@@ -193,7 +193,7 @@ class _StereoBridge(ArmNode):
         self._tips.publish(tip_message(lost, np.zeros((6, 6)), stamp_of(ns), self._base_frame))
 
     def _calibration(self) -> str:
-        """Where the calibration is from, and whether the cameras tell another one."""
+        """Say where the calibration is from, and whether the cameras tell another one."""
         if not self._files:
             return "camera_info"
         told = ((info, self._files[side]) for side, info in self._infos.items() if info.k[0])

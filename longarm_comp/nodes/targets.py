@@ -139,7 +139,7 @@ class TargetInlet:
         return self._worker.ask(partial(self._serve, request))
 
     def _refuse(self, request: Request, status: Status, why: str) -> Answer:
-        request.answer = self._compensator.refused(request.name, request.message, status, why)
+        request.answer = self._compensator.refuse(request.name, request.message, status, why)
         return request.answer
 
     def _serve(
@@ -173,11 +173,11 @@ class TargetInlet:
         answer = request.answer = replace(answer, name=order_id(message), sent=True)
         self._driver.expect(answer.name)
         self._trajectory.publish(message)
-        if not self._worker.take(lambda: self._driver.answered, p["acknowledge_s"]):
+        if not self._worker.take(lambda: self._driver.has_answered, p["acknowledge_s"]):
             self._withdrawals.publish(String(data=answer.name))
         if why := self._driver.not_accepted:
             return replace(answer, status=Status.NOT_ACCEPTED, message=why)
-        self._monitor.aimed(arrival.outcome.command, arrival.outcome.position)
+        self._monitor.aim_at(arrival.outcome.command, arrival.outcome.position)
         return replace(answer, accepted=True)
 
     def _publish_answer(self, request: Request) -> None:
@@ -189,7 +189,7 @@ class TargetInlet:
             self._broken = answer.message
         elif answer.status.success:
             self._broken = ""
-            self._node.health.mended()
+            self._node.health.clear_fault()
         why = "" if answer.status is Status.SUCCESS else answer.message
         self._node.tally.count(answer.status.name, why)
         self._compensation.publish(compensation_message(answer, self._arm, self._base_frame))

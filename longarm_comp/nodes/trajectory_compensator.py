@@ -41,7 +41,7 @@ from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import joints_message, seconds, trajectory_message
 from longarm_comp.nodes.node import ArmNode, program
-from longarm_comp.nodes.orders import Freshness, Stamps, aborted
+from longarm_comp.nodes.orders import Freshness, Stamps, abort
 from longarm_comp.nodes.params import Param, where
 
 PARAMS = (
@@ -120,7 +120,7 @@ class _TrajectoryCompensator(ArmNode):
         why = f"joints {sorted(strange)}; allowed: {allowed}" if strange else self._not_now(asked)
         made: CompensatedPath | None = None
         if not why:
-            future = self._worker.ask(partial(self._compensated, goal.request))
+            future = self._worker.ask(partial(self._compensate, goal.request))
             made, why = (None, "too many goals wait") if future is None else await future
         why = why or self._fresh.too_old(asked.header.stamp)
         if goal.is_cancel_requested:
@@ -128,7 +128,7 @@ class _TrajectoryCompensator(ArmNode):
             return result(error_string="cancelled before anything was sent")
         if why or made is None:
             self.tally.count("refused", why)
-            return aborted(goal, result.INVALID_JOINTS if strange else result.INVALID_GOAL, why)
+            return abort(goal, result.INVALID_JOINTS if strange else result.INVALID_GOAL, why)
         self._following += 1
         try:
             return await self._forward(goal, made)
@@ -136,7 +136,7 @@ class _TrajectoryCompensator(ArmNode):
             self._following -= 1
 
     def _not_now(self, asked: JointTrajectory) -> str:
-        """Why nothing can be followed now; empty if it can."""
+        """Say why nothing can be followed now; empty if it can."""
         if not asked.points:
             return "a trajectory without points"
         if not self._out.server_is_ready():
@@ -145,7 +145,7 @@ class _TrajectoryCompensator(ArmNode):
         return self._fresh.too_old(asked.header.stamp) or why
 
     async def _forward(self, goal: Any, made: CompensatedPath) -> Any:
-        """Send the path to the controller; what became of it."""
+        """Send the path to the controller, and return what became of it."""
         timed = made.timed
         message = trajectory_message(
             self._arm, timed.joints, timed.times, self._stamps.next(), timed.velocities
@@ -159,7 +159,7 @@ class _TrajectoryCompensator(ArmNode):
         if not sent.accepted:
             why = f"{self._controller} does not accept the goal"
             self.tally.count("refused", why)
-            return aborted(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
+            return abort(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
         if not self._driver.acknowledged:
             self._driver.went(timed.joints[1:], start)
         ended, asked = sent.get_result_async(), False
@@ -181,8 +181,8 @@ class _TrajectoryCompensator(ArmNode):
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
 
-    def _compensated(self, request: Any) -> tuple[CompensatedPath | None, str]:
-        """The path to send, or why there is none."""
+    def _compensate(self, request: Any) -> tuple[CompensatedPath | None, str]:
+        """Compute the path to send, or say why there is none."""
         start = self._state.joints
         assert start is not None
         loaded = self._files.loaded
@@ -198,7 +198,7 @@ class _TrajectoryCompensator(ArmNode):
                 position_only=self.p["position_only"], max_turn_rad=self.p["max_turn_rad"],
                 max_longer=self._longer(request), options=CompensationOptions(self._method),
             )  # fmt: skip
-            found, *_ = self._state.predictor.tried(self._method, compensate)
+            found, *_ = self._state.predictor.compensate_with(self._method, compensate)
         except (PathRefused, StaleContext, InputError) as error:
             return None, str(error)
         for note in found.notes:

@@ -73,7 +73,7 @@ class Buttons:
         """Send what was pressed and take the answers that have come. ``now``: monotonic, s."""
         while self._pressed:
             self._begin(self._pressed.popleft(), now)
-        self._calls = [call for call in self._calls if not self._ended(*call, now)]
+        self._calls = [call for call in self._calls if not self._has_ended(*call, now)]
 
     def _begin(self, button: Button, now: float) -> None:
         client = self._clients[button.service]
@@ -85,8 +85,8 @@ class Buttons:
         asked = Call(client, button.request(), again=True)
         self._calls.append((button, asked, now))
 
-    def _ended(self, button: Button, asked: Call, since: float, now: float) -> bool:
-        """Whether a call is answered or given up."""
+    def _has_ended(self, button: Button, asked: Call, since: float, now: float) -> bool:
+        """Return whether a call is answered or given up."""
         answer = asked.answer()
         if answer is None and now - since < _PATIENCE_S:
             return False
@@ -135,7 +135,7 @@ class Panel:
 
     @property
     def exaggeration(self) -> tuple[float, float]:
-        """How many times larger the deflection, and how many times longer error arrows are."""
+        """The factors by which the deflection and the error arrows are drawn larger."""
         return self._deflection.value, self._error.value
 
     def show(

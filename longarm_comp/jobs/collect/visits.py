@@ -154,7 +154,7 @@ def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: 
 
 
 def in_words(faults: Iterable[str]) -> str:
-    """How many faults of each kind, the most frequent first."""
+    """Count the faults of each kind, the most frequent first."""
     kinds = Counter(fault.partition(": ")[0] for fault in faults)  # without their figures
     return ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
 
