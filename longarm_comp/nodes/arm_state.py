@@ -61,26 +61,10 @@ class ArmState:
         base_frame: full name of the arm's frame.
         readings: of circumstances. effort: (n,) N m and N, NaN where none is told.
         worker: the thread that computes with all this; ``capacity`` jobs may wait for it.
+        joint_listeners: get every joint reading (n,) that is believed, and its time (ROS clock, s).
     """
 
-    def __init__(
-        self,
-        node: ArmNode,
-        capacity: int,
-        *,
-        trimmed: bool = False,
-        on_joints: Callable[[np.ndarray, float], None] = lambda q, at_s: None,
-        on_command: Callable[[np.ndarray, History], None] = lambda q, history: None,
-        on_motion: Callable[[Motion], None] = lambda motion: None,
-    ) -> None:
-        """Begin to listen; nothing is called before the node spins and the worker has started.
-
-        Args:
-            on_joints: gets every joint reading (n,) that is believed, and its time (ROS clock, s).
-            on_command: gets the joints (n,) of every command and their history on arrival; called
-                on the worker.
-            on_motion: gets every message on `motion`; called on the worker.
-        """
+    def __init__(self, node: ArmNode, capacity: int, *, trimmed: bool = False) -> None:
         self.node, self.p, p = node, node.p, node.p
         self.files = ModelFiles(p["arm"], p["model"], trimmed=trimmed)
         self.arm = self.files.arm
@@ -88,9 +72,9 @@ class ArmState:
         self.worker = node.worker(capacity)
         caller = self.worker.caller(graph.PREDICT_ERROR)
         self.predictor = PredictorClient(caller, self.arm, p["predictor_timeout_s"])
-        self.driver = DriverLink(self, on_command, on_motion)
+        self.driver = DriverLink(self)
         node.health.parts["messages"] = node.tally.report
-        self._tell_joints = on_joints
+        self.joint_listeners: list[Callable[[np.ndarray, float], object]] = []
         self._max_age_s = p["joints_max_age_s"]
         self._trust = JointTrust(self.arm, p["joints_max_rate"])
         self.readings = Readings()
@@ -192,7 +176,9 @@ class ArmState:
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints, self.effort = (q, now), efforts_of(message, self.arm)
-            self._tell_joints(q, 1e-9 * stamp if stamp else self.now_s)
+            at_s = 1e-9 * stamp if stamp else self.now_s
+            for listen in self.joint_listeners:
+                listen(q, at_s)
             return
         self.node.tally.count("doubtful joint_states", self._trust.doubt)
 
@@ -209,18 +195,16 @@ class DriverLink:
 
     Attributes:
         history: of the joints, when they have come to the end of what was commanded last.
+        command_listeners: get the joints (n,) of every command and their history on arrival.
+        motion_listeners: get every message on `motion`. Both are called on the worker.
     """
 
-    def __init__(
-        self,
-        state: ArmState,
-        on_command: Callable[[np.ndarray, History], None],
-        on_motion: Callable[[Motion], None],
-    ) -> None:
+    def __init__(self, state: ArmState) -> None:
         self._arm, self._arm_state = state.arm, state
         self._count_dropped = state.node.tally.count_dropped
         self.acknowledged = state.p["acknowledged"]
-        self._tell_command, self._tell_motion = on_command, on_motion
+        self.command_listeners: list[Callable[[np.ndarray, History], object]] = []
+        self.motion_listeners: list[Callable[[Motion], object]] = []
         self.history = History.unknown(state.arm.n)
         self._end: np.ndarray | None = None
         self._state: DriverState | None = None
@@ -283,7 +267,8 @@ class DriverLink:
             self.lose()
         if message.id == self._asked and message.event in (Motion.ACCEPTED, Motion.REFUSED):
             self._answer = message
-        self._tell_motion(message)
+        for listen in self.motion_listeners:
+            listen(message)
 
     def _on_trajectory(self, message: JointTrajectory, sent: float) -> None:
         try:
@@ -297,7 +282,8 @@ class DriverLink:
         """Enter that the joints are on their way through (k, n) from a start (n,)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
-        self._tell_command(path[-1], self.history)
+        for listen in self.command_listeners:
+            listen(path[-1], self.history)
 
     def lose(self) -> None:
         """Forget the history of the joints: from here on it is not known."""

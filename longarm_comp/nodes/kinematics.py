@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.history import History
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.nodes import (
@@ -58,25 +56,24 @@ class Kinematics(ArmNode):
         super().__init__(executor, "kinematics", PARAMS)
         p, twins = self.p, Twins(self)
         self._twins = twins
-        self._arm = state = ArmState(
-            self,
-            p["queue"],
-            trimmed=p["trimmed"],
-            on_joints=self._on_joints,
-            on_command=self._on_command,
-            on_motion=self._on_motion,
-        )
+        self._arm = state = ArmState(self, p["queue"], trimmed=p["trimmed"])
         self._monitor = monitoring.TipMonitor(state)
         self._learning = learning.Learning(state)
         self._markers = drawing.Markers(state)
-        self._weigher = payload.Weigher(state)
+        weigher = payload.Weigher(state)
         frames = FrameListener(self, p["frames.wait_s"], self.tally.count)
         self._sightings = sightings.TipSightings(state, frames, drawing.ArmFrames(state))
         compute = compensator.Compensator(state, twins, frames)
         inlet = targets.TargetInlet(state, compute, self._monitor, self._markers)
         tips = monitoring.ReadingsTeller(state)
-        self._ringing = monitoring.RingTeller(state, p["shaped"])
-        self._reach = reach.ReachServer(state, inlet, self._monitor, tips)
+        ringing = monitoring.RingTeller(state, p["shaped"])
+        server = reach.ReachServer(state, inlet, self._monitor, tips)
+        state.joint_listeners += [self._monitor.on_joints, weigher.on_joints]
+        state.driver.command_listeners += [weigher.on_command, self._monitor.on_command]
+        state.driver.motion_listeners += [
+            *(server.on_motion, ringing.on_motion),
+            *(self._monitor.on_motion, weigher.on_motion, self._on_motion),
+        ]
         graph.TIP_MEASURED.subscription(self, self._on_tip)
         self.on_request(graph.RELOAD, state.worker, lambda request: self._reload())
         self.on_request(graph.UNDO, state.worker, lambda request: self._learning.undo())
@@ -94,9 +91,9 @@ class Kinematics(ArmNode):
             "monitor": self._monitor.report,
             "at the target": self._monitor.target_report,
             "servos": self._monitor.servo_report,
-            "payload": self._weigher.report,
+            "payload": weigher.report,
             TIP_SAID: tips.report,
-            RING_SAID: self._ringing.report,
+            RING_SAID: ringing.report,
         }
         if self._learning.learner is not None:
             self.health.parts[LEARNED_SAID] = self._learning.report
@@ -122,23 +119,9 @@ class Kinematics(ArmNode):
         learned = self._monitor.judge(rest, self._arm.files.loaded.model, context)
         self._learning.learn_from(rest, context, learned)
 
-    def _on_joints(self, q: np.ndarray, at_s: float) -> None:
-        self._monitor.on_joints(q, at_s)
-        self._weigher.on_joints()
-
-    def _on_command(self, q: np.ndarray, history: History) -> None:
-        self._weigher.on_command()
-        self._monitor.on_command(q, history)
-
     def _on_motion(self, motion: Motion) -> None:
-        self._reach.on_motion(motion)
-        self._ringing.on_motion(motion)
-        if motion.event != Motion.REACHED:
-            return
-        self._monitor.on_reached()
-        self._weigher.on_reached()
-        now = self._arm.standing
-        if now is not None:
+        reached = motion.event == Motion.REACHED
+        if reached and (now := self._arm.standing) is not None:
             self._arm.worker.submit(partial(self._monitor.judge_servos, *now))
 
     def _graph_report(self) -> Report:

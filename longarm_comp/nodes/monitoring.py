@@ -145,9 +145,10 @@ class TipMonitor:
         with self._feeding:
             self._watch.commanded(q, history)
 
-    def on_reached(self) -> None:
-        with self._feeding:
-            self._watch.reached()
+    def on_motion(self, motion: Motion) -> None:
+        if motion.event == Motion.REACHED:
+            with self._feeding:
+                self._watch.reached()
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
         """Take a joint reading (n,) of a time (ROS clock, s)."""
