@@ -92,9 +92,9 @@ class ReachServer:
             return result
         command = answer.outcome.command
         result.command = joints_message(self._arm, command, answer.target.header.stamp)
-        if not await self._moves(goal, answer.name, command, result):
+        if not await self._follow(goal, answer.name, command, result):
             return result
-        await self._looks(goal, command, before, result)
+        await self._look(goal, command, before, result)
         result.success = True
         self._at_rest(result)
         stands, target = self._tips.tell(), answer.target.pose.position
@@ -104,8 +104,10 @@ class ReachServer:
         goal.succeed()
         return result
 
-    async def _moves(self, goal: Any, name: str, command: np.ndarray, result: Reach.Result) -> bool:
-        """Wait until the driver says what became of the move; whether it was reached."""
+    async def _follow(
+        self, goal: Any, name: str, command: np.ndarray, result: Reach.Result
+    ) -> bool:
+        """Wait until the driver says what became of the move; return whether it was reached."""
         halted = False
         while (motion := self._told.get(name)) is None and not self._no_driver:
             if goal.is_cancel_requested and not halted:
@@ -123,7 +125,7 @@ class ReachServer:
         goal.abort()
         return False
 
-    async def _looks(
+    async def _look(
         self, goal: Any, command: np.ndarray, before: Sighted | None, result: Reach.Result
     ) -> None:
         """Wait for the tip to be seen at rest, where anybody looks."""

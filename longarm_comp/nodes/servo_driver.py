@@ -232,7 +232,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             arm.follower.break_off(EventKind.SHORT, f"the driver was away for {away:.1f} s")
         cycle = self._last = arm.cycle(now)
         if cycle.joints:
-            self._joint_states.publish(self._joints())
+            self._joint_states.publish(self._joints_message())
         else:
             self.tally.count("incomplete cycles", "")
         for event in cycle.step.events:
@@ -251,7 +251,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         else:
             self.get_logger().debug(why)
 
-    def _joints(self) -> JointState:
+    def _joints_message(self) -> JointState:
         return readings_message(self.readings, self.get_clock().now().to_msg())
 
     @property
@@ -304,7 +304,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell(Motion.REFUSED, name, why)
 
     def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
-        joints = self._joints()
+        joints = self._joints_message()
         message = Motion(header=joints.header, id=name, event=event, message=why, joints=joints)
         if taken is not None:
             message.start = JointState(name=self.names, position=taken.start.tolist())
