@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -265,6 +265,26 @@ def carried_tip(
     told.pose.pose = pose_message(carried(place, seen))
     told.pose.covariance = turned_covariance(place, covariance).ravel()
     return told
+
+
+@dataclass(frozen=True)
+class Target:
+    """One target in work.
+
+    Attributes:
+        name: its id.
+        pose: as it came, in whichever frame.
+        execute: its joints are sent to the driver.
+        sent_s: when it was sent (monotonic s).
+        seed: joints at which the search begins; without names, where the arm is.
+    """
+
+    name: str
+    pose: PoseStamped
+    position_only: bool
+    execute: bool
+    sent_s: float
+    seed: JointState = field(default_factory=JointState)
 
 
 @dataclass(frozen=True)

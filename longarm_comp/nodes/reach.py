@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import Ticks
-from longarm_comp.nodes.messages import Answer, joints_message, vector_message
+from longarm_comp.nodes.messages import Answer, Target, joints_message, vector_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, Sighted, TipMonitor
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.targets import Request, TargetInlet
+from longarm_comp.nodes.targets import TargetInlet
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate
@@ -55,12 +56,8 @@ class ReachServer:
 
     async def _serve(self, goal: Any) -> Reach.Result:
         turn = object()
-        request = self._targets.new_request(
-            Compensate.Request(
-                target=goal.request.target, position_only=goal.request.position_only, execute=True
-            )
-        )
-        fresh = not self._targets.stale(request)
+        target = self._targets.new_target(goal.request.target, goal.request.position_only)
+        fresh = not self._targets.stale(target)
         self._turns.append(turn)
         try:
             while self._turns[0] is not turn:
@@ -70,17 +67,17 @@ class ReachServer:
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for its turn, of which the client is told, makes it no older
-                request.since = time.monotonic()
-            return await self._reach(goal, request)
+                target = replace(target, sent_s=time.monotonic())
+            return await self._reach(goal, target)
         finally:
             self._turns.remove(turn)
 
-    async def _reach(self, goal: Any, request: Request) -> Reach.Result:
+    async def _reach(self, goal: Any, target: Target) -> Reach.Result:
         if self._no_driver:
             goal.abort()
             return _unseen(self._no_driver, Compensate.Response.NO_DRIVER)
         before, self._told = self._monitor.sighted, {}
-        asked = self._targets.execute(request)
+        asked = self._targets.execute(target)
         if asked is None:
             goal.abort()
             return _unseen("too many targets wait", Compensate.Response.NOT_READY)
@@ -97,9 +94,9 @@ class ReachServer:
         await self._look(goal, command, before, result)
         result.success = True
         self._at_rest(result)
-        stands, target = self._tips.tell(), answer.target.pose.position
+        stands, at = self._tips.tell(), answer.target.pose.position
         if stands is not None:
-            said = stands.said(np.array([target.x, target.y, target.z]))
+            said = stands.said(np.array([at.x, at.y, at.z]))
             result.message = f"{result.message}; {said}" if result.message else said
         goal.succeed()
         return result

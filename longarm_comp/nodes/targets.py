@@ -7,12 +7,13 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.task import Future
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from longarm_comp.core.compensation.compensate import Status
@@ -24,6 +25,7 @@ from longarm_comp.nodes.drawing import Markers
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import (
     Answer,
+    Target,
     compensation_message,
     response_of,
     trajectory_message,
@@ -39,16 +41,6 @@ PARAMS = (
     Param("move_time_s", 0.5, "time asked for a move; the driver may need longer", 0.0, 600.0),
     Param("acknowledge_s", 2.0, "longest wait for the driver's acknowledgement", 0.01, 60.0),
 )
-
-
-@dataclass
-class Request:
-    """One target in work: its id, its message, when it was sent (monotonic s), and its answer."""
-
-    name: str
-    message: Compensate.Request
-    since: float
-    answer: Answer | None = None
 
 
 class TargetInlet:
@@ -77,17 +69,25 @@ class TargetInlet:
         worker.hear(graph.TARGET_POSE, self._on_target)
         worker.serve(graph.COMPENSATE, self._on_compensate)
 
-    def new_request(self, message: Compensate.Request, sent: float | None = None) -> Request:
-        """Give a target its id. ``sent``: when (monotonic s), where that is known."""
-        since = time.monotonic() - self._fresh.away_s if sent is None else sent
-        return Request(f"{self._run}-{next(self._numbers)}", message, since)
+    def new_target(
+        self,
+        pose: PoseStamped,
+        position_only: bool,
+        execute: bool = True,
+        seed: JointState | None = None,
+        sent_s: float | None = None,
+    ) -> Target:
+        """Give a target its id. ``sent_s``: when it was sent (monotonic s), where that is known."""
+        since = time.monotonic() - self._fresh.away_s if sent_s is None else sent_s
+        name = f"{self._run}-{next(self._numbers)}"
+        return Target(name, pose, position_only, execute, since, seed or JointState())
 
-    def stale(self, request: Request) -> str:
+    def stale(self, target: Target) -> str:
         """Say why a target is too old to be carried out now; empty if it is not."""
-        stamp = stamp_ns(request.message.target.header.stamp)
+        stamp = stamp_ns(target.pose.header.stamp)
         why = untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
-        age_s = time.monotonic() - request.since
-        if not why and request.message.execute and age_s > self._max_age_s:
+        age_s = time.monotonic() - target.sent_s
+        if not why and target.execute and age_s > self._max_age_s:
             return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"
         return why and f"the target's stamp {why}, allowed {self._max_age_s:g} s"
 
@@ -110,81 +110,74 @@ class TargetInlet:
         pose, sent = self._latest or self._superseded.popleft()
         self._latest = None
         free = self._node.get_parameter("position_only").value
-        message = Compensate.Request(target=pose, position_only=free, execute=True)
-        request = self.new_request(message, sent)
+        target = self.new_target(pose, free, sent_s=sent)
         if latest:
-            self._serve(request)
+            self._serve(target)
         else:
-            self._refuse(request, Status.SUPERSEDED, "a later target came before work on it began")
-            self._publish_answer(request)
+            why = "a later target came before work on it began"
+            self._publish_answer(self._compensator.refuse(target, Status.SUPERSEDED, why))
         return True
 
     def _on_compensate(
         self, message: Compensate.Request, reply: Callable[[Compensate.Response], None],
         sent: float,
     ) -> None:  # fmt: skip
-        request = self.new_request(message, sent)
+        target = self.new_target(
+            message.target, message.position_only, message.execute, message.seed, sent
+        )
 
         def respond(answer: Answer) -> None:
             reply(response_of(answer, self._arm, self._base_frame))
 
-        if not self._worker.submit(partial(self._serve, request, respond)):
+        if not self._worker.submit(partial(self._serve, target, respond)):
             waiting = f"{self._worker.waiting} targets wait already"
-            refused = self._refuse(request, Status.NOT_READY, waiting)
-            self._publish_answer(request)
+            refused = self._compensator.refuse(target, Status.NOT_READY, waiting)
+            self._publish_answer(refused)
             respond(refused)
 
-    def execute(self, request: Request) -> Future | None:
+    def execute(self, target: Target) -> Future | None:
         """Compute and send a target in its turn: its `Answer`; None where too many wait."""
-        return self._worker.ask(partial(self._serve, request))
-
-    def _refuse(self, request: Request, status: Status, why: str) -> Answer:
-        request.answer = self._compensator.refuse(request.name, request.message, status, why)
-        return request.answer
+        return self._worker.ask(partial(self._serve, target))
 
     def _serve(
-        self, request: Request, respond: Callable[[Answer], None] = lambda answer: None
+        self, target: Target, respond: Callable[[Answer], None] = lambda answer: None
     ) -> Answer:
         """Compute a target, send its joints, respond, then publish; on the worker's thread."""
+        answer: Answer | None = None
         try:
-            if why := self.stale(request):
-                answer = self._refuse(request, Status.STALE_TARGET, why)
+            if why := self.stale(target):
+                answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
             else:
-                answer = self._compensator.answer(request.name, request.message)
-                request.answer = answer
-                if request.message.execute and answer.status.success:
-                    answer = request.answer = self._send(request, answer)
+                answer = self._compensator.answer(target)
+            arrival = answer.arrival if target.execute and answer.status.success else None
+            if arrival is not None:
+                stamp = self._stamps.next()  # before it is judged: later the driver judges
+                if why := self.stale(target):
+                    answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
+                elif why := self._state.doubt:  # it came while the joints were computed
+                    answer = self._compensator.refuse(target, Status.NOT_READY, why)
+                else:
+                    points, move_s = arrival.move.points, self._state.p["move_time_s"]
+                    message = trajectory_message(self._arm, points, move_s, stamp)
+                    answer = replace(answer, name=order_id(message), sent=True)
+                    self._driver.expect(answer.name)
+                    self._trajectory.publish(message)
+                    patience_s = self._state.p["acknowledge_s"]
+                    if not self._worker.take(lambda: self._driver.has_answered, patience_s):
+                        self._withdrawals.publish(String(data=answer.name))
+                    if why := self._driver.not_accepted:
+                        answer = replace(answer, status=Status.NOT_ACCEPTED, message=why)
+                    else:
+                        self._monitor.aim_at(arrival.outcome.command, arrival.outcome.position)
+                        answer = replace(answer, accepted=True)
             respond(answer)
             return answer
         finally:  # published even when the client is gone
-            self._publish_answer(request)
+            if answer is not None:
+                self._publish_answer(answer)
 
-    def _send(self, request: Request, answer: Answer) -> Answer:
-        """Send the joints and wait for the driver to say whether it takes them."""
-        arrival = answer.arrival
-        assert arrival is not None
-        stamp = self._stamps.next()  # before it is judged: what happens later, the driver judges
-        if why := self.stale(request):
-            return self._refuse(request, Status.STALE_TARGET, why)
-        if why := self._state.doubt:  # it came while the joints were computed
-            return self._refuse(request, Status.NOT_READY, why)
-        p = self._state.p
-        message = trajectory_message(self._arm, arrival.move.points, p["move_time_s"], stamp)
-        answer = request.answer = replace(answer, name=order_id(message), sent=True)
-        self._driver.expect(answer.name)
-        self._trajectory.publish(message)
-        if not self._worker.take(lambda: self._driver.has_answered, p["acknowledge_s"]):
-            self._withdrawals.publish(String(data=answer.name))
-        if why := self._driver.not_accepted:
-            return replace(answer, status=Status.NOT_ACCEPTED, message=why)
-        self._monitor.aim_at(arrival.outcome.command, arrival.outcome.position)
-        return replace(answer, accepted=True)
-
-    def _publish_answer(self, request: Request) -> None:
+    def _publish_answer(self, answer: Answer) -> None:
         """Count the answer, then publish it: who hears of it finds it counted."""
-        answer = request.answer
-        if answer is None:
-            return
         if answer.status is Status.INTERNAL_ERROR:
             self._broken = answer.message
         elif answer.status.success:
