@@ -21,19 +21,12 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import entered
+from longarm_comp.nodes.answers import Answer, Refusal, TargetRequest, target_of
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns, steady_timer
 from longarm_comp.nodes.frames import FrameListener
 from longarm_comp.nodes.health import OK, WARN, Report, Twins
-from longarm_comp.nodes.messages import (
-    Answer,
-    Refusal,
-    Target,
-    joints_message,
-    joints_of,
-    pose_message,
-    target_of,
-)
+from longarm_comp.nodes.messages import joints_message, joints_of, pose_message
 from longarm_comp.nodes.params import Param
 
 PARAMS = (
@@ -77,9 +70,9 @@ class Compensator:
         seed = joints_message(self._files.arm, mid)
         frame = Header(frame_id=self._base_frame)
         target = PoseStamped(header=frame, pose=pose_message(self._files.rigid.pose(mid)))
-        self.answer(Target("", target, False, False, 0.0, seed))
+        self.answer(TargetRequest("", target, False, False, 0.0, seed))
 
-    def answer(self, target: Target) -> Answer:
+    def answer(self, target: TargetRequest) -> Answer:
         """Compute a target; a refusal is an answer too."""
         try:
             return self._compensate(target)
@@ -94,14 +87,14 @@ class Compensator:
             text = f"{type(error).__name__}: {error}"
             return self.refuse(target, Status.INTERNAL_ERROR, text)
 
-    def refuse(self, target: Target, status: Status, reason: str) -> Answer:
+    def refuse(self, target: TargetRequest, status: Status, reason: str) -> Answer:
         """Make the answer to a target that is refused before any computation."""
         return Answer(
             target.name, target.pose, target.position_only, status, reason,
             str(self._node.get_parameter("method").value), self._files.loaded.file_hash,
         )  # fmt: skip
 
-    def _compensate(self, target: Target) -> Answer:
+    def _compensate(self, target: TargetRequest) -> Answer:
         given, place = self._in_base(target)
         options = self._options()
         start, seed = self._start(target)
@@ -135,7 +128,7 @@ class Compensator:
             loaded.file_hash, used, arrival,
         )  # fmt: skip
 
-    def _in_base(self, target: Target) -> tuple[PoseStamped, np.ndarray]:
+    def _in_base(self, target: TargetRequest) -> tuple[PoseStamped, np.ndarray]:
         """Return the target in the base frame: as a message, and as (4, 4) or (3,), m."""
         place, header = target_of(target.pose, target.position_only), target.pose.header
         if header.frame_id in (self._base_frame, self._state.p["base_frame"]):
@@ -158,7 +151,7 @@ class Compensator:
             max_correction_m=p["max_correction_m"],
         )  # fmt: skip
 
-    def _start(self, target: Target) -> tuple[np.ndarray, np.ndarray | None]:
+    def _start(self, target: TargetRequest) -> tuple[np.ndarray, np.ndarray | None]:
         """Return where the move starts and where the search does, (n,) each.
 
         Without a seed both are the joints. A move that is executed starts at the joints also with

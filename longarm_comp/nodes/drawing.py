@@ -15,10 +15,11 @@ from longarm_comp.core.ik.solver import position_of
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import BASE_LINK, Placed, exaggerated, link_frames, outline
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.answers import Answer
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.interfaces import MARKERS
-from longarm_comp.nodes.messages import Answer, sighting_of
+from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.params import Param
 from longarm_comp.urdf_export import export_urdf
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.answers import Answer, TargetRequest
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import Ticks
-from longarm_comp.nodes.messages import Answer, Target, joints_message, vector_message
+from longarm_comp.nodes.messages import joints_message, vector_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, Sighted, TipMonitor
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.targets import TargetInlet
@@ -72,7 +73,7 @@ class ReachServer:
         finally:
             self._turns.remove(turn)
 
-    async def _reach(self, goal: Any, target: Target) -> Reach.Result:
+    async def _reach(self, goal: Any, target: TargetRequest) -> Reach.Result:
         if self._no_driver:
             goal.abort()
             return _unseen(self._no_driver, Compensate.Response.NO_DRIVER)

@@ -18,18 +18,13 @@ from std_msgs.msg import String
 
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.answers import Answer, TargetRequest, compensation_message, response_of
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.drawing import Markers
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
-from longarm_comp.nodes.messages import (
-    Answer,
-    Target,
-    compensation_message,
-    response_of,
-    trajectory_message,
-)
+from longarm_comp.nodes.messages import trajectory_message
 from longarm_comp.nodes.monitoring import TipMonitor
 from longarm_comp.nodes.orders import Freshness, Stamps, order_id, untimely
 from longarm_comp.nodes.params import Param
@@ -76,13 +71,13 @@ class TargetInlet:
         execute: bool = True,
         seed: JointState | None = None,
         sent_s: float | None = None,
-    ) -> Target:
+    ) -> TargetRequest:
         """Give a target its id. ``sent_s``: when it was sent (monotonic s), where that is known."""
         since = time.monotonic() - self._fresh.away_s if sent_s is None else sent_s
         name = f"{self._run}-{next(self._numbers)}"
-        return Target(name, pose, position_only, execute, since, seed or JointState())
+        return TargetRequest(name, pose, position_only, execute, since, seed or JointState())
 
-    def stale(self, target: Target) -> str:
+    def stale(self, target: TargetRequest) -> str:
         """Say why a target is too old to be carried out now; empty if it is not."""
         stamp = stamp_ns(target.pose.header.stamp)
         why = untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
@@ -135,12 +130,12 @@ class TargetInlet:
             self._publish_answer(refused)
             respond(refused)
 
-    def execute(self, target: Target) -> Future | None:
+    def execute(self, target: TargetRequest) -> Future | None:
         """Compute and send a target in its turn: its `Answer`; None where too many wait."""
         return self._worker.ask(partial(self._serve, target))
 
     def _serve(
-        self, target: Target, respond: Callable[[Answer], None] = lambda answer: None
+        self, target: TargetRequest, respond: Callable[[Answer], None] = lambda answer: None
     ) -> Answer:
         """Compute a target, send its joints, respond, then publish; on the worker's thread."""
         answer: Answer | None = None
