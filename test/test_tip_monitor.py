@@ -148,8 +148,8 @@ def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -
         worker.waiting = 1
     else:
         known[0] = None
-    teller.told(taken)
-    teller.told(Motion(id="a", event=Motion.REACHED))
+    teller.on_motion(taken)
+    teller.on_motion(Motion(id="a", event=Motion.REACHED))
 
     def worked() -> str:
         """What is said after the worker has done its jobs."""
