@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from longarm_comp.nodes.clock import stamp_of
 from longarm_comp.nodes.health import OK, WARN
 from longarm_comp.nodes.messages import joints_message, trajectory_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, RingTeller, TipMonitor
+from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_interfaces.msg import Motion
 
 
@@ -41,7 +43,8 @@ def monitor_of(
     p = {"settle_s": settle_s, "sightings": 1, "sigma_m": sigma_m, "run_length": 1e4}
     given = {"arm": "arm.yaml", "model": "", **{f"monitor.{k}": v for k, v in p.items()}}
     files = files_of(model)
-    node, nobody = SimpleNamespace(get_namespace=lambda: "/"), SimpleNamespace(present=False)
+    node, nobody = SimpleNamespace(get_namespace=lambda: "/"), MagicMock()
+    nobody.ask.side_effect = NoAnswer("no error_predictor is running")
     return TipMonitor(SimpleNamespace(p=given, files=files, node=node, predictor=nobody))
 
 

@@ -86,10 +86,13 @@ def capture(
 
     client.until(lambda: newest, 30.0, "no pair of images")
     client.until(
-        complete, _PATIENCE_S,
-        lambda: f"not within {_PATIENCE_S:g} s, {len(views)} views: "
-        + ("board" if size is None else "; ".join(gaps(views, size))),
-    )  # fmt: skip
+        complete,
+        _PATIENCE_S,
+        lambda: (
+            f"not within {_PATIENCE_S:g} s, {len(views)} views: "
+            + ("board" if size is None else "; ".join(gaps(views, size)))
+        ),
+    )
     assert size is not None
     return views, size
 

@@ -31,8 +31,11 @@ from longarm_comp.sim.plant import hidden_effects
 from longarm_comp.workflows.inputs import MODEL, PREDICTOR, load_predictor
 
 ORIGINAL, DECLARED, FOUND, LEARNED = (
-    "original", "declared", "effect found", "effect found + network",
-)  # fmt: skip
+    "original",
+    "declared",
+    "effect found",
+    "effect found + network",
+)
 """Nothing compensated; the declared deflection; the diagnosed model; that and the network."""
 
 NAMES = Names(ORIGINAL, DECLARED, FOUND, LEARNED)
@@ -98,14 +101,17 @@ class DemoSettings:
         """Make the graph; model and predictor are taken up once they are there."""
         given: dict[str, dict[str, Any]] = {
             "servo_driver": {
-                "follower.blend_s": 0.05, "order_max_age_s": PACE.look_s,
+                "follower.blend_s": 0.05,
+                "order_max_age_s": PACE.look_s,
                 "state": str(self.out.absolute() / "state"),  # no other run's stop holds for it
             },
             "simulated_arm": {
-                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 15.0,
+                "hidden": self.hidden,
+                "seed": self.seed,
+                "frame_rate_hz": 15.0,
             },
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": PACE.look_s},
-        }  # fmt: skip
+        }
         return BringUp(
             arm=self.arm, model=self.out / MODEL, predictor=self.out / PREDICTOR, sim=True,
             namespace=NAMESPACE, speed=self.speed, set=given,

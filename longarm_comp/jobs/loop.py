@@ -297,10 +297,13 @@ class Loop:
         settings = self._settings
         take_back(settings.path("diagnosis", k), files.model)
         done = apply_on_graph(
-            self._client, settings.path("diagnosis", k), session=settings.path("session", k),
-            network=settings.network, seed=settings.seed,
+            self._client,
+            settings.path("diagnosis", k),
+            session=settings.path("session", k),
+            network=settings.network,
+            seed=settings.seed,
             progress=lambda text, share: self._say(f"train: {text}", 0.6 + 0.4 * share),
-        )  # fmt: skip
+        )
         return {
             "model": str(done.model),
             "version": done.version,
@@ -316,9 +319,12 @@ class Loop:
         self._seconds[step], self._begun = now - self._begun, now
 
     def _write(
-        self, files: FilesAtWork, refused: list[dict[str, Any]], trials: list[Trial],
+        self,
+        files: FilesAtWork,
+        refused: list[dict[str, Any]],
+        trials: list[Trial],
         rounds: list[dict[str, Any]],
-    ) -> dict[str, Any]:  # fmt: skip
+    ) -> dict[str, Any]:
         page = self._settings.out / "loop.html"
         structure = read_report(Path(rounds[-1]["diagnosis"])).structure_left
         left = "The last diagnosis found no structure in the residual of its session."

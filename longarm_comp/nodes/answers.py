@@ -128,9 +128,11 @@ def compensation_message(answer: Answer, arm: Arm, base_frame: str) -> Compensat
 
 def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
     response = Compensate.Response(
-        success=answer.status.success, status=int(answer.status), message=answer.message,
+        success=answer.status.success,
+        status=int(answer.status),
+        message=answer.message,
         id=answer.name,
-    )  # fmt: skip
+    )
     _fill(response, answer, arm, base_frame)
     if answer.status.success and answer.arrival is not None:
         command, stamp = answer.arrival.outcome.command, answer.target.header.stamp

@@ -107,9 +107,11 @@ class ArmState:
             StaleContext: one that the model needs is unknown or too old.
         """
         return self.readings.context(
-            model or self.files.loaded.model, time.monotonic(), self.p["context_max_age_s"],
+            model or self.files.loaded.model,
+            time.monotonic(),
+            self.p["context_max_age_s"],
             self.driver.history if history is None else history,
-        )  # fmt: skip
+        )
 
     def known_context(self, history: History | None = None) -> Context | None:
         """Return the circumstances of now; None while one that the model needs is unknown."""

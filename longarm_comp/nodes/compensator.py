@@ -145,11 +145,14 @@ class Compensator:
     def _options(self) -> CompensationOptions:
         value, p = lambda name: self._node.get_parameter(name).value, self._state.p
         return CompensationOptions(
-            Method(value("method")), run_up=bool(value("run_up")),
-            realisable=bool(value("realisable")), single_pass=bool(value("single_pass")),
-            tol_m=p["tolerance_m"], max_passes=p["max_passes"],
+            Method(value("method")),
+            run_up=bool(value("run_up")),
+            realisable=bool(value("realisable")),
+            single_pass=bool(value("single_pass")),
+            tol_m=p["tolerance_m"],
+            max_passes=p["max_passes"],
             max_correction_m=p["max_correction_m"],
-        )  # fmt: skip
+        )
 
     def _start(self, target: TargetRequest) -> tuple[np.ndarray, np.ndarray | None]:
         """Return where the move starts and where the search does, (n,) each.

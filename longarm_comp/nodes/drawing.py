@@ -29,7 +29,7 @@ PARAMS = (
     Param("markers.period_s", 0.5, "time between two pictures; 0: none", 0.0, 60.0),
     Param("markers.sag_factor", 1.0, "factor of the drawn deflection", 0.0, 1000.0, live=True),
     Param("markers.error_factor", 50.0, "factor of the drawn error arrow", 1.0, 1e4, live=True),
-)  # fmt: skip
+)
 
 _TIP_PREDICTED = "tip_predicted"
 
@@ -116,8 +116,11 @@ class Markers:
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
         ]
         drawn[1].text = f"{sag:g}"  # so that whoever reads it can undo the exaggeration
-        spots = (("target", TARGET, self._target), ("pseudo_target", _PSEUDO, self._pseudo),
-                 ("tip_measured", TIP, self._tip))  # fmt: skip
+        spots = (
+            ("target", TARGET, self._target),
+            ("pseudo_target", _PSEUDO, self._pseudo),
+            ("tip_measured", TIP, self._tip),
+        )
         for number, (name, colour, at) in enumerate(spots, 2):
             place = [] if at is None else [at]
             drawn.append(self._marker(number, name, Marker.SPHERE_LIST, colour, 0.015, place))

@@ -67,9 +67,11 @@ class _ErrorPredictor(ArmNode):
         asked.start()
 
     def _on_predict(
-        self, request: PredictError.Request, reply: Callable[[PredictError.Response], None],
+        self,
+        request: PredictError.Request,
+        reply: Callable[[PredictError.Response], None],
         sent: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         response = PredictError.Response(sigma=math.nan, error=vector_message([math.nan] * 3))
         loaded = self._loaded
         try:
@@ -115,9 +117,12 @@ class _ErrorPredictor(ArmNode):
         model = self._model.loaded.file_hash
         try:
             predictor = load(
-                self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names,
-                model_hash=model, model=f"the model in use: {model[:12] or 'none'}",
-            )  # fmt: skip
+                self._path,
+                arm_hash=self._arm.hash,
+                joint_names=self._arm.joint_names,
+                model_hash=model,
+                model=f"the model in use: {model[:12] or 'none'}",
+            )
             digest = file_hash(self._path)
             self._loaded = _Loaded(predictor, digest, model)
         except LongarmError as error:

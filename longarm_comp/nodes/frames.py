@@ -111,10 +111,13 @@ class FrameListener:
                 p, o = said.transform.translation, said.transform.rotation
                 try:
                     self._tree.hear(
-                        said.header.frame_id.lstrip("/"), said.child_frame_id.lstrip("/"),
-                        np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w]),
-                        stamp_ns(said.header.stamp), static=static,
-                    )  # fmt: skip
+                        said.header.frame_id.lstrip("/"),
+                        said.child_frame_id.lstrip("/"),
+                        np.array([p.x, p.y, p.z]),
+                        np.array([o.x, o.y, o.z, o.w]),
+                        stamp_ns(said.header.stamp),
+                        static=static,
+                    )
                 except InputError as error:
                     self._refused("bad tf", str(error))
             self._told.notify_all()

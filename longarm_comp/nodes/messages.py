@@ -129,9 +129,12 @@ def seconds(message: Duration) -> float:
 
 
 def trajectory_message(
-    arm: Arm, points: np.ndarray, times: float | np.ndarray, stamp: Time,
+    arm: Arm,
+    points: np.ndarray,
+    times: float | np.ndarray,
+    stamp: Time,
     velocities: np.ndarray | None = None,
-) -> JointTrajectory:  # fmt: skip
+) -> JointTrajectory:
     """Way-points (k, n) that are due at times (k,), s, or so long after each other.
 
     ``velocities``: (k, n) rad/s and m/s; None: left to the driver.

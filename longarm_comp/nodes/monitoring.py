@@ -179,12 +179,11 @@ class TipMonitor:
         missed = self._miss_at_target(rest, model, context)
         learned, sigma = None, self._promised_sigma(model, rest.q, context)
         with contextlib.suppress(NoAnswer):
-            if self._state.predictor.present:
-                found = self._state.predictor.ask(rest.q, context)
-                if not found.in_domain:
-                    self._outside += 1
-                    return None
-                learned, sigma = found.error, found.sigma
+            found = self._state.predictor.ask(rest.q, context)
+            if not found.in_domain:
+                self._outside += 1
+                return None
+            learned, sigma = found.error, found.sigma
         residual = rest.tip - model.measured(rest.q, context)
         residual = residual if learned is None else residual - learned
         if not np.isfinite(residual).all():

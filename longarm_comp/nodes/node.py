@@ -51,9 +51,12 @@ class ArmNode(Node):
     """
 
     def __init__(
-        self, executor: SingleThreadedExecutor, name: str, table: Sequence[Param],
+        self,
+        executor: SingleThreadedExecutor,
+        name: str,
+        table: Sequence[Param],
         sections: Sequence[str] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.p = declare(self, table, sections)
         self.tally = Tally(self)

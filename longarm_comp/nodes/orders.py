@@ -187,13 +187,17 @@ class FollowServer:
         problem = _not_offered(goal.request)
         if problem:
             return abort(goal, result.INVALID_GOAL, problem)
-        began, deadline = self._node.get_clock().now(), _deadline(goal.request)
+        began, deadline_s = self._node.get_clock().now(), math.inf
+        tolerance_s = seconds(goal.request.goal_time_tolerance)
+        if tolerance_s > 0.0 and asked.points:  # else 0 or -1: none is given
+            lasts_s = seconds(asked.points[-1].time_from_start)
+            deadline_s = time.monotonic() + lasts_s + tolerance_s
         self._told[name] = None
         self._site.take(asked, name)
         while (end := self._told[name]) is None:
             self._feedback(goal, asked.joint_names, began)
             broken = self._beyond(goal.request.path_tolerance, "on the way")
-            late = time.monotonic() > deadline
+            late = time.monotonic() > deadline_s
             if broken or late or goal.is_cancel_requested:
                 await self._halt(name)
                 if broken:
@@ -258,14 +262,6 @@ def abort(goal: Any, code: int, why: str) -> Any:
     """Give up a goal to follow a trajectory; its result, by the codes of its type."""
     goal.abort()
     return graph.FOLLOW.type.Result(error_code=code, error_string=why)
-
-
-def _deadline(asked: Any) -> float:
-    """Return when the goal is late (monotonic s); never where no tolerance is given (0, -1 s)."""
-    tolerance, points = seconds(asked.goal_time_tolerance), asked.trajectory.points
-    if tolerance <= 0.0 or not points:
-        return math.inf
-    return time.monotonic() + seconds(points[-1].time_from_start) + tolerance
 
 
 def _not_offered(asked: Any) -> str:

@@ -52,10 +52,6 @@ class PredictorClient:
         self.answers = False
         self.file_hash = ""
 
-    @property
-    def present(self) -> bool:
-        return self._caller.present
-
     def compensate_with(
         self, method: Method, compensate: Callable[[Nearby | None], Found]
     ) -> tuple[Found, str, str]:

@@ -114,9 +114,11 @@ class TargetInlet:
         return True
 
     def _on_compensate(
-        self, message: Compensate.Request, reply: Callable[[Compensate.Response], None],
+        self,
+        message: Compensate.Request,
+        reply: Callable[[Compensate.Response], None],
         sent: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         target = self.new_target(
             message.target, message.position_only, message.execute, message.seed, sent
         )

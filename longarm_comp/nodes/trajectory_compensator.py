@@ -71,7 +71,7 @@ PARAMS = (
     Param("order_max_age_s", 2.0, "goals older than this are refused", 0.01, 60.0),
     Param("planned_period_s", 0.1, "time between two joint states for the planner", 0.01, 60.0),
     PERIOD,
-)  # fmt: skip
+)
 
 
 class _TrajectoryCompensator(ArmNode):

@@ -68,8 +68,10 @@ class PlainPage:
             for at, button in self._buttons.items()
         )
         told = "".join(f"<p>{escape(line)}</p>" for line in self.lines)
-        return (f'<!doctype html><meta http-equiv="refresh" content="1"><title>longarm view</title>'
-                f"<style>{_STYLE}</style>{links}{told}")  # fmt: skip
+        return (
+            f'<!doctype html><meta http-equiv="refresh" content="1"><title>longarm view</title>'
+            f"<style>{_STYLE}</style>{links}{told}"
+        )
 
 
 @dataclass(frozen=True)

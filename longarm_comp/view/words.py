@@ -203,12 +203,15 @@ def sections(state: PageState, now: float, namespace: str, said: str) -> dict[st
         "state": [headline(state, now, namespace), target(state)],
         "said": [said],
         "job": [progress(state, now)],
-        "tip": [f"tip − target: {millimetres(state.missed(now))}",
-                f"tip − predicted: {millimetres(state.unpredicted(now))}", drift(state),
-                *(f"{what}: {told}." for what, told in state.told.items())],
+        "tip": [
+            f"tip − target: {millimetres(state.missed(now))}",
+            f"tip − predicted: {millimetres(state.unpredicted(now))}",
+            drift(state),
+            *(f"{what}: {told}." for what, told in state.told.items()),
+        ],
         "health": [line for name in sorted(state.nodes) for line in health(state.nodes[name], now)]
         or ["no node has reported yet"],
-    }  # fmt: skip
+    }
     return {place: [line for line in found if line] for place, found in lines.items()}
 
 

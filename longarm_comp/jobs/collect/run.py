@@ -180,8 +180,9 @@ def collect(
     begun = resume and (path / "metadata.yaml").is_file()
     done = visits_in_bag(path, todo, client.arm.n) if begun else set()
     with SegmentedBag(path, resume=resume) as bag:
-        run = _Run(client, Recorder(client.node, bag), pace or Pace(), progress,
-                   view, len(done), len(todo))  # fmt: skip
+        run = _Run(
+            client, Recorder(client.node, bag), pace or Pace(), progress, view, len(done), len(todo)
+        )
         try:
             run.drive([visit for visit in todo if visit.index not in done], give_up)
         except JobError as error:
