@@ -1,4 +1,4 @@
-"""The wishes of a person beside a running arm: status, hold, stop, go on; faults to rehearse."""
+"""Commands of a person to a running arm: status, hold, stop, go on; faults to rehearse."""
 
 from __future__ import annotations
 

@@ -281,7 +281,7 @@ class DriverLink:
         self.went(path, self._end if self._end is not None else self._arm_state.joints)
 
     def went(self, path: np.ndarray, start: np.ndarray | None) -> None:
-        """Enter that the joints are on their way through (k, n) from a start (n,)."""
+        """Note that the joints are on their way through (k, n) from a start (n,)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
         for listen in self.command_listeners:

@@ -70,10 +70,9 @@ class Kinematics(ArmNode):
         server = reach.ReachServer(state, inlet, self._monitor, tips)
         state.joint_listeners += [self._monitor.on_joints, weigher.on_joints]
         state.driver.command_listeners += [weigher.on_command, self._monitor.on_command]
-        state.driver.motion_listeners += [
-            *(server.on_motion, ringing.on_motion),
-            *(self._monitor.on_motion, weigher.on_motion, self._on_motion),
-        ]
+        for part in (server, ringing, self._monitor, weigher):
+            state.driver.motion_listeners.append(part.on_motion)
+        state.driver.motion_listeners.append(self._on_motion)
         graph.TIP_MEASURED.subscription(self, self._on_tip)
         self.on_request(graph.RELOAD, state.worker, lambda request: self._reload())
         self.on_request(graph.UNDO, state.worker, lambda request: self._learning.undo())

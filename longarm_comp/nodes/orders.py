@@ -64,7 +64,7 @@ def untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
 
 
 class Freshness:
-    """The age that an order may have which a node takes now.
+    """A limit of the age of the orders that a node takes.
 
     A stamp tells it, on a clock that runs. Without one it waited at most for as long as the node
     was away, stopped or overloaded: a timer on the node's executor watches that.
@@ -114,7 +114,7 @@ _NO_STAMP = (
 
 
 class Driver(Protocol):
-    """The part of `servo_driver` that deciding of a trajectory needs."""
+    """The part of `servo_driver` that `Intake` and `FollowServer` use."""
 
     @property
     def names(self) -> Sequence[str]: ...

@@ -142,10 +142,11 @@ def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dic
     tree: dict[str, Any] = {}
     for name, value in overrides(node).items():
         *path, field = name.split(".")
-        if not path or path[0] not in sections:
+        section = name.split(".")[0]
+        if section not in sections:
             continue
         # An unknown field is refused by the section's own check
-        schema = sections[path[0]].model_json_schema()["properties"].get(field, {})
+        schema = sections[section].model_json_schema()["properties"].get(field, {})
         if "enum" in schema:
             limits = ["one of " + ", ".join(map(str, schema["enum"]))]
         else:

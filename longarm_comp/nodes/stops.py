@@ -25,7 +25,7 @@ PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empt
 
 
 class Stoppable(Protocol):
-    """The part of `servo_driver` that a stop needs."""
+    """The part of `servo_driver` that `Stops` uses."""
 
     @property
     def arm(self) -> ServoArm | None: ...

@@ -129,7 +129,7 @@ class Progress:
 
     @property
     def losses(self) -> str:
-        """The times that the marker was lost, and why; empty if never."""
+        """A count of the poses at which the marker was lost, and why; empty if there is none."""
         if not self.lost:
             return ""
         why = in_words(self.lost.values())
