@@ -29,7 +29,7 @@ from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.jobs.collect.run import visited
+from longarm_comp.jobs.collect.run import visits_in_bag
 from longarm_comp.jobs.collect.visits import Visit, visits
 from longarm_comp.sessions.bag import bag_info, open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
@@ -171,7 +171,7 @@ def test_a_bag_that_collect_did_not_begin_is_not_resumed(tmp_path: Path) -> None
     with SegmentedBag(tmp_path / "bag") as bag:
         bag.write("/session_row", TEXT, 10**18, word('{"number": 3}'))
     with pytest.raises(InputError, match=r"/session_row: .*index.*longarm collect"):
-        visited(tmp_path / "bag", [], 7)
+        visits_in_bag(tmp_path / "bag", [], 7)
 
 
 def test_a_recording_that_fails_before_its_first_message_leaves_nothing(tmp_path: Path) -> None:

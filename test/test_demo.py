@@ -146,8 +146,8 @@ def test_a_worse_arm_is_told() -> None:
         moved = target + size * rng.normal(size=target.shape)
         return Trial(name, target, moved, moved, np.zeros(10))
 
-    assert table.improved([trial("original", 1e-2), trial("effect found + network", 1e-3)])
-    assert not table.improved([trial("original", 1e-3), trial("effect found + network", 1e-2)])
+    assert table.is_improved([trial("original", 1e-2), trial("effect found + network", 1e-3)])
+    assert not table.is_improved([trial("original", 1e-3), trial("effect found + network", 1e-2)])
     seen = trial("original", 1e-3)
     lost = Trial("original", target, np.where(np.arange(10)[:, None] < 4, np.nan, seen.seen),
                  seen.true, seen.status)  # fmt: skip

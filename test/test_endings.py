@@ -45,7 +45,7 @@ def keys(monkeypatch: pytest.MonkeyPatch) -> Keys:
     """A graph whose arm rests, and somebody at its keys: lines, or something that happens."""
     monkeypatch.setattr("longarm_comp.jobs.client.ArmClient", Client)
     monkeypatch.setattr(touch_job, "resting", lambda client: ARM.mid)
-    monkeypatch.setattr(touch_job, "_seated", lambda client: True)
+    monkeypatch.setattr(touch_job, "_is_seated", lambda client: True)
 
     def press(*lines: str | Callable[[], None]) -> None:
         left: Iterator[str | Callable[[], None]] = iter(lines)

@@ -15,7 +15,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from sensor_msgs.msg import CompressedImage, Image
 
 from longarm_comp.devices.stereo.refusal import StereoRefusal
-from longarm_comp.nodes.images import ENCODINGS, decoded, pixels_of
+from longarm_comp.nodes.images import ENCODINGS, decode, pixels_of
 
 # Where red, green and blue lie in a square of four pixels: row, column.
 MOSAIC = {
@@ -116,7 +116,7 @@ def test_the_tip_is_found_in_every_encoding(sent: str) -> None:
 
 @pytest.mark.parametrize("packed", PACKED)
 def test_the_tip_is_found_in_compressed_images(packed: str) -> None:
-    off = tip(lambda grey: decoded(PACKED[packed](grey))) - plain_tip()
+    off = tip(lambda grey: decode(PACKED[packed](grey))) - plain_tip()
     assert np.linalg.norm(off) < 2e-4
     if packed in ("png", "png of 16 bits"):
         assert not off.any()
@@ -161,13 +161,13 @@ def test_what_is_no_image_is_refused_in_words() -> None:
     whole = PACKED["png"](grey).data.tobytes()
     for data in (b"", b"no image", whole[:20]):
         with pytest.raises(StereoRefusal, match=r"jpeg or png"):
-            decoded(CompressedImage(format="mono8; png compressed ", data=data))
+            decode(CompressedImage(format="mono8; png compressed ", data=data))
 
 
 def test_what_was_made_colour_before_it_was_packed_is_no_mosaic(rng: np.random.Generator) -> None:
     picture = rng.integers(0, 255, (8, 12, 3), dtype=np.uint8)
     plain, made = (
-        decoded(compressed(words, ".png", picture))
+        decode(compressed(words, ".png", picture))
         for words in ("bgr8; png compressed bgr8", "bayer_rggb8; png compressed bgr8")
     )
     np.testing.assert_array_equal(plain, made)

@@ -72,12 +72,12 @@ def test_a_doubt_from_elsewhere_ends_as_the_others_do(arm: Arm) -> None:
 
 def test_a_full_queue_tells_what_it_has_dropped() -> None:
     watch = SequenceWatch()
-    watch.taken([1, 2, 3], full=False)
-    watch.taken([7, 8], full=False)  # not full: so this is somebody else's
+    watch.count([1, 2, 3], full=False)
+    watch.count([7, 8], full=False)  # not full: so this is somebody else's
     assert watch.lost == 0
-    watch.taken([12, 13, 14], full=True)
+    watch.count([12, 13, 14], full=True)
     assert watch.lost == 3
     two = SequenceWatch()
-    two.taken([100, 1, 101, 2], full=False)
-    two.taken([112, 8, 113, 9], full=True)  # 10 of one and 5 of the other
+    two.count([100, 1, 101, 2], full=False)
+    two.count([112, 8, 113, 9], full=True)  # 10 of one and 5 of the other
     assert two.lost == 15

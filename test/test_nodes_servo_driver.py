@@ -29,7 +29,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import Health
 from longarm_comp.nodes.orders import order_id
 from longarm_comp.nodes.params import ROS_OWN
-from longarm_comp.nodes.servo_driver import told
+from longarm_comp.nodes.servo_driver import reporting_faults
 from longarm_interfaces.msg import DriverState, Motion
 
 
@@ -381,7 +381,7 @@ def test_an_exception_in_a_transition_is_told(rig: Rig) -> None:
     class Broken(LifecycleNode):
         fault = ""
 
-        @told
+        @reporting_faults
         def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
             raise ZeroDivisionError("by zero")
 

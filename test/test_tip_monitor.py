@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from longarm_comp.nodes.clock import stamp_of
 from longarm_comp.nodes.health import OK, WARN
 from longarm_comp.nodes.messages import joints_message, trajectory_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, RingTeller, TipMonitor
+from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_interfaces.msg import Motion
 
 
@@ -41,7 +43,8 @@ def monitor_of(
     p = {"settle_s": settle_s, "sightings": 1, "sigma_m": sigma_m, "run_length": 1e4}
     given = {"arm": "arm.yaml", "model": "", **{f"monitor.{k}": v for k, v in p.items()}}
     files = files_of(model)
-    node, nobody = SimpleNamespace(get_namespace=lambda: "/"), SimpleNamespace(present=False)
+    node, nobody = SimpleNamespace(get_namespace=lambda: "/"), MagicMock()
+    nobody.ask.side_effect = NoAnswer("no error_predictor is running")
     return TipMonitor(SimpleNamespace(p=given, files=files, node=node, predictor=nobody))
 
 
@@ -55,7 +58,7 @@ def watched(
         q = ARM.mid + 0.2 * (ARM.upper - ARM.lower) * (rng.random(ARM.n) - 0.5)
         noise = 3e-4 * rng.standard_normal(3)
         seen = model.measured(q) + np.array([0.0, 0.0, off_prediction]) + noise
-        monitor.aimed(q, stands.asked(model.tip(q)) - [0.0, 0.0, off_target])
+        monitor.aim_at(q, stands.asked(model.tip(q)) - [0.0, 0.0, off_target])
         rest = RestPose(q, History.unknown(ARM.n), seen, np.full(3, 1e-8))
         monitor.judge(rest, model, Context())
     assert monitor.sighted is not None
@@ -103,7 +106,7 @@ def test_commands_for_other_circumstances_show_at_the_target_alone(model: Model)
 
 def test_a_pose_that_is_no_target_is_not_judged_by_one(model: Model) -> None:
     monitor = monitor_of()
-    monitor.aimed(ARM.mid, np.zeros(3))
+    monitor.aim_at(ARM.mid, np.zeros(3))
     q = ARM.mid + 0.01
     rest = RestPose(q, History.unknown(ARM.n), model.measured(q), np.full(3, 1e-8))
     monitor.judge(rest, model, Context())
@@ -136,7 +139,8 @@ def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -
     known = [Context()]
     worker = SimpleNamespace(waiting=0, submit_once=jobs.append)
     state = SimpleNamespace(
-        arm=ARM, worker=worker, known=lambda: known[0], driver=SimpleNamespace(acknowledged=True),
+        arm=ARM, worker=worker, known_context=lambda: known[0],
+        driver=SimpleNamespace(acknowledged=True),
         files=SimpleNamespace(loaded=SimpleNamespace(model=Model(ARM))),
     )  # fmt: skip
     teller = RingTeller(state, shaped=False)
@@ -147,8 +151,8 @@ def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -
         worker.waiting = 1
     else:
         known[0] = None
-    teller.told(taken)
-    teller.told(Motion(id="a", event=Motion.REACHED))
+    teller.on_motion(taken)
+    teller.on_motion(Motion(id="a", event=Motion.REACHED))
 
     def worked() -> str:
         """What is said after the worker has done its jobs."""

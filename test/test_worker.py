@@ -80,7 +80,7 @@ def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:
     node, executor = stage.node, stage.executor
     server = Worker(node, executor, 10, errors.append)
     server.serve(graph.PREDICT_ERROR, serve)
-    server.hear(graph.TARGET_POSE, heard.append)
+    server.hear(graph.TARGET_POSE, lambda message, sent: heard.append(message))
     server.start()
     asker = Worker(node, executor, 10, errors.append)
     caller = asker.caller(graph.PREDICT_ERROR)
@@ -118,7 +118,7 @@ def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(stage: Bench
     errors: list[Exception] = []
     go_on = threading.Event()
     worker = Worker(stage.node, stage.executor, 10, errors.append)
-    worker.hear(graph.TARGET_POSE, heard.append)
+    worker.hear(graph.TARGET_POSE, lambda message, sent: heard.append(message))
     worker.start()
     both = [graph.TARGET_POSE.publisher(stage.node) for _ in range(2)]
     try:

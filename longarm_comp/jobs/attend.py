@@ -1,4 +1,4 @@
-"""What a person asks of a running arm: how it stands, hold, stop, go on; faults to rehearse."""
+"""Commands of a person to a running arm: status, hold, stop, go on; faults to rehearse."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Attendant:
         self._driver = message
 
     def standing(self) -> dict[str, Any]:
-        """How the arm stands, in words, as soon as every node of it on the graph has reported."""
+        """Say how the arm stands, as soon as every node of it on the graph has reported."""
         client, where = self._client, self._namespace or "/"
         own = client.node.get_name()
 
@@ -76,7 +76,7 @@ class Attendant:
                 self._reports.nodes[name] = {"process": silent}
         driver, reports = self._driver, self._reports
         words = driver_words(driver.state) if driver else ""
-        other = reports.said("kinematics", "driver") == UNACKNOWLEDGED
+        other = reports.last_message("kinematics", "driver") == UNACKNOWLEDGED
         step = _NEXT.get(driver.state, "") if driver else "" if other else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
@@ -92,20 +92,20 @@ class Attendant:
                 if ord(said.level)
             ],
             "next": step,
-            "tip": reports.said("kinematics", TIP_SAID),
-            "learned": reports.said("kinematics", LEARNED_SAID),
+            "tip": reports.last_message("kinematics", TIP_SAID),
+            "learned": reports.last_message("kinematics", LEARNED_SAID),
         }  # fmt: skip
 
     def hold(self) -> str:
-        """Stop smoothly and stay, with torque on. What the driver said."""
+        """Stop smoothly and stay, with torque on; return what the driver said."""
         return self._halt(graph.HOLD)
 
     def stop(self) -> str:
-        """Torque off now. What the driver said."""
+        """Switch the torque off now; return what the driver said."""
         return self._halt(graph.ESTOP)
 
     def reset(self) -> str:
-        """End stop, hold and fault, whichever there are. What the driver said."""
+        """End stop, hold and fault, whichever there are; return what the driver said."""
         missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
         driver = self._client.until(lambda: self._driver, FOUND_S, missing)
         if driver.state not in STOPPED:
@@ -149,7 +149,7 @@ def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
 
 @contextmanager
 def frozen(client: GraphClient, node: str) -> Iterator[int]:
-    """A node of a simulated arm's graph stands still, as a process that hangs does; its process."""
+    """Let a node of a simulated arm's graph stand still, as one that hangs; yields its process."""
     if node not in KNOWN:
         raise InputError("sim freeze", "NODE", node, ", ".join(sorted(KNOWN)))
     reports = Reports(client)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -25,25 +26,6 @@ _PATIENCE_S = 600.0
 """With a person who holds the board; Ctrl-C ends it sooner."""
 
 
-class _Images:
-    """The newest pair of images on the topics."""
-
-    def __init__(self, client: GraphClient) -> None:
-        self._pairer: StereoPairer[Image] = StereoPairer()
-        self._newest: Pair[Image] | None = None
-        for side, topic in ((Side.LEFT, graph.LEFT_IMAGE), (Side.RIGHT, graph.RIGHT_IMAGE)):
-            topic.subscription(client.node, partial(self._on, side))
-
-    def _on(self, side: Side, message: Image) -> None:
-        for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):
-            self._newest = pair
-
-    def take(self) -> tuple[Grey, Grey] | None:
-        """The newest pair (H, W) uint8, once."""
-        pair, self._newest = self._newest, None
-        return None if pair is None else (_grey(pair.left), _grey(pair.right))
-
-
 def capture(
     client: GraphClient,
     board: Target,
@@ -58,13 +40,21 @@ def capture(
     views: list[BoardView] = []
     before: BoardView | None = None
     size: tuple[int, int] | None = None
-    images = _Images(client)
+    pairer: StereoPairer[Image] = StereoPairer()
+    newest: deque[Pair[Image]] = deque(maxlen=1)
+
+    def hear(side: Side, message: Image) -> None:
+        newest.extend(pairer.add(side, stamp_ns(message.header.stamp), message))
+
+    for side, topic in ((Side.LEFT, graph.LEFT_IMAGE), (Side.RIGHT, graph.RIGHT_IMAGE)):
+        topic.subscription(client.node, partial(hear, side))
 
     def complete() -> bool:
         nonlocal before, size
-        pair = images.take()
-        if pair is None:
+        if not newest:
             return False
+        images = newest.pop()
+        pair = _grey(images.left), _grey(images.right)
         found = pair[0].shape[1], pair[0].shape[0]
         if size not in (None, found):
             raise InputError("left/image_raw", "size", found, f"{size} as before")
@@ -80,7 +70,13 @@ def capture(
             views.append(view)
             check_mounting(views)
             if save is not None:
-                _save(save, len(views), pair)
+                save.mkdir(parents=True, exist_ok=True)
+                for name, grey in zip(("left", "right"), pair, strict=True):
+                    file = save / f"{name}{len(views):02d}.png"
+                    if not cv2.imwrite(str(file), grey):
+                        raise InputError(
+                            save, "--save", "cannot be written", "a folder to write in"
+                        )
         elif not rests:
             tell("hold the board still")
             return False
@@ -88,12 +84,15 @@ def capture(
         tell(f"{len(views)} of {FEWEST_VIEWS} views; " + (lacking[-1] if lacking else "done"))
         return not lacking
 
-    client.until(lambda: images.take() is not None, 30.0, "no pair of images")
+    client.until(lambda: newest, 30.0, "no pair of images")
     client.until(
-        complete, _PATIENCE_S,
-        lambda: f"not within {_PATIENCE_S:g} s, {len(views)} views: "
-        + ("board" if size is None else "; ".join(gaps(views, size))),
-    )  # fmt: skip
+        complete,
+        _PATIENCE_S,
+        lambda: (
+            f"not within {_PATIENCE_S:g} s, {len(views)} views: "
+            + ("board" if size is None else "; ".join(gaps(views, size)))
+        ),
+    )
     assert size is not None
     return views, size
 
@@ -103,10 +102,3 @@ def _grey(message: Image) -> Grey:
     if pixels.ndim == 3:
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     return np.ascontiguousarray(pixels)
-
-
-def _save(folder: Path, number: int, pair: tuple[Grey, Grey]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    for side, grey in zip(("left", "right"), pair, strict=True):
-        if not cv2.imwrite(str(folder / f"{side}{number:02d}.png"), grey):
-            raise InputError(folder, "--save", "cannot be written", "a folder to write in")

@@ -1,4 +1,4 @@
-"""Where the stereo head stands, from a session that it measured: hand-eye calibration."""
+"""The place of the stereo head, from a session that it measured: hand-eye calibration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SIGMA_M = 1e-4
 
 @dataclass(frozen=True)
 class HeadPlacement:
-    """Where the left optical frame is in the base frame.
+    """The place of the left optical frame in the base frame.
 
     Attributes:
         position_sd_mm, rotation_sd_deg: (3,) each, one standard deviation, base axes.
@@ -71,15 +71,15 @@ def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadP
     sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, _SIGMA_M)
     covariances = turn.T @ (sigma[:, :, None] ** 2 * np.eye(3)) @ turn
 
-    def fitted(kept: np.ndarray) -> HandEye:
+    def fit_rows(kept: np.ndarray) -> HandEye:
         return hand_eye(tips[kept], seen[kept], covariances[kept])
 
     every = np.arange(len(rows))
-    fit = fitted(every)
+    fit = fit_rows(every)
     good = np.setdiff1d(every, fit.outliers)
     squares = np.zeros(len(rows))  # m^2, of the distance from a fit without the row
     for out in (good[fold::5] for fold in range(5)):
-        camera = fitted(np.setdiff1d(good, out)).camera_in_base
+        camera = fit_rows(np.setdiff1d(good, out)).camera_in_base
         off = seen[out] @ camera[:3, :3].T + camera[:3, 3] - tips[out]
         squares[out] = np.sum(off**2, axis=1)
     sd = np.sqrt(np.diag(fit.covariance))

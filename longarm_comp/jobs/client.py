@@ -25,7 +25,7 @@ from longarm_interfaces.msg import DriverState, Motion
 
 @dataclass(frozen=True)
 class Pace:
-    """How long a visit may take.
+    """The time that a visit may take, and what counts as rest.
 
     Attributes:
         sightings: averaged at each pose.
@@ -108,20 +108,21 @@ class ArmClient(GraphClient):
         # a killed driver is counted for up to 20 s
         several = "two drivers are on this graph: end one `longarm up`"
         self.until(lambda: drivers(self.node) < 2, within_s, several)
-        self.until(self._driver_hears, within_s, "no driver listens to joint_trajectory")
+
+        def driver_hears() -> bool:
+            """Everybody who listens to commands is matched, and not only kinematics listens."""
+            topic = self.node.resolve_topic_name(graph.JOINT_TRAJECTORY.name)
+            ends = self.node.get_subscriptions_info_by_topic(topic)
+            driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
+            return driver and self._trajectory.get_subscription_count() >= len(ends)
+
+        self.until(driver_hears, within_s, "no driver listens to joint_trajectory")
         self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:
             hint = ""
             if self._tips is not graph.TIP_BY_READINGS:
                 hint = " (do the cameras publish left|right/image_raw and camera_info?)"
             self.until(lambda: self.sightings, within_s, f"no {self._tips.name}{hint}")
-
-    def _driver_hears(self) -> bool:
-        """Whether everybody who listens to commands is matched, and not only kinematics does."""
-        topic = self.node.resolve_topic_name(graph.JOINT_TRAJECTORY.name)
-        ends = self.node.get_subscriptions_info_by_topic(topic)
-        driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
-        return driver and self._trajectory.get_subscription_count() >= len(ends)
 
     def _on_state(self, message: DriverState) -> None:
         self._driver = message
@@ -137,7 +138,7 @@ class ArmClient(GraphClient):
             self._refused = message.message if message.event == Motion.REFUSED else ""
 
     def driver_takes(self, *, held: bool = False) -> bool:
-        """Whether the driver tells that it takes trajectories; true of one that never tells.
+        """Return whether the driver takes trajectories; true of one that never tells.
 
         Raises:
             DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.
@@ -181,11 +182,13 @@ class ArmClient(GraphClient):
             self.driver_takes()
             if self._refused:
                 raise JobError(f"the driver refused the move: {self._refused}")
-            inside = self.joints is not None and (
-                bool((np.abs(self.joints - q) <= tolerance).all()) or self._told_at(q)
+            q_now = self.joints
+            # The driver's last word may be that the arm rests where it was sent, and that is at q
+            end = [self._at.get(name, np.nan) for name in self.arm.joint_names]
+            inside = q_now is not None and bool(
+                (np.abs(q_now - q) <= tolerance).all() or (np.abs(q - end) < SAME_POSE).all()
             )
             away[0] |= not inside or self._reached  # a passage may be too short to be heard of
-            q_now = self.joints
             if not inside or not away[0] or q_now is None:
                 inside_since.clear()
             elif not inside_since or (np.abs(q_now - inside_since[0][1]) > JOINT_REST).any():
@@ -196,7 +199,7 @@ class ArmClient(GraphClient):
         return int(self.node.get_clock().now().nanoseconds)
 
     def _short_of(self, q: np.ndarray, pace: Pace) -> str:
-        """Which joint did not come to its command (n,), by how much, and what helps."""
+        """Say which joint did not come to its command (n,), by how much, and what helps."""
         waited = f"the joints did not come to rest at their command within {pace.arrive_s:g} s"
         if self.joints is None:
             return f"{waited}: no joint_states"
@@ -210,11 +213,6 @@ class ArmClient(GraphClient):
         if gap[k] > GIVES_WAY * (arm.upper - arm.lower)[k]:
             return f"{said}: does its driver hear joint_trajectory?"
         return f"{said}: servos that give way need --within {1.5 * gap[k]:.1g}"
-
-    def _told_at(self, q: np.ndarray) -> bool:
-        """Whether the driver's last word is that the arm rests where it was sent: at q (n,)."""
-        held = [self._at.get(name, np.nan) for name in self.arm.joint_names]
-        return bool((np.abs(q - held) < SAME_POSE).all())
 
     def look(
         self, path: np.ndarray, pace: Pace, start: np.ndarray | None

@@ -31,8 +31,11 @@ from longarm_comp.sim.plant import hidden_effects
 from longarm_comp.workflows.inputs import MODEL, PREDICTOR, load_predictor
 
 ORIGINAL, DECLARED, FOUND, LEARNED = (
-    "original", "declared", "effect found", "effect found + network",
-)  # fmt: skip
+    "original",
+    "declared",
+    "effect found",
+    "effect found + network",
+)
 """Nothing compensated; the declared deflection; the diagnosed model; that and the network."""
 
 NAMES = Names(ORIGINAL, DECLARED, FOUND, LEARNED)
@@ -42,7 +45,7 @@ _PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 
 
 
 def table_row(trial: Trial) -> dict[str, Any]:
-    """What the cameras measured, what really was, what the paper has."""
+    """Make a table's row: what the cameras measured, what really was, what the paper has."""
     seen = Errors.of(trial.error)
     told = ("mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
     mean, variance = _PAPER.get(trial.name, (None, None))
@@ -56,8 +59,8 @@ def table_row(trial: Trial) -> dict[str, Any]:
     }
 
 
-def improved(trials: Sequence[Trial]) -> bool:
-    """Whether the last trial came nearer to the targets than the first, measured and truly."""
+def is_improved(trials: Sequence[Trial]) -> bool:
+    """Return whether the last trial came nearer to the targets than the first, in both measures."""
     first, last = table_row(trials[0]), table_row(trials[-1])
     return all(last[name] < first[name] for name in ("mean_mm", "true_mean_mm"))
 
@@ -95,17 +98,20 @@ class DemoSettings:
         )
 
     def graph(self) -> BringUp:
-        """The graph; model and predictor are taken up once they are there."""
+        """Make the graph; model and predictor are taken up once they are there."""
         given: dict[str, dict[str, Any]] = {
             "servo_driver": {
-                "follower.blend_s": 0.05, "order_max_age_s": PACE.look_s,
+                "follower.blend_s": 0.05,
+                "order_max_age_s": PACE.look_s,
                 "state": str(self.out.absolute() / "state"),  # no other run's stop holds for it
             },
             "simulated_arm": {
-                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 15.0,
+                "hidden": self.hidden,
+                "seed": self.seed,
+                "frame_rate_hz": 15.0,
             },
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": PACE.look_s},
-        }  # fmt: skip
+        }
         return BringUp(
             arm=self.arm, model=self.out / MODEL, predictor=self.out / PREDICTOR, sim=True,
             namespace=NAMESPACE, speed=self.speed, set=given,
@@ -157,7 +163,7 @@ def demonstrate(
     (found,) = done["rounds"]
     return {
         "rows": [table_row(trial) for trial in trials],
-        "improved": improved(trials),
+        "improved": is_improved(trials),
         "collected": found["collected"],
         "outside_training_data": int(np.sum(trials[-1].status == Status.OUT_OF_DOMAIN)),
         "verdict": found["verdict"],

@@ -43,7 +43,7 @@ class Interrupted(JobError):  # noqa: N818
 
 
 def drivers(node: Node) -> int:
-    """How many servo drivers there are in a node's namespace."""
+    """Count the servo drivers in a node's namespace."""
     return node.count_publishers(node.resolve_topic_name(graph.DRIVER_STATE.name))
 
 
@@ -172,8 +172,8 @@ class GraphClient:
             raise JobError(answer.results[0].reason, node=node, parameter=name, value=value)
 
 
-def reported(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, DiagnosticStatus]]:
-    """What a message says of the nodes of a namespace: each part's status, by node and part."""
+def reports_of(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, DiagnosticStatus]]:
+    """Return the status of each part of a namespace's nodes, by node and part."""
     nodes: dict[str, dict[str, DiagnosticStatus]] = {}
     for status in message.status:
         node, colon, part = status.name.partition(": ")
@@ -184,7 +184,7 @@ def reported(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, Di
 
 
 class Reports:
-    """What the nodes of a client's namespace report on /diagnostics from now on.
+    """The reports of the nodes of a client's namespace on /diagnostics from now on.
 
     `nodes` has the last status of each part, by the names of node and part.
     """
@@ -195,11 +195,11 @@ class Reports:
         self._heard = graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for node, parts in reported(message, self._client.node.get_namespace()).items():
+        for node, parts in reports_of(message, self._client.node.get_namespace()).items():
             self.nodes.setdefault(node, {}).update(parts)
 
-    def said(self, node: str, part: str) -> str:
-        """The last message of a part; empty before the first."""
+    def last_message(self, node: str, part: str) -> str:
+        """Return the last message of a part; empty before the first."""
         status = self.nodes.get(node, {}).get(part)
         return "" if status is None else str(status.message)
 

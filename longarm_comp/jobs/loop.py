@@ -104,7 +104,7 @@ class LoopSettings:
         return self.out / (what if k == 1 else f"{name}_{k}{dot}{ending}")
 
     def facts(self) -> dict[str, Any]:
-        """What must be the same where an interrupted loop goes on; ``rounds`` may grow."""
+        """Return what must be the same where an interrupted loop goes on; ``rounds`` may grow."""
         return {k: v for k, v in asdict(self).items() if k not in ("out", "rounds")}
 
 
@@ -134,14 +134,14 @@ class Journal:
         return step in self._steps
 
     def once(self, step: str, make: Callable[[], Any]) -> Any:
-        """The result of a step as plain data, made now unless it was made before."""
+        """Return the result of a step as plain data, made now unless it was made before."""
         if step not in self._steps:
             self._steps[step] = make()
             write_text(self._path, json.dumps(self._steps))
         return self._steps[step]
 
     def trial(self, step: str, make: Callable[[], Trial]) -> Trial:
-        """The same for a run over targets."""
+        """Return the result of a run over targets, made now unless it was made before."""
 
         def plain() -> dict[str, Any]:
             trial = make()
@@ -151,18 +151,17 @@ class Journal:
         return Trial(data["name"], *(np.array(data[name]) for name in _TRIAL))
 
 
-_Agree = Callable[[DiagnosisReport], bool]
-"""Shows a diagnosis and says whether to apply it."""
-
-
 class Loop:
-    """A loop on a running graph; ``agree`` is asked before a diagnosis is applied."""
+    """A loop on a running graph.
+
+    ``agree`` shows a diagnosis and says whether to apply it.
+    """
 
     def __init__(
         self,
         client: ArmClient,
         settings: LoopSettings,
-        agree: _Agree,
+        agree: Callable[[DiagnosisReport], bool],
         *,
         witness: Witness | None = None,
         resume: bool = False,
@@ -191,7 +190,15 @@ class Loop:
         self._done("bring_up")
         learned = files.predictor is not None and files.predictor.is_file()
         now = method if learned else Method.DEFLECTION
-        chosen = self._journal.once("targets", partial(self._choose, now))
+
+        def choose_targets() -> dict[str, Any]:
+            settings = self._settings
+            draw = at_random(declared, np.random.default_rng(settings.seed + 1))
+            kept, left = choose(self._runner, draw, settings.targets, (Method.NONE, now))
+            refused = [{"target": xyz.tolist(), "why": why} for xyz, why in left]
+            return {"xyz": kept.tolist(), "refused": refused}
+
+        chosen = self._journal.once("targets", choose_targets)
         targets = np.array(chosen["xyz"])
         trials = [
             self._drive(names.without, targets, Method.NONE),
@@ -203,14 +210,6 @@ class Loop:
             if not rounds[-1]["again"]:
                 break
         return trials, self._write(files, chosen["refused"], trials, rounds)
-
-    def _choose(self, method: Method) -> dict[str, Any]:
-        settings = self._settings
-        rng = np.random.default_rng(settings.seed + 1)
-        draw = at_random(declared_model(self._client.arm), rng)
-        kept, left = choose(self._runner, draw, settings.targets, (Method.NONE, method))
-        refused = [{"target": xyz.tolist(), "why": why} for xyz, why in left]
-        return {"xyz": kept.tolist(), "refused": refused}
 
     def _drive(self, name: str, targets: np.ndarray, method: Method) -> Trial:
         run = partial(self._runner.run, name, targets, method, self._say)
@@ -263,7 +262,16 @@ class Loop:
 
     def _collect(self, k: int) -> int:
         settings, arm = self._settings, self._client.arm
-        plan = self._plan(k)
+        # Poses that fill the joint box; first those that the last diagnosis asked for
+        plan = sobol(arm, settings.poses, settings.seed + k - 1)
+        asked = settings.path("diagnosis", k - 1) / NEXT_POSES
+        if k > 1 and asked.is_file():
+            wanted = read_poses(asked, arm)
+            left = max(0, settings.poses - len(wanted))
+            plan = Plan(
+                np.concatenate([wanted.q, plan.q[:left]]),
+                np.concatenate([wanted.approach, plan.approach[:left]]),
+            )
         write_poses(plan, settings.path("poses.csv", k))
         seed = settings.seed + k - 1
         todo = visits(plan, arm, repeats=min(5, settings.poses // 10), seed=seed)
@@ -273,20 +281,6 @@ class Loop:
             progress=lambda now: self._say(str(now), now.share),
         )  # fmt: skip
         return done.made + done.before
-
-    def _plan(self, k: int) -> Plan:
-        """Poses that fill the joint box; first those that the last diagnosis asked for."""
-        settings, arm = self._settings, self._client.arm
-        plan = sobol(arm, settings.poses, settings.seed + k - 1)
-        asked = settings.path("diagnosis", k - 1) / NEXT_POSES if k > 1 else None
-        if asked is None or not asked.is_file():
-            return plan
-        wanted = read_poses(asked, arm)
-        left = max(0, settings.poses - len(wanted))
-        return Plan(
-            np.concatenate([wanted.q, plan.q[:left]]),
-            np.concatenate([wanted.approach, plan.approach[:left]]),
-        )
 
     def _diagnose(self, k: int, files: FilesAtWork) -> list[list[str]]:
         model = files.model if files.model.is_file() else None
@@ -303,10 +297,13 @@ class Loop:
         settings = self._settings
         take_back(settings.path("diagnosis", k), files.model)
         done = apply_on_graph(
-            self._client, settings.path("diagnosis", k), session=settings.path("session", k),
-            network=settings.network, seed=settings.seed,
+            self._client,
+            settings.path("diagnosis", k),
+            session=settings.path("session", k),
+            network=settings.network,
+            seed=settings.seed,
             progress=lambda text, share: self._say(f"train: {text}", 0.6 + 0.4 * share),
-        )  # fmt: skip
+        )
         return {
             "model": str(done.model),
             "version": done.version,
@@ -322,20 +319,28 @@ class Loop:
         self._seconds[step], self._begun = now - self._begun, now
 
     def _write(
-        self, files: FilesAtWork, refused: list[dict[str, Any]], trials: list[Trial],
+        self,
+        files: FilesAtWork,
+        refused: list[dict[str, Any]],
+        trials: list[Trial],
         rounds: list[dict[str, Any]],
-    ) -> dict[str, Any]:  # fmt: skip
+    ) -> dict[str, Any]:
         page = self._settings.out / "loop.html"
         structure = read_report(Path(rounds[-1]["diagnosis"])).structure_left
         left = "The last diagnosis found no structure in the residual of its session."
         if structure.flag:
             left = f"Of the last diagnosis: {structure.text}; no effect of the library explains it."
-        gain = trials[-1].against(trials[0])
+        gains = [trial.against(trials[0]) for trial in trials[1:]]
+        intervals = [[None, None], *([1e3 * g for g in gain.gain_ci95_m] for gain in gains)]
+        rows = [
+            {**error_row(t.name, t.error), "gain_ci95_mm": interval, "refused": t.refused}
+            for t, interval in zip(trials, intervals, strict=True)
+        ]
         data = {
             "arm": self._client.arm.name,
-            "rows": _rows(trials),
-            "helps": gain.helps,
-            "summary": gain.summary,
+            "rows": rows,
+            "helps": gains[-1].helps,
+            "summary": gains[-1].summary,
             "rule": RULE,
             "ended": rounds[-1]["why"],
             "rounds": rounds,
@@ -352,12 +357,3 @@ class Loop:
         write_text(self._settings.out / "loop.json", json.dumps(data, indent=2))
         write_text(page, loop_page(data, {t.name: t.error for t in trials}))
         return data
-
-
-def _rows(trials: list[Trial]) -> list[dict[str, Any]]:
-    """A row a run; ``refused``, and the gain against the first run with its interval."""
-    gains = [[1e3 * g for g in trial.against(trials[0]).gain_ci95_m] for trial in trials[1:]]
-    return [
-        {**error_row(trial.name, trial.error), "gain_ci95_mm": gain, "refused": trial.refused}
-        for trial, gain in zip(trials, [[None, None], *gains], strict=True)
-    ]

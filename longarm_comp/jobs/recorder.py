@@ -5,9 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
 
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from longarm_comp.jobs.graph_client import GraphClient
@@ -58,18 +57,12 @@ class Recorder:
         self.newest: dict[str, int] = {}
         """The latest time (ns) that a message of a topic was about."""
         for topic in topics:
-            self._subscribe(topic)
-
-    def _subscribe(self, topic: Topic) -> None:
-        name = self._node.resolve_topic_name(topic.name)
-        message: Any = topic.type
-        kind = f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
-        if "header" in message.get_fields_and_field_types():
-            self._stamped.add(name)
-        self._bag.offers[name] = offered(topic.depth, latched=topic.latched)
-        topic.subscription(
-            self._node, lambda raw: self.put(name, kind, bytes(raw)), depth=2000, raw=True
-        )
+            name, message = node.resolve_topic_name(topic.name), topic.type
+            kind = f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
+            if "header" in message.get_fields_and_field_types():
+                self._stamped.add(name)
+            bag.offers[name] = offered(topic.depth, latched=topic.latched)
+            topic.subscription(node, partial(self.put, name, kind), depth=2000, raw=True)
 
     def put(self, topic: str, kind: str, raw: bytes) -> None:
         """Take a serialised message that was just received; ``topic`` is its full name."""
@@ -118,15 +111,6 @@ class Recorder:
         ]
 
 
-def _drain(executor: SingleThreadedExecutor, recorder: Recorder) -> None:
-    """Take what has arrived and was not taken yet, at most for some seconds."""
-    end, before = time.monotonic() + _DRAIN_S, -1
-    while len(recorder.waiting) > before and time.monotonic() < end:
-        before = len(recorder.waiting)
-        for _ in range(_AT_ONCE):
-            executor.spin_once(timeout_sec=0.0)
-
-
 def record(
     bag: SegmentedBag,
     topics: Sequence[Topic],
@@ -143,7 +127,12 @@ def record(
             while not stop.is_set() and (end is None or time.monotonic() < end):
                 client.executor.spin_once(timeout_sec=0.1)
                 recorder.keep()
-            _drain(client.executor, recorder)
+            # Take what has arrived and was not taken yet
+            by, before = time.monotonic() + _DRAIN_S, -1
+            while len(recorder.waiting) > before and time.monotonic() < by:
+                before = len(recorder.waiting)
+                for _ in range(_AT_ONCE):
+                    client.executor.spin_once(timeout_sec=0.0)
         finally:
             recorder.keep(finish=True)
     return recorder.counts

@@ -80,7 +80,7 @@ class Trial:
         return sum(not Status(int(status)).success for status in self.status)
 
     def against(self, before: Trial, seed: int = 0) -> Verification:
-        """Compared with another run over the same targets, paired."""
+        """Compare with another run over the same targets, paired."""
         return verification((before.name, self.name), before.off, self.off, seed)
 
 
@@ -101,7 +101,7 @@ class TargetRunner:
         """Wait until kinematics knows the joints, so that it can answer for a target (3,), m."""
         client = self._client
         reports = Reports(client)
-        said = partial(reports.said, "kinematics", "targets")
+        said = partial(reports.last_message, "kinematics", "targets")
 
         def knows() -> bool:
             answer = self.ask(target, execute=False)
@@ -115,7 +115,7 @@ class TargetRunner:
 
     @contextmanager
     def method(self, method: Method) -> Iterator[None]:
-        """What the kinematics node compensates meanwhile; afterwards as before."""
+        """Set what kinematics compensates meanwhile; afterwards as before."""
         (before,) = self._client.parameters("kinematics", "method")
         self._client.set_parameter("kinematics", "method", method.value)
         try:
@@ -125,7 +125,7 @@ class TargetRunner:
                 self._client.set_parameter("kinematics", "method", before)
 
     def refusals(self, targets: np.ndarray, methods: Sequence[Method]) -> list[str]:
-        """Why each of (N, 3) targets, m, would be refused with one of the methods; "" if not."""
+        """Ask why each of (N, 3) targets, m, would be refused with a method; "" if none would."""
         why = [""] * len(targets)
         for method in methods:
             with self.method(method):
@@ -141,7 +141,7 @@ class TargetRunner:
         with self.method(method):
             for k, target in enumerate(targets):
                 progress(f"{name}: {k} of {len(targets)} targets driven", k / len(targets))
-                rows.append(self._one(target))
+                rows.append(self._drive(target))
         seen, true, status = (np.array(column) for column in zip(*rows, strict=True))
         return Trial(name, targets, self._in_base(seen, targets), true, status)
 
@@ -164,22 +164,26 @@ class TargetRunner:
         pose.header.frame_id = self._frame
         pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = target.tolist()
         request = Compensate.Request(target=pose, position_only=True, execute=execute)
-        answer = self._client.call(self._compensate, request, again=not execute)
-        if answer.status == Compensate.Response.STALE_TARGET:  # nothing was moved
-            answer = self._client.call(self._compensate, request, again=not execute)
-        return answer
+        ask = partial(self._client.call, self._compensate, request, again=not execute)
+        answer = ask()
+        stale = answer.status == Compensate.Response.STALE_TARGET  # nothing was moved
+        return ask() if stale else answer
 
-    def _one(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    def _drive(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Drive one target (3,), m; the tip (3,) as the cameras and the witness see it, status."""
         client = self._client
         start = client.joints
         answer = self.ask(target, execute=True)
+        seen = true = np.full(3, np.nan)
         if not answer.success:
-            return np.full(3, np.nan), np.full(3, np.nan), int(answer.status)
+            return seen, true, int(answer.status)
         stops = (answer.run_up, answer.command) if answer.run_up.name else (answer.command,)
         path = np.array([joints_of(stop, client.arm, "compensate") for stop in stops])
         rest, looks = client.look(path, self._pace, start)
-        seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)
-        true = np.full(3, np.nan) if self._witness is None else self._witness(rest)
+        if looks:
+            seen = np.mean(looks, axis=0)
+        if self._witness is not None:
+            true = self._witness(rest)
         return seen, true, int(answer.status)
 
 
@@ -220,7 +224,7 @@ def one_by_one(targets: np.ndarray) -> Draw:
 
 
 def method_at_work(client: GraphClient) -> Method:
-    """What the kinematics node compensates now; everything, where it compensates nothing."""
+    """Ask what kinematics compensates now; everything, where it compensates nothing."""
     (name,) = client.parameters("kinematics", "method")
     return Method.BOTH if Method(name) is Method.NONE else Method(name)
 

@@ -54,7 +54,7 @@ class TouchLog:
                 (`contact`), and it sits in no socket.
         """
         q = resting(client)
-        if column == "touch" and not _seated(client):
+        if column == "touch" and not _is_seated(client):
             raise JobError(f"touch {name}: the ball sits in no socket; nothing was recorded")
         self.rows.append((q, column, name))
         return q
@@ -87,8 +87,8 @@ class TouchLog:
         return spreads(fitted.model, whole)
 
 
-def _seated(client: ArmClient) -> bool:
-    """Whether the ball sits in a socket, by what the graph tells next; true where it tells none."""
+def _is_seated(client: ArmClient) -> bool:
+    """Return whether the ball sits in a socket, as the graph says; true where it says nothing."""
     heard: list[str] = []
     felt = CONTACT.subscription(client.node, lambda message: heard.append(message.data))
     try:

@@ -1,4 +1,4 @@
-"""What a node knows of its arm: the model, and what the graph and the driver tell of it."""
+"""The state of a node's arm: the model, and what the graph and the driver tell of it."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class ArmState:
         base_frame: full name of the arm's frame.
         readings: of circumstances. effort: (n,) N m and N, NaN where none is told.
         worker: the thread that computes with all this; ``capacity`` jobs may wait for it.
-        moved: called with every joint reading (n,) that is believed, and its time (ROS clock, s).
+        joint_listeners: get every joint reading (n,) that is believed, and its time (ROS clock, s).
     """
 
     def __init__(self, node: ArmNode, capacity: int, *, trimmed: bool = False) -> None:
@@ -74,7 +74,7 @@ class ArmState:
         self.predictor = PredictorClient(caller, self.arm, p["predictor_timeout_s"])
         self.driver = DriverLink(self)
         node.health.parts["messages"] = node.tally.report
-        self.moved: Callable[[np.ndarray, float], None] = lambda q, at_s: None
+        self.joint_listeners: list[Callable[[np.ndarray, float], object]] = []
         self._max_age_s = p["joints_max_age_s"]
         self._trust = JointTrust(self.arm, p["joints_max_rate"])
         self.readings = Readings()
@@ -107,12 +107,14 @@ class ArmState:
             StaleContext: one that the model needs is unknown or too old.
         """
         return self.readings.context(
-            model or self.files.loaded.model, time.monotonic(), self.p["context_max_age_s"],
+            model or self.files.loaded.model,
+            time.monotonic(),
+            self.p["context_max_age_s"],
             self.driver.history if history is None else history,
-        )  # fmt: skip
+        )
 
-    def known(self, history: History | None = None) -> Context | None:
-        """The same; None while one that the model needs is unknown."""
+    def known_context(self, history: History | None = None) -> Context | None:
+        """Return the circumstances of now; None while one that the model needs is unknown."""
         try:
             return self.context(history)
         except StaleContext:
@@ -121,14 +123,14 @@ class ArmState:
     @property
     def standing(self) -> tuple[Model, np.ndarray, Context] | None:
         """Model in use, readings (n,) and circumstances of now; None while they are not known."""
-        q, context = self.joints, self.known()
+        q, context = self.joints, self.known_context()
         return None if q is None or context is None else (self.files.loaded.model, q, context)
 
     def _on_inclination(self, message: Imu) -> None:
         try:
             row, columns = tilt_of(message)
         except InputError as error:
-            self.node.tally.dropped("inclination", str(error))
+            self.node.tally.count_dropped("inclination", str(error))
             return
         self._read(f"inclination {row}", columns)
 
@@ -137,13 +139,13 @@ class ArmState:
         whoever says it knows of another circumstance than the last one."""
         now = time.monotonic()
         if not all(math.isfinite(value) for value in columns.values()):
-            self.node.tally.dropped(source, f"{source}: {columns} is not finite")
+            self.node.tally.count_dropped(source, f"{source}: {columns} is not finite")
             return
         try:
             for name, value in columns.items():
                 check_circumstance(self.arm, name, value, source)
         except InputError as error:
-            self.node.tally.dropped(source, str(error))
+            self.node.tally.count_dropped(source, str(error))
             self.readings = self.readings.with_reading(source, columns, now, wrong=str(error))
             return
         self.readings = self.readings.with_reading(source, columns, now)
@@ -156,7 +158,7 @@ class ArmState:
 
     @property
     def doubt(self) -> str:
-        """Why the arm must not be moved from where `joints` say that it is; empty if it may."""
+        """The reason not to move the arm from where `joints` say that it is; empty if it may."""
         held = self._joints
         if held is None:
             return self._trust.doubt or NO_JOINTS
@@ -168,7 +170,7 @@ class ArmState:
         try:
             q = joints_of(message, self.arm, "joint_states")
         except InputError as error:
-            self.node.tally.dropped("joint_states", str(error))
+            self.node.tally.count_dropped("joint_states", str(error))
             return
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
         self._trust.heard(info["publication_sequence_number"], now)
@@ -176,7 +178,9 @@ class ArmState:
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints, self.effort = (q, now), efforts_of(message, self.arm)
-            self.moved(q, 1e-9 * stamp if stamp else self.now_s)
+            at_s = 1e-9 * stamp if stamp else self.now_s
+            for listen in self.joint_listeners:
+                listen(q, at_s)
             return
         self.node.tally.count("doubtful joint_states", self._trust.doubt)
 
@@ -193,32 +197,32 @@ class DriverLink:
 
     Attributes:
         history: of the joints, when they have come to the end of what was commanded last.
-        commanded: called for every command, with its joints (n,) and their history on arrival.
-        told: called with every message on `motion`.
+        command_listeners: get the joints (n,) of every command and their history on arrival.
+        motion_listeners: get every message on `motion`. Both are called on the worker.
     """
 
     def __init__(self, state: ArmState) -> None:
         self._arm, self._arm_state = state.arm, state
-        self._dropped = state.node.tally.dropped
+        self._count_dropped = state.node.tally.count_dropped
         self.acknowledged = state.p["acknowledged"]
-        self.commanded: Callable[[np.ndarray, History], None] = lambda q, history: None
-        self.told: Callable[[Motion], None] = lambda motion: None
+        self.command_listeners: list[Callable[[np.ndarray, History], object]] = []
+        self.motion_listeners: list[Callable[[Motion], object]] = []
         self.history = History.unknown(state.arm.n)
         self._end: np.ndarray | None = None
         self._state: DriverState | None = None
         self._heard_s = self._rival_s = -_SILENT_S
         self._known: set[str] = set()
         self._asked, self._answer = "", None
+        hear = state.worker.hear  # so that what comes is known before the next target
         if self.acknowledged:
-            heard = {graph.MOTION: self._on_motion, graph.DRIVER_STATE: self._on_state}
+            hear(graph.MOTION, self._on_motion)
+            hear(graph.DRIVER_STATE, self._on_state)
         else:
-            heard = {graph.JOINT_TRAJECTORY: self._on_trajectory}
-        for topic, callback in heard.items():
-            state.worker.hear(topic, callback)  # so that it is known before the next target
+            hear(graph.JOINT_TRAJECTORY, self._on_trajectory)
 
     @property
     def refusal(self) -> str:
-        """Why nothing can be sent now; empty where the driver takes trajectories."""
+        """The reason that nothing can be sent now; empty where the driver takes trajectories."""
         if not self.acknowledged:
             return ""
         now, state = time.monotonic(), self._state
@@ -238,13 +242,13 @@ class DriverLink:
         self._asked, self._answer = name, None
 
     @property
-    def answered(self) -> bool:
-        """Whether the driver has said if it takes the trajectory; true where it never says."""
+    def has_answered(self) -> bool:
+        """True once the driver has said if it takes the trajectory, and where it never says."""
         return self._answer is not None or not self.acknowledged
 
     @property
     def not_accepted(self) -> str:
-        """Why the trajectory that was expected is not taken up; empty where it is."""
+        """The reason that the expected trajectory is not taken up; empty where it is."""
         if not self.acknowledged:
             return ""
         if self._answer is None:
@@ -252,43 +256,42 @@ class DriverLink:
         refused = self._answer.event == Motion.REFUSED
         return f"the driver refused it: {self._answer.message}" if refused else ""
 
-    def _on_motion(self, message: Motion) -> None:
+    def _on_motion(self, message: Motion, sent: float) -> None:
         if message.event == Motion.ACCEPTED:
-            self._accepted(message)
+            try:
+                start, path = motion_of(message, self._arm)
+            except InputError as error:
+                self._count_dropped("motion", str(error))
+                self.lose()
+            else:
+                self.went(path, start)
         elif message.event in (Motion.REPLACED, Motion.BROKEN_OFF):
             self.lose()
         if message.id == self._asked and message.event in (Motion.ACCEPTED, Motion.REFUSED):
             self._answer = message
-        self.told(message)
+        for listen in self.motion_listeners:
+            listen(message)
 
-    def _accepted(self, message: Motion) -> None:
-        try:
-            start, path = motion_of(message, self._arm)
-        except InputError as error:
-            self._dropped("motion", str(error))
-            self.lose()
-            return
-        self.went(path, start)
-
-    def _on_trajectory(self, message: JointTrajectory) -> None:
+    def _on_trajectory(self, message: JointTrajectory, sent: float) -> None:
         try:
             path = path_of(message, self._arm)
         except InputError as error:
-            self._dropped("joint_trajectory", str(error))
+            self._count_dropped("joint_trajectory", str(error))
             return
         self.went(path, self._end if self._end is not None else self._arm_state.joints)
 
     def went(self, path: np.ndarray, start: np.ndarray | None) -> None:
-        """Joints are on their way through (k, n) from a start (n,)."""
+        """Note that the joints are on their way through (k, n) from a start (n,)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
-        self.commanded(path[-1], self.history)
+        for listen in self.command_listeners:
+            listen(path[-1], self.history)
 
     def lose(self) -> None:
-        """Where the joints come from is not known from here on."""
+        """Forget the history of the joints: from here on it is not known."""
         self.history, self._end = History.unknown(self._arm.n), None
 
-    def _on_state(self, message: DriverState) -> None:
+    def _on_state(self, message: DriverState, sent: float) -> None:
         now, instance = time.monotonic(), message.instance
         known = self._state is not None and self._state.instance == instance
         if not known and instance in self._known:  # it speaks again after another one did

@@ -69,9 +69,11 @@ class Supervisor:
         """Start in a session of its own, so that Ctrl-C reaches only the supervisor."""
         self._begun[name] = time.monotonic()
         self._children[name] = subprocess.Popen(
-            self.commands[name], env={**os.environ, GUARD: str(os.getpid())},
-            start_new_session=True, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
+            self.commands[name],
+            env={**os.environ, GUARD: str(os.getpid())},
+            start_new_session=True,
+            stdin=subprocess.DEVNULL,
+        )
         self.say(f"{name} {why}, pid {self.pid(name)}")
 
     def look(self) -> None:
@@ -200,8 +202,9 @@ class BringUp:
             return self
         if not self.sim or file != folder("config") / file.name:
             hint = f"longarm init DIR --arm {self.arm} writes files that fit"
-            raise InputError(file, "joints", ", ".join(joints),
-                             f"{', '.join(arm.joint_names)}; {hint}")  # fmt: skip
+            raise InputError(
+                file, "joints", ", ".join(joints), f"{', '.join(arm.joint_names)}; {hint}"
+            )
         own = self.config or self.arm.absolute().parent
         for node, text in parameter_files(arm).items():
             write_text(scratch / f"{node}.yaml", text)
@@ -293,13 +296,13 @@ class BringUp:
 
 
 def _apart() -> dict[str, str]:
-    """Where stops of a simulated arm are kept: no reset there is one of the real arm."""
+    """Return the folder of a simulated arm's stops: no reset there is one of the real arm."""
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     return {"state": str(state_folder() / "simulated" / domain)}
 
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:
-    """A parameter that holds a path; absent where there is none."""
+    """Return a parameter that holds a path; no parameter where there is none."""
     return {} if path is None else {name: str(path.absolute())}
 
 

@@ -21,20 +21,13 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import entered
+from longarm_comp.nodes.answers import Answer, Refusal, TargetRequest, target_of
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns, steady_timer
 from longarm_comp.nodes.frames import FrameListener
 from longarm_comp.nodes.health import OK, WARN, Report, Twins
-from longarm_comp.nodes.messages import (
-    Answer,
-    Refusal,
-    joints_message,
-    joints_of,
-    pose_message,
-    target_of,
-)
+from longarm_comp.nodes.messages import joints_message, joints_of, pose_message
 from longarm_comp.nodes.params import Param
-from longarm_interfaces.srv import Compensate
 
 PARAMS = (
     Param(
@@ -60,7 +53,7 @@ class Compensator:
         self._base_frame = state.base_frame
 
     def kind(self) -> Hashable:
-        """What the programs that a target needs depend on: model, options, what is known.
+        """Return what a target's programs depend on: model, options, the circumstances known.
 
         Raises:
             StaleContext: a circumstance that the model needs is not known.
@@ -77,52 +70,50 @@ class Compensator:
         seed = joints_message(self._files.arm, mid)
         frame = Header(frame_id=self._base_frame)
         target = PoseStamped(header=frame, pose=pose_message(self._files.rigid.pose(mid)))
-        self.answer("", Compensate.Request(target=target, seed=seed))
+        self.answer(TargetRequest("", target, False, False, 0.0, seed))
 
-    def answer(self, name: str, request: Compensate.Request) -> Answer:
-        """The answer to a request; a refusal is one too. ``name``: id of the target."""
+    def answer(self, target: TargetRequest) -> Answer:
+        """Compute a target; a refusal is an answer too."""
         try:
-            return self._compensate(name, request)
+            return self._compensate(target)
         except Refusal as refusal:
-            return self.refused(name, request, refusal.status, str(refusal))
+            return self.refuse(target, refusal.status, str(refusal))
         except StaleContext as error:
-            return self.refused(name, request, Status.STALE_CONTEXT, str(error))
+            return self.refuse(target, Status.STALE_CONTEXT, str(error))
         except InputError as error:
-            return self.refused(name, request, Status.BAD_TARGET, str(error))
+            return self.refuse(target, Status.BAD_TARGET, str(error))
         except Exception as error:
             self._node.health.fault(error)
             text = f"{type(error).__name__}: {error}"
-            return self.refused(name, request, Status.INTERNAL_ERROR, text)
+            return self.refuse(target, Status.INTERNAL_ERROR, text)
 
-    def refused(
-        self, name: str, request: Compensate.Request, status: Status, reason: str
-    ) -> Answer:
-        """The answer to a request that is refused before any computation."""
+    def refuse(self, target: TargetRequest, status: Status, reason: str) -> Answer:
+        """Make the answer to a target that is refused before any computation."""
         return Answer(
-            name, request.target, request.position_only, status, reason,
+            target.name, target.pose, target.position_only, status, reason,
             str(self._node.get_parameter("method").value), self._files.loaded.file_hash,
         )  # fmt: skip
 
-    def _compensate(self, name: str, request: Compensate.Request) -> Answer:
-        given, target = self._target(request)
+    def _compensate(self, target: TargetRequest) -> Answer:
+        given, place = self._in_base(target)
         options = self._options()
-        start, seed = self._start(request)
-        if request.execute and (why := self._twins.refusal or self._state.driver.refusal):
+        start, seed = self._start(target)
+        if target.execute and (why := self._twins.refusal or self._state.driver.refusal):
             raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
-        if request.execute and (why := self._state.worker.failing):
+        if target.execute and (why := self._state.worker.failing):
             raise Refusal(Status.NOT_READY, f"not sent: {why}")
         loaded = self._files.loaded
         stands = loaded.stands
         compensate = partial(
-            compensate_move, loaded.model, target=stands.carried(target), start=start, seed=seed,
-            history=self._state.driver.history, position_only=request.position_only,
+            compensate_move, loaded.model, target=stands.carried(place), start=start, seed=seed,
+            history=self._state.driver.history, position_only=target.position_only,
             context_after=partial(
                 self._state.readings.context, physics_of(loaded.model, options.method),
                 time.monotonic(), self._state.p["context_max_age_s"],
             ),
             options=options,
         )  # fmt: skip
-        arrival, used, why = self._state.predictor.tried(options.method, compensate)
+        arrival, used, why = self._state.predictor.compensate_with(options.method, compensate)
         arrival = replace(arrival, outcome=stands.carry_back(arrival.outcome))
         outcome = arrival.outcome
         status, reason = outcome.status, outcome.reason
@@ -133,35 +124,38 @@ class Compensator:
             entry = entered(self._declared, path)
             status, reason = (Status.KEPT_OUT, entry) if entry else (status, reason)
         return Answer(
-            name, given, request.position_only, status, reason, options.method.value,
+            target.name, given, target.position_only, status, reason, options.method.value,
             loaded.file_hash, used, arrival,
         )  # fmt: skip
 
-    def _target(self, request: Compensate.Request) -> tuple[PoseStamped, np.ndarray]:
-        """The target in the base frame: as a message, and as (4, 4) or (3,), m."""
-        target, header = target_of(request.target, request.position_only), request.target.header
+    def _in_base(self, target: TargetRequest) -> tuple[PoseStamped, np.ndarray]:
+        """Return the target in the base frame: as a message, and as (4, 4) or (3,), m."""
+        place, header = target_of(target.pose, target.position_only), target.pose.header
         if header.frame_id in (self._base_frame, self._state.p["base_frame"]):
-            return request.target, target
+            return target.pose, place
         try:
             frame = self._frames.place(header.frame_id, self._base_frame, stamp_ns(header.stamp))
         except UnknownPlace as error:
             allowed = f"allowed: {self._base_frame!r}, and what tf connects with it"
             raise Refusal(Status.BAD_FRAME, f"{error}; {allowed}") from None
-        target = carried(frame, target)
+        place = carried(frame, place)
         moved = Header(stamp=header.stamp, frame_id=self._base_frame)
-        return PoseStamped(header=moved, pose=pose_message(target)), target
+        return PoseStamped(header=moved, pose=pose_message(place)), place
 
     def _options(self) -> CompensationOptions:
         value, p = lambda name: self._node.get_parameter(name).value, self._state.p
         return CompensationOptions(
-            Method(value("method")), run_up=bool(value("run_up")),
-            realisable=bool(value("realisable")), single_pass=bool(value("single_pass")),
-            tol_m=p["tolerance_m"], max_passes=p["max_passes"],
+            Method(value("method")),
+            run_up=bool(value("run_up")),
+            realisable=bool(value("realisable")),
+            single_pass=bool(value("single_pass")),
+            tol_m=p["tolerance_m"],
+            max_passes=p["max_passes"],
             max_correction_m=p["max_correction_m"],
-        )  # fmt: skip
+        )
 
-    def _start(self, request: Compensate.Request) -> tuple[np.ndarray, np.ndarray | None]:
-        """Where the move starts and where the search does, (n,) each.
+    def _start(self, target: TargetRequest) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return where the move starts and where the search does, (n,) each.
 
         Without a seed both are the joints. A move that is executed starts at the joints also with
         one; only a computation may start elsewhere.
@@ -171,10 +165,10 @@ class Compensator:
             InputError: the seed is of another arm, or outside the limits.
         """
         seed = None
-        if request.seed.name:
-            seed = joints_of(request.seed, self._files.arm, "seed")
+        if target.seed.name:
+            seed = joints_of(target.seed, self._files.arm, "seed")
             check_inside(seed, self._files.arm, "seed")
-        if seed is not None and not request.execute:
+        if seed is not None and not target.execute:
             return seed, seed
         doubt, q = self._state.doubt, self._state.joints
         if doubt or q is None:
@@ -199,18 +193,18 @@ class Readiness:
 
     def look(self) -> None:
         """Have the worker prepare what is not at hand."""
-        if self._needed()[0] != self._prepared or not self._predictor.answers:
+        if self._programs_needed()[0] != self._prepared or not self._predictor.answers:
             self._worker.submit_once(self._prepare)
 
-    def _needed(self) -> tuple[Hashable, str]:
-        """What the programs of the next target depend on; why that is not known, or nothing."""
+    def _programs_needed(self) -> tuple[Hashable, str]:
+        """Return what the next target's programs depend on; and why that is not known, or ""."""
         try:
             return (self._compute.kind() if self._compiled else "not compiled"), ""
         except StaleContext as unknown:
             return self._prepared, str(unknown)
 
     def _prepare(self) -> None:
-        needed, _ = self._needed()
+        needed, _ = self._programs_needed()
         try:
             self._predictor.probe()
             self._probed = True
@@ -221,9 +215,9 @@ class Readiness:
             self._prepared = needed  # also after a fault, which every target would repeat
 
     def report(self) -> Report:
-        """Whether the next target takes its ordinary time, for diagnostics."""
+        """Report whether the next target takes its ordinary time."""
         facts = {"programs compiled": Compiled.programs}
-        needed, unknown = self._needed()
+        needed, unknown = self._programs_needed()
         if unknown:
             return Report(WARN, unknown, facts)
         if not self._probed or needed != self._prepared:

@@ -1,4 +1,4 @@
-"""How the arm is shown: its links and URDF on /tf, markers for RViz."""
+"""Pictures of the arm: its links and URDF on /tf, markers for RViz."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from longarm_comp.core.ik.solver import position_of
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import BASE_LINK, Placed, exaggerated, link_frames, outline
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.answers import Answer
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.interfaces import MARKERS
-from longarm_comp.nodes.messages import Answer, sighting_of
+from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.params import Param
 from longarm_comp.urdf_export import export_urdf
 
@@ -28,7 +29,7 @@ PARAMS = (
     Param("markers.period_s", 0.5, "time between two pictures; 0: none", 0.0, 60.0),
     Param("markers.sag_factor", 1.0, "factor of the drawn deflection", 0.0, 1000.0, live=True),
     Param("markers.error_factor", 50.0, "factor of the drawn error arrow", 1.0, 1e4, live=True),
-)  # fmt: skip
+)
 
 _TIP_PREDICTED = "tip_predicted"
 
@@ -63,7 +64,7 @@ class ArmFrames:
             return
         placed = link_frames(state.files.rigid, q, self._prefix)
         others = self._teller.listeners > 1  # one is this node's own
-        if others and (context := state.known()) is not None:
+        if others and (context := state.known_context()) is not None:
             loaded = state.files.loaded
             tip = loaded.stands.asked(loaded.model.pose(q, context))  # takes 10 times as long
             placed.append(Placed.at(state.base_frame, self._prefix + _TIP_PREDICTED, tip))
@@ -115,8 +116,11 @@ class Markers:
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
         ]
         drawn[1].text = f"{sag:g}"  # so that whoever reads it can undo the exaggeration
-        spots = (("target", TARGET, self._target), ("pseudo_target", _PSEUDO, self._pseudo),
-                 ("tip_measured", TIP, self._tip))  # fmt: skip
+        spots = (
+            ("target", TARGET, self._target),
+            ("pseudo_target", _PSEUDO, self._pseudo),
+            ("tip_measured", TIP, self._tip),
+        )
         for number, (name, colour, at) in enumerate(spots, 2):
             place = [] if at is None else [at]
             drawn.append(self._marker(number, name, Marker.SPHERE_LIST, colour, 0.015, place))

@@ -67,25 +67,19 @@ class _ErrorPredictor(ArmNode):
         asked.start()
 
     def _on_predict(
-        self, request: PredictError.Request, reply: Callable[[PredictError.Response], None],
+        self,
+        request: PredictError.Request,
+        reply: Callable[[PredictError.Response], None],
         sent: float,
-    ) -> None:  # fmt: skip
-        response = self._answer(request)
-        reply(response)
-        if not response.success:
-            return
-        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self._base_frame)
-        self._errors.publish(Vector3Stamped(header=header, vector=response.error))
-
-    def _answer(self, request: PredictError.Request) -> PredictError.Response:
+    ) -> None:
         response = PredictError.Response(sigma=math.nan, error=vector_message([math.nan] * 3))
         loaded = self._loaded
         try:
             if loaded is None:
                 response.message = self._fault or "no predictor file is configured"
                 self.tally.count("refused", "")
-                return response
-            self._predict(loaded, request, response)
+            else:
+                self._predict(loaded, request, response)
         except LongarmError as error:
             self.tally.count("refused", str(error))
             response.message = str(error)
@@ -93,7 +87,10 @@ class _ErrorPredictor(ArmNode):
         except Exception as error:
             self.health.fault(error)
             response.message = f"{type(error).__name__}: {error}"
-        return response
+        reply(response)
+        if response.success:
+            header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self._base_frame)
+            self._errors.publish(Vector3Stamped(header=header, vector=response.error))
 
     def _predict(
         self, loaded: _Loaded, request: PredictError.Request, response: PredictError.Response
@@ -120,9 +117,12 @@ class _ErrorPredictor(ArmNode):
         model = self._model.loaded.file_hash
         try:
             predictor = load(
-                self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names,
-                model_hash=model, model=f"the model in use: {model[:12] or 'none'}",
-            )  # fmt: skip
+                self._path,
+                arm_hash=self._arm.hash,
+                joint_names=self._arm.joint_names,
+                model_hash=model,
+                model=f"the model in use: {model[:12] or 'none'}",
+            )
             digest = file_hash(self._path)
             self._loaded = _Loaded(predictor, digest, model)
         except LongarmError as error:

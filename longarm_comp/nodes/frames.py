@@ -26,7 +26,7 @@ from longarm_comp.nodes.messages import quaternion_message, vector_message
 
 
 def prefix_of(node: Node) -> str:
-    """What the names of a node's frames start with: nothing without a namespace."""
+    """Return what the names of a node's frames start with: nothing without a namespace."""
     namespace = node.get_namespace().strip("/")
     return f"{namespace}/" if namespace else ""
 
@@ -111,10 +111,13 @@ class FrameListener:
                 p, o = said.transform.translation, said.transform.rotation
                 try:
                     self._tree.hear(
-                        said.header.frame_id.lstrip("/"), said.child_frame_id.lstrip("/"),
-                        np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w]),
-                        stamp_ns(said.header.stamp), static=static,
-                    )  # fmt: skip
+                        said.header.frame_id.lstrip("/"),
+                        said.child_frame_id.lstrip("/"),
+                        np.array([p.x, p.y, p.z]),
+                        np.array([o.x, o.y, o.z, o.w]),
+                        stamp_ns(said.header.stamp),
+                        static=static,
+                    )
                 except InputError as error:
                     self._refused("bad tf", str(error))
             self._told.notify_all()

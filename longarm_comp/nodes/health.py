@@ -21,7 +21,7 @@ _ALONE = 3
 
 
 class Twins:
-    """Whether another `kinematics` publishes; ``node`` is the one that asks."""
+    """A watch for another `kinematics` that publishes; ``node`` is the one that asks."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -33,7 +33,7 @@ class Twins:
 
     @property
     def refusal(self) -> str:
-        """Why the arm must not be moved; empty where no other is on the graph."""
+        """The reason not to move the arm; empty where no other is on the graph."""
         if self._alone >= _ALONE:
             return ""
         return "two kinematics command this arm: end one of them"
@@ -106,13 +106,13 @@ class Tally:
             self.last = why
             self._node.get_logger().warning(why, throttle_duration_sec=1.0)
 
-    def dropped(self, topic: str, why: str) -> None:
+    def count_dropped(self, topic: str, why: str) -> None:
         """Count a message that is not used, and warn of it for a while."""
         self.count(f"bad {topic}", why)
         self._dropped = why, time.monotonic()
 
     def report(self) -> Report:
-        """Whether messages were not used of late."""
+        """Report whether messages were not used of late."""
         why, at_s = self._dropped
         if time.monotonic() - at_s < _WARNED_S:
             return Report(WARN, f"not used: {why}")
@@ -142,8 +142,8 @@ class Health:
         self.last_fault = f"{type(error).__name__}: {error}"
         self._node.get_logger().error(f"survived {self.last_fault}")
 
-    def mended(self) -> None:
-        """What a fault may have broken works again."""
+    def clear_fault(self) -> None:
+        """Clear the last fault: what it may have broken works again."""
         self._fault_s = None
 
     def publish(self) -> None:

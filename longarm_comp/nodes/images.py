@@ -27,7 +27,7 @@ Samples = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class _PixelFormat:
-    """How an image's bytes are pixels."""
+    """The form in which an image's bytes are pixels."""
 
     samples: int  # numbers per pixel
     convert: Callable[[Grey], Grey]
@@ -39,7 +39,7 @@ def _sample(k: int) -> Callable[[Grey], Grey]:
     return lambda numbers: numbers[:, :, k]
 
 
-def _converted(code: int) -> Callable[[Grey], Grey]:
+def _convert_by(code: int) -> Callable[[Grey], Grey]:
     return lambda numbers: np.asarray(cv2.cvtColor(numbers, code), dtype=np.uint8)
 
 
@@ -48,14 +48,14 @@ ENCODINGS: dict[str, _PixelFormat] = {
     **dict.fromkeys(("mono8", "8UC1"), _PixelFormat(1, _sample(0))),
     **dict.fromkeys(("mono16", "16UC1"), _PixelFormat(1, _sample(0), wide=True)),
     **dict.fromkeys(("bgr8", "8UC3"), _PixelFormat(3, lambda numbers: numbers)),
-    "rgb8": _PixelFormat(3, _converted(cv2.COLOR_RGB2BGR)),
-    **dict.fromkeys(("bgra8", "8UC4"), _PixelFormat(4, _converted(cv2.COLOR_BGRA2BGR))),
-    "rgba8": _PixelFormat(4, _converted(cv2.COLOR_RGBA2BGR)),
+    "rgb8": _PixelFormat(3, _convert_by(cv2.COLOR_RGB2BGR)),
+    **dict.fromkeys(("bgra8", "8UC4"), _PixelFormat(4, _convert_by(cv2.COLOR_BGRA2BGR))),
+    "rgba8": _PixelFormat(4, _convert_by(cv2.COLOR_RGBA2BGR)),
     **dict.fromkeys(("yuv422", "uyvy"), _PixelFormat(2, _sample(1))),
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), _PixelFormat(2, _sample(0))),
 }
 for _order in ("rggb", "bggr", "gbrg", "grbg"):
-    _brightness = _converted(getattr(cv2, f"COLOR_Bayer{_order.upper()}2GRAY"))
+    _brightness = _convert_by(getattr(cv2, f"COLOR_Bayer{_order.upper()}2GRAY"))
     ENCODINGS[f"bayer_{_order}8"] = _PixelFormat(1, _brightness)
     ENCODINGS[f"bayer_{_order}16"] = _PixelFormat(1, _brightness, wide=True)
 
@@ -80,7 +80,7 @@ def pixels_of(message: Image) -> Grey:
     return encoding.convert(rows.reshape(message.height, message.width, encoding.samples))
 
 
-def decoded(message: CompressedImage) -> Grey:
+def decode(message: CompressedImage) -> Grey:
     """Pixels (H, W), grey, of a compressed image; ``format`` as image_transport writes it.
 
     Raises:
@@ -130,7 +130,7 @@ def info_message(info: Calibration, ns: int, frame: str) -> CameraInfo:
 
 
 def same_camera(a: Calibration, b: Calibration) -> bool:
-    """Whether two messages or files hold the same calibration."""
+    """Return whether two messages or files hold the same calibration."""
     keys = ("width", "height", "distortion_model", "d", "k", "r", "p")
     return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in keys)
 
@@ -169,5 +169,5 @@ class ImageInlet:
         self._subscription = self._topic.subscription(self._node, self._hear, listens=wanted)
 
     def _hear(self, message: Any, info: Any) -> None:
-        self.watch.taken([info["publication_sequence_number"] or 0], full=True)
+        self.watch.count([info["publication_sequence_number"] or 0], full=True)
         self._take(message)

@@ -61,7 +61,7 @@ class Topic:
     """
 
     name: str
-    type: type
+    type: Any  # of its messages
     depth: int
     listens: ReliabilityPolicy
     latched: bool = False
@@ -86,9 +86,10 @@ class Topic:
     ) -> Any:
         """``listens`` and ``depth`` replace the topic's own; ``raw``: messages come as bytes."""
         qos = QoSProfile(
-            depth=depth or self.depth, reliability=listens or self.listens,
+            depth=depth or self.depth,
+            reliability=listens or self.listens,
             durability=self._durability,
-        )  # fmt: skip
+        )
         return node.create_subscription(
             self.type, self.name, callback, qos,
             callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION, raw=raw,

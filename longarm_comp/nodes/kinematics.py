@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.history import History
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.nodes import (
@@ -62,17 +60,20 @@ class Kinematics(ArmNode):
         self._monitor = monitoring.TipMonitor(state)
         self._learning = learning.Learning(state)
         self._markers = drawing.Markers(state)
-        self._weigher = payload.Weigher(state)
+        weigher = payload.Weigher(state)
         frames = FrameListener(self, p["frames.wait_s"], self.tally.count)
         self._sightings = sightings.TipSightings(state, frames, drawing.ArmFrames(state))
         compute = compensator.Compensator(state, twins, frames)
         inlet = targets.TargetInlet(state, compute, self._monitor, self._markers)
         tips = monitoring.ReadingsTeller(state)
-        self._ringing = monitoring.RingTeller(state, p["shaped"])
-        self._reach = reach.ReachServer(state, inlet, self._monitor, tips)
+        ringing = monitoring.RingTeller(state, p["shaped"])
+        server = reach.ReachServer(state, inlet, self._monitor, tips)
+        state.joint_listeners += [self._monitor.on_joints, weigher.on_joints]
+        state.driver.command_listeners += [weigher.on_command, self._monitor.on_command]
+        for part in (server, ringing, self._monitor, weigher):
+            state.driver.motion_listeners.append(part.on_motion)
+        state.driver.motion_listeners.append(self._on_motion)
         graph.TIP_MEASURED.subscription(self, self._on_tip)
-        state.moved, state.driver.commanded = self._on_joints, self._on_command
-        state.driver.told = self._on_told
         self.on_request(graph.RELOAD, state.worker, lambda request: self._reload())
         self.on_request(graph.UNDO, state.worker, lambda request: self._learning.undo())
         self.on_request(
@@ -89,13 +90,13 @@ class Kinematics(ArmNode):
             "monitor": self._monitor.report,
             "at the target": self._monitor.target_report,
             "servos": self._monitor.servo_report,
-            "payload": self._weigher.report,
+            "payload": weigher.report,
             TIP_SAID: tips.report,
-            RING_SAID: self._ringing.report,
+            RING_SAID: ringing.report,
         }
         if self._learning.learner is not None:
             self.health.parts[LEARNED_SAID] = self._learning.report
-        state.worker.start()
+        state.worker.start(inlet.serve_topic)
 
     def _reload(self) -> tuple[bool, str]:
         done = self._arm.files.reload()
@@ -109,35 +110,21 @@ class Kinematics(ArmNode):
         self._monitor.unplaced = self._sightings.unplaced
         self._markers.on_tip(told)
         rest = None if of_model is None else self._monitor.on_tip(of_model)
-        context = None if rest is None else self._arm.known(rest.history)
+        context = None if rest is None else self._arm.known_context(rest.history)
         if rest is not None and context is not None:
             self._arm.worker.submit(partial(self._judge, rest, context))
 
     def _judge(self, rest: RestPose, context: Context) -> None:
         learned = self._monitor.judge(rest, self._arm.files.loaded.model, context)
-        self._learning.seen(rest, context, learned)
+        self._learning.learn_from(rest, context, learned)
 
-    def _on_joints(self, q: np.ndarray, at_s: float) -> None:
-        self._monitor.on_joints(q, at_s)
-        self._weigher.read()
-
-    def _on_command(self, q: np.ndarray, history: History) -> None:
-        self._weigher.moving()
-        self._monitor.on_command(q, history)
-
-    def _on_told(self, motion: Motion) -> None:
-        self._reach.told(motion)
-        self._ringing.told(motion)
-        if motion.event != Motion.REACHED:
-            return
-        self._monitor.on_reached()
-        self._weigher.reached()
-        now = self._arm.standing
-        if now is not None:
+    def _on_motion(self, motion: Motion) -> None:
+        reached = motion.event == Motion.REACHED
+        if reached and (now := self._arm.standing) is not None:
             self._arm.worker.submit(partial(self._monitor.judge_servos, *now))
 
     def _graph_report(self) -> Report:
-        """Whether others are on the graph that must not be, or cannot be heard."""
+        """Report others on the graph that must not be there, or cannot be heard."""
         if self._twins.refusal:
             return Report(ERROR, self._twins.refusal)
         ends = self.get_publishers_info_by_topic(self.resolve_topic_name(graph.TARGET_POSE.name))

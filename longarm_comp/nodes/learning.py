@@ -46,9 +46,9 @@ class Learning:
         loaded, step_m = self._files.given, self._state.p["learning_step_m"]
         path = self._files.learned_path
         self.learner = file.load(path, loaded.model, loaded.file_hash, step_m)
-        self._files.put(self.learner.model)
+        self._files.replace_model(self.learner.model)
 
-    def seen(self, rest: RestPose, context: Context, learned: np.ndarray | None) -> None:
+    def learn_from(self, rest: RestPose, context: Context, learned: np.ndarray | None) -> None:
         """Learn from a rest pose, less what a predictor says of it, (3,) m."""
         if self.learner is None or self.learner.frozen:
             return
@@ -77,7 +77,7 @@ class Learning:
 
         before, self.learner, self._asked = self.learner, after, None
         if before is None or after.model is not before.model:
-            self._files.put(after.model)
+            self._files.replace_model(after.model)
         try:
             file.save(self._files.learned_path, after, self._files.given.file_hash)
             self._fault = ""

@@ -27,7 +27,7 @@ class _LoadedModel:
 
     @cached_property
     def stands(self) -> Placement:
-        """Where the graph's base lies for the model."""
+        """The place of the graph's base for the model."""
         return base_of_graph(self.model)
 
 
@@ -69,7 +69,7 @@ class ModelFiles:
         self.loads += 1
         return True, f"{self._path} {self.loaded.file_hash[:12]}"
 
-    def put(self, model: Model) -> None:
+    def replace_model(self, model: Model) -> None:
         """Serve what was learned in place of the model of the file."""
         if model is not self.loaded.model:
             self.loaded = replace(self.loaded, model=model, learned=self.loaded.learned + 1)

@@ -1,4 +1,4 @@
-"""Where the tip is: by the readings of the joints, and as seen, beside prediction and target."""
+"""Monitors of the tip: by the joints' readings, and as seen, beside prediction and target."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ EVIDENCE = "evidence (1 warns)"
 
 
 def _facts(counted: str, verdict: Verdict) -> dict[str, object]:
-    """Of a sequential test, for diagnostics; ``counted``: what its samples are."""
+    """Return the facts of a sequential test; ``counted``: what its samples are."""
     return {counted: verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
 
 
@@ -135,7 +135,7 @@ class TipMonitor:
     def reset(self) -> None:
         self._monitor = self._at_target = self._servos = Monitor(self._run_length)
 
-    def aimed(self, q: np.ndarray, target: np.ndarray) -> None:
+    def aim_at(self, q: np.ndarray, target: np.ndarray) -> None:
         """Take a command for a target: joints (n,) that bring the tip to it, (3,) m."""
         self._aim = q, target
 
@@ -145,9 +145,10 @@ class TipMonitor:
         with self._feeding:
             self._watch.commanded(q, history)
 
-    def on_reached(self) -> None:
-        with self._feeding:
-            self._watch.reached()
+    def on_motion(self, motion: Motion) -> None:
+        if motion.event == Motion.REACHED:
+            with self._feeding:
+                self._watch.reached()
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
         """Take a joint reading (n,) of a time (ROS clock, s)."""
@@ -164,7 +165,7 @@ class TipMonitor:
         try:
             check_sighting(tip, variance)
         except InputError as error:
-            self._state.node.tally.dropped("tip_measured", str(error))
+            self._state.node.tally.count_dropped("tip_measured", str(error))
             return None
         stamp = stamp_ns(message.header.stamp)
         with self._feeding:
@@ -175,19 +176,20 @@ class TipMonitor:
 
         Returns the learned error (3,) m that was expected there; None where no predictor speaks.
         """
-        missed = self._missed(rest, model, context)
-        learned, sigma = None, self._promised(model, rest.q, context)
+        missed = self._miss_at_target(rest, model, context)
+        learned, sigma = None, self._promised_sigma(model, rest.q, context)
         with contextlib.suppress(NoAnswer):
-            if self._state.predictor.present:
-                found = self._state.predictor.ask(rest.q, context)
-                if not found.in_domain:
-                    self._outside += 1
-                    return None
-                learned, sigma = found.error, found.sigma
+            found = self._state.predictor.ask(rest.q, context)
+            if not found.in_domain:
+                self._outside += 1
+                return None
+            learned, sigma = found.error, found.sigma
         residual = rest.tip - model.measured(rest.q, context)
         residual = residual if learned is None else residual - learned
         if not np.isfinite(residual).all():
-            self._state.node.tally.dropped("rest", f"the residual at a rest is {residual.tolist()}")
+            self._state.node.tally.count_dropped(
+                "rest", f"the residual at a rest is {residual.tolist()}"
+            )
             return None
         self._monitor = self._monitor.seen(residual, sigma)
         self._last = f"residual {_mm(residual)}"
@@ -196,16 +198,16 @@ class TipMonitor:
             self._last_miss = f"tip - target {_mm(missed)}"
         return learned
 
-    def _promised(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
-        """(3,) m, standard deviation that the parameter or the model's promise says at joints."""
+    def _promised_sigma(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
+        """Return the standard deviation (3,) m at joints, by parameter or the model's promise."""
         if self._sigma_m:
             return np.full(3, self._sigma_m)
         promised = expected_miss(model, q, context, model.tip(q, context)).covariance
         each = np.sqrt(np.trace(np.nan_to_num(promised)) / 3.0)  # in the frame of any tracker
         return np.full(3, max(float(each), _LEAST_M))
 
-    def _missed(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
-        """tip - target (3,) m where the arm rests at a target, without the measuring side."""
+    def _miss_at_target(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
+        """Return tip - target (3,) m without the measuring side; None where it rests elsewhere."""
         if self._aim is None or np.abs(rest.q - self._aim[0]).max() >= SAME_POSE:
             return None
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
@@ -226,7 +228,7 @@ class TipMonitor:
         self._servos = self._servos.seen(off, np.full(3, self._sigma_m or _LEAST_M))
 
     def servo_report(self) -> Report:
-        """Whether joints stand where they were sent, for diagnostics."""
+        """Report whether joints stand where they were sent."""
         verdict = self._servos.verdict()
         facts = _facts("moves", verdict)
         if verdict.drifted:
@@ -235,7 +237,7 @@ class TipMonitor:
         return Report(OK, "joints stand where they were sent", facts)
 
     def target_report(self) -> Report:
-        """Whether tips come to rest at their targets, for diagnostics."""
+        """Report whether tips come to rest at their targets."""
         verdict = self._at_target.verdict()
         facts = _facts("targets", verdict) | {"last": self._last_miss}
         if not verdict.drifted:
@@ -287,7 +289,7 @@ class RingTeller:
         if not state.driver.acknowledged:
             self._said = "not known, because the driver does not say when it ends"
 
-    def told(self, motion: Motion) -> None:
+    def on_motion(self, motion: Motion) -> None:
         if motion.event == Motion.ACCEPTED:
             self._move, self._due = motion, None
         elif motion.event == Motion.REACHED and self._move is not None:
@@ -303,7 +305,7 @@ class RingTeller:
             self._state.worker.submit_once(self._compute)
 
     def _compute(self) -> None:
-        state, context, move = self._state, self._state.known(), self._due
+        state, context, move = self._state, self._state.known_context(), self._due
         if move is None or context is None:
             return
         self._due = None
@@ -321,7 +323,7 @@ class RingTeller:
             self._said = self._last.said()
 
     def report(self) -> Report:
-        """The last one, for diagnostics; one that is due is begun again."""
+        """Report the last ring; one that is due is begun again."""
         self._begin()
         ring = None if self._shaped else self._last
         facts: dict[str, object] = {} if ring is None else {

@@ -1,4 +1,4 @@
-"""What all nodes have alike: checked parameters, workers, health, and the process they run in."""
+"""The base of all nodes: checked parameters, workers, health, and the process they run in."""
 
 from __future__ import annotations
 
@@ -51,9 +51,12 @@ class ArmNode(Node):
     """
 
     def __init__(
-        self, executor: SingleThreadedExecutor, name: str, table: Sequence[Param],
+        self,
+        executor: SingleThreadedExecutor,
+        name: str,
+        table: Sequence[Param],
         sections: Sequence[str] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.p = declare(self, table, sections)
         self.tally = Tally(self)
@@ -62,27 +65,20 @@ class ArmNode(Node):
         self._workers: list[Worker] = []
 
     def worker(self, capacity: int) -> Worker:
-        """A worker thread, which ends with the node."""
+        """Make a worker thread, which ends with the node."""
         self._workers.append(Worker(self, self._made_for, capacity, self.health.fault))
-        self.health.parts["worker"] = self._worker_report
+
+        def report() -> Report:
+            why = next((worker.failing for worker in self._workers if worker.failing), "")
+            return Report(ERROR, f"no motion: {why}") if why else Report(OK, "every job was done")
+
+        self.health.parts["worker"] = report
         return self._workers[-1]
 
-    def _worker_report(self) -> Report:
-        why = next((worker.failing for worker in self._workers if worker.failing), "")
-        return Report(ERROR, f"no motion: {why}") if why else Report(OK, "every job was done")
-
     def close(self) -> bool:
-        """Stop what the node started, and say whether all of it has ended; must not raise."""
+        """Stop what the node started, and return whether all of it has ended; must not raise."""
         ended = [worker.close() for worker in self._workers]
         return all(ended)
-
-    def told(self, within_s: float) -> bool:
-        """Wait until every subscriber has what was published: it is lost with its publisher."""
-        by = time.monotonic() + within_s
-        return all(
-            publisher.wait_for_all_acked(Duration(seconds=max(0.0, by - time.monotonic())))
-            for publisher in self.publishers
-        )
 
     def every(self, name: str, callback: Callable[[], Any]) -> None:
         """Call back every so many seconds, as a parameter says; never where it says 0."""
@@ -91,11 +87,20 @@ class ArmNode(Node):
 
     def on_change(self, files: Sequence[str], worker: Worker, job: Callable[[], Any]) -> None:
         """Have a worker do a job when one of the files was made, changed, replaced or removed."""
-        seen = [*map(_signature, files)]
+
+        def signature(file: str) -> tuple[int, int, int] | None:
+            try:
+                stat = os.stat(file)
+            except OSError:
+                return None
+            return stat.st_ino, stat.st_size, stat.st_mtime_ns
+
+        known = [signature(file) for file in files]
 
         def look() -> None:
-            before, seen[:] = list(seen), map(_signature, files)
-            if seen != before:
+            nonlocal known
+            before, known = known, [signature(file) for file in files]
+            if known != before:
                 worker.submit(job)
 
         self.every(WATCH.name, look)
@@ -113,14 +118,6 @@ class ArmNode(Node):
             return response
 
         service.server(self, serve, ReentrantCallbackGroup())
-
-
-def _signature(file: str) -> tuple[int, int, int] | None:
-    try:
-        stat = os.stat(file)
-    except OSError:
-        return None
-    return stat.st_ino, stat.st_size, stat.st_mtime_ns
 
 
 def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] = ()) -> int:
@@ -145,7 +142,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
     node: ArmNode | None = None
     code = 0
     try:
-        _execute(words)
+        _execute_files(words)
         node = make(executor)
         executor.add_node(node)
         gc.freeze()  # everything loaded so far stays, so collections need not scan it again
@@ -162,13 +159,18 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
             sys.stderr.flush()
             os._exit(code)
         if node is not None:
-            node.told(_LAST_WORDS_S)
+            # A message that no subscriber has yet is lost with its publisher
+            by = time.monotonic() + _LAST_WORDS_S
+            for publisher in node.publishers:
+                left_s = max(0.0, by - time.monotonic())
+                if not publisher.wait_for_all_acked(Duration(seconds=left_s)):
+                    break
             node.destroy_node()
         rclpy.try_shutdown()
     return code
 
 
-def _execute(words: Sequence[str]) -> None:
+def _execute_files(words: Sequence[str]) -> None:
     if set(words[::2]) - {EFFECTS, NETWORK} or len(words) % 2:
         allowed = f"{EFFECTS} or {NETWORK} FILE, a Python file that is executed; then --ros-args"
         raise InputError("command line", "arguments", " ".join(words), allowed)
@@ -194,5 +196,5 @@ def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event)
 
 
 def program(make: Callable[[SingleThreadedExecutor], ArmNode]) -> Callable[[], None]:
-    """The main of a module: a process that runs what ``make`` makes."""
+    """Make the main of a module: a process that runs what ``make`` makes."""
     return lambda: sys.exit(run(make, remove_ros_args(sys.argv)[1:]))

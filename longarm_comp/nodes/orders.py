@@ -32,7 +32,7 @@ from longarm_interfaces.msg import Motion
 
 
 def order_id(message: JointTrajectory) -> str:
-    """Id of a trajectory, the same for its sender and for whoever receives it."""
+    """Return the id of a trajectory, the same for its sender and for whoever receives it."""
     content = hashlib.blake2s("\n".join(message.joint_names).encode(), digest_size=6)
     for point in message.points:
         after = point.time_from_start
@@ -56,7 +56,7 @@ class Stamps:
 
 
 def untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
-    """Why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
+    """Say why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
     age = 1e-9 * (clock.now().nanoseconds - stamp)
     if abs(age) <= max_age_s:
         return ""
@@ -64,7 +64,7 @@ def untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
 
 
 class Freshness:
-    """How old an order may be that a node takes now.
+    """A limit of the age of the orders that a node takes.
 
     A stamp tells it, on a clock that runs. Without one it waited at most for as long as the node
     was away, stopped or overloaded: a timer on the node's executor watches that.
@@ -85,7 +85,7 @@ class Freshness:
 
     @property
     def away_s(self) -> float:
-        """What is taken now may have waited for so long, s.
+        """The longest time that what is taken now may have waited, s.
 
         After an absence that holds for as long as the absence was: by then all has been delivered.
         """
@@ -94,7 +94,7 @@ class Freshness:
         return max(now - self._turned, late)
 
     def too_old(self, stamp: Time) -> str:
-        """Why an order is too old to be carried out, in words; empty if it is not."""
+        """Say why an order is too old to be carried out; empty if it is not."""
         ns = stamp_ns(stamp)
         why = untimely(self._clock, ns, self.max_age_s) if ns else ""
         if not why and (not ns or self._clock.ros_time_is_active) and self.away_s > self.max_age_s:
@@ -114,7 +114,7 @@ _NO_STAMP = (
 
 
 class Driver(Protocol):
-    """What decides of a trajectory needs of the driver: as `servo_driver` has it."""
+    """The part of `servo_driver` that `Intake` and `FollowServer` use."""
 
     @property
     def names(self) -> Sequence[str]: ...
@@ -141,7 +141,7 @@ class Intake:
         graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, depth=10)
 
     def too_old(self, message: JointTrajectory) -> str:
-        """Why a trajectory is too old to move the arm; empty if it is not. A stop never is."""
+        """Say why a trajectory is too old to move the arm; empty if it is not. A stop never is."""
         return self._fresh.too_old(message.header.stamp) if message.points else ""
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
@@ -169,7 +169,7 @@ class FollowServer:
         self._ticks = Ticks(node, 0.05)
         self._server = graph.FOLLOW.server(node, self._serve)
 
-    def told(self, event: int, name: str, why: str) -> None:
+    def on_event(self, event: int, name: str, why: str) -> None:
         """Take what the driver tells of a trajectory: an event of `Motion`."""
         if name in self._told and event != Motion.ACCEPTED:
             self._told[name] = self._told[name] or (event, why)
@@ -186,21 +186,25 @@ class FollowServer:
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
         problem = _not_offered(goal.request)
         if problem:
-            return aborted(goal, result.INVALID_GOAL, problem)
-        began, deadline = self._node.get_clock().now(), _deadline(goal.request)
+            return abort(goal, result.INVALID_GOAL, problem)
+        began, deadline_s = self._node.get_clock().now(), math.inf
+        tolerance_s = seconds(goal.request.goal_time_tolerance)
+        if tolerance_s > 0.0 and asked.points:  # else 0 or -1: none is given
+            lasts_s = seconds(asked.points[-1].time_from_start)
+            deadline_s = time.monotonic() + lasts_s + tolerance_s
         self._told[name] = None
         self._site.take(asked, name)
         while (end := self._told[name]) is None:
             self._feedback(goal, asked.joint_names, began)
             broken = self._beyond(goal.request.path_tolerance, "on the way")
-            late = time.monotonic() > deadline
+            late = time.monotonic() > deadline_s
             if broken or late or goal.is_cancel_requested:
                 await self._halt(name)
                 if broken:
-                    return aborted(goal, result.PATH_TOLERANCE_VIOLATED, broken)
+                    return abort(goal, result.PATH_TOLERANCE_VIOLATED, broken)
                 if late:
                     why = "not at the end within goal_time_tolerance"
-                    return aborted(goal, result.GOAL_TOLERANCE_VIOLATED, why)
+                    return abort(goal, result.GOAL_TOLERANCE_VIOLATED, why)
                 goal.canceled()
                 return result(error_string="cancelled: the arm was stopped")
             await self._ticks.next()
@@ -208,12 +212,12 @@ class FollowServer:
         if event == Motion.REFUSED:
             strange = not set(asked.joint_names) <= set(self._site.names)
             code = result.INVALID_JOINTS if strange else result.INVALID_GOAL
-            return aborted(goal, code, why)
+            return abort(goal, code, why)
         if event != Motion.REACHED:
-            return aborted(goal, result.PATH_TOLERANCE_VIOLATED, why)
+            return abort(goal, result.PATH_TOLERANCE_VIOLATED, why)
         missed = self._beyond(goal.request.goal_tolerance, "at the end")
         if missed:
-            return aborted(goal, result.GOAL_TOLERANCE_VIOLATED, missed)
+            return abort(goal, result.GOAL_TOLERANCE_VIOLATED, missed)
         goal.succeed()
         return result(error_code=result.SUCCESSFUL)
 
@@ -226,7 +230,7 @@ class FollowServer:
                 await self._ticks.next()
 
     def _beyond(self, limits: Any, where: str) -> str:
-        """Which joint is farther from its set-point than is allowed; empty if none is."""
+        """Say which joint is farther from its set-point than is allowed; empty if none is."""
         wanted, readings = self._site.set_points, self._site.readings
         for limit in limits:
             if limit.name in wanted and limit.name in readings:
@@ -254,22 +258,14 @@ class FollowServer:
         goal.publish_feedback(message)
 
 
-def aborted(goal: Any, code: int, why: str) -> Any:
-    """The result of a goal to follow a trajectory that is given up, by the codes of its type."""
+def abort(goal: Any, code: int, why: str) -> Any:
+    """Give up a goal to follow a trajectory; its result, by the codes of its type."""
     goal.abort()
     return graph.FOLLOW.type.Result(error_code=code, error_string=why)
 
 
-def _deadline(asked: Any) -> float:
-    """Monotonic seconds at which the goal is late; never where no tolerance is given (0, -1 s)."""
-    tolerance, points = seconds(asked.goal_time_tolerance), asked.trajectory.points
-    if tolerance <= 0.0 or not points:
-        return math.inf
-    return time.monotonic() + seconds(points[-1].time_from_start) + tolerance
-
-
 def _not_offered(asked: Any) -> str:
-    """What of a goal this driver cannot do; empty if nothing."""
+    """Say what of a goal this driver cannot do; empty if nothing."""
     if asked.multi_dof_trajectory.points:
         return "multi_dof_trajectory: joints of several degrees of freedom; allowed: none"
     for kind in ("path_tolerance", "goal_tolerance"):

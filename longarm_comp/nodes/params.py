@@ -45,19 +45,19 @@ class Param:
         described = ParameterDescriptor(
             name=self.name, description=self.description, read_only=not self.live
         )
-        if self.bounded and isinstance(self.default, float):
+        if self.is_bounded and isinstance(self.default, float):
             real = FloatingPointRange(from_value=float(self.lower), to_value=float(self.upper))
             described.floating_point_range = [real]
-        elif self.bounded and isinstance(self.default, int):
+        elif self.is_bounded and isinstance(self.default, int):
             whole = IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=1)
             described.integer_range = [whole]
-        elif self.bounded:
+        elif self.is_bounded:
             described.additional_constraints = self.allowed
         return described
 
     @property
-    def bounded(self) -> bool:
-        """Whether not every value of the type is allowed."""
+    def is_bounded(self) -> bool:
+        """True where not every value of the type is allowed."""
         return bool(self.choices) or self.lower > -1e9 or self.upper < 1e9
 
     @property
@@ -65,13 +65,13 @@ class Param:
         kind = "numbers" if isinstance(self.default, list) else type(self.default).__name__
         if self.choices:
             return "one of " + ", ".join(self.choices)
-        return f"{kind}, {self.lower:g} to {self.upper:g}" if self.bounded else kind
+        return f"{kind}, {self.lower:g} to {self.upper:g}" if self.is_bounded else kind
 
     @property
     def comment(self) -> str:
         """The comment on this parameter in the parameter file."""
         live = "; may be set while running" if self.live else ""
-        return self.description + (f" ({self.allowed})" if self.bounded else "") + live
+        return self.description + (f" ({self.allowed})" if self.is_bounded else "") + live
 
     def check(self, value: Any) -> Any:
         """The value in the parameter's own type. Raises ValueError."""
@@ -110,22 +110,21 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
         except (TypeError, ValueError, ParameterException):
             raise InputError(where(node), name, value, param.allowed) from None
         values[name] = value
-    node.add_on_set_parameters_callback(lambda asked: _checked(known, asked))
+
+    def check_set(asked: Sequence[Parameter]) -> SetParametersResult:
+        """Refuse what a parameter does not allow while the node runs, in words."""
+        for given in asked:  # others are of ROS, or of a section that is checked elsewhere
+            if given.name in known:
+                param = known[given.name]
+                try:
+                    param.check(given.value)
+                except (TypeError, ValueError):
+                    why = f"{given.name}: {given.value!r}; allowed: {param.allowed}"
+                    return SetParametersResult(successful=False, reason=why)
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(check_set)
     return values
-
-
-def _checked(known: Mapping[str, Param], asked: Sequence[Parameter]) -> SetParametersResult:
-    """Refuse what a parameter does not allow while the node runs, in words."""
-    for given in asked:
-        param = known.get(given.name)
-        if param is None:  # of ROS, or of a section that is checked elsewhere
-            continue
-        try:
-            param.check(given.value)
-        except (TypeError, ValueError):
-            why = f"{given.name}: {given.value!r}; allowed: {param.allowed}"
-            return SetParametersResult(successful=False, reason=why)
-    return SetParametersResult(successful=True)
 
 
 def _redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
@@ -136,39 +135,45 @@ def _redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescripto
 
 
 def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
-    """Declare what was given below some prefixes, each field described; nested, to be checked."""
+    """Declare what was given below some prefixes, each field with its meaning and range.
+
+    Returns it nested; a model of the section checks it.
+    """
     tree: dict[str, Any] = {}
     for name, value in overrides(node).items():
-        *path, last = name.split(".")
+        *path, field = name.split(".")
         section = name.split(".")[0]
         if section not in sections:
             continue
-        _redeclare(node, name, value, described(sections[section], last))
+        # An unknown field is refused by the section's own check
+        schema = sections[section].model_json_schema()["properties"].get(field, {})
+        if "enum" in schema:
+            limits = ["one of " + ", ".join(map(str, schema["enum"]))]
+        else:
+            kinds = (schema, *schema.get("anyOf", ()))
+            limits = [
+                f"{word} {k[limit]:g}" for k in kinds for limit, word in _LIMITS if limit in k
+            ]
+        described = ParameterDescriptor(
+            read_only=True,
+            description=schema.get("description", ""),
+            additional_constraints=" ".join(limits),
+        )
+        _redeclare(node, name, value, described)
         place = tree
         for part in path:
             place = place.setdefault(part, {})
-        place[last] = value
+        place[field] = value
     return tree
 
 
-_LIMITS = {
-    "minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below",
-}  # fmt: skip
+_LIMITS = (
+    ("minimum", "from"),
+    ("exclusiveMinimum", "above"),
+    ("maximum", "to"),
+    ("exclusiveMaximum", "below"),
+)
 """Limits of a number in JSON Schema, in words."""
-
-
-def described(section: type[BaseModel], field: str) -> ParameterDescriptor:
-    """The descriptor of one field of a section that is checked elsewhere: meaning and range."""
-    # An unknown field is refused by the section's own check
-    told = section.model_json_schema()["properties"].get(field, {})
-    said = [f"{word} {kind[limit]:g}" for kind in (told, *told.get("anyOf", ()))
-            for limit, word in _LIMITS.items() if limit in kind]  # fmt: skip
-    if "enum" in told:
-        said = ["one of " + ", ".join(map(str, told["enum"]))]
-    return ParameterDescriptor(
-        read_only=True, description=told.get("description", ""),
-        additional_constraints=" ".join(said),
-    )  # fmt: skip
 
 
 def overrides(node: Node) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from geometry_msgs.msg import WrenchStamped
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.weighing import SD, Drives, Weighing, Wrist, feel_rest
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -20,6 +21,7 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import wrench_of
 from longarm_comp.nodes.params import Param
+from longarm_interfaces.msg import Motion
 
 PARAMS = (
     Param("servos", "", "servo_driver.yaml, for the loads that servos report; empty: none"),
@@ -45,14 +47,15 @@ class Weigher:
         self._last_s = -math.inf
         graph.WRENCH.subscription(state.node, self._on_wrench)
 
-    def moving(self) -> None:
+    def on_command(self, q: np.ndarray, history: History) -> None:
         self._due = math.inf
 
-    def reached(self) -> None:
-        self._due = time.monotonic() + self._settle_s
+    def on_motion(self, motion: Motion) -> None:
+        if motion.event == Motion.REACHED:
+            self._due = time.monotonic() + self._settle_s
 
-    def read(self) -> None:
-        """Look at the joints' last reading: weigh where it is due, tell what was found."""
+    def on_joints(self, q: np.ndarray, at_s: float) -> None:
+        """Weigh where it is due, and tell what was found."""
         now = time.monotonic()
         standing = self._state.standing if now >= self._due else None
         if standing is not None:
@@ -68,7 +71,7 @@ class Weigher:
         try:
             row, force = wrench_of(message, self._arm)
         except InputError as error:
-            self._state.node.tally.dropped("wrench", str(error))
+            self._state.node.tally.count_dropped("wrench", str(error))
             return
         self._wrist = Wrist(row, force, self._sigma)
 
@@ -82,7 +85,7 @@ class Weigher:
             self._weighing, self._told = self._weighing.change_payload(), kg
         rest = feel_rest(model, q, context, effort, self._drives, wrist)
         if not rest.finite:
-            self._state.node.tally.dropped("rest", "what was felt at a rest is not finite")
+            self._state.node.tally.count_dropped("rest", "what was felt at a rest is not finite")
             return
         self._weighing = self._weighing.with_rest(rest)
 
@@ -120,7 +123,7 @@ class Weigher:
 
 
 def drives(servos: str, arm: Arm) -> Drives:
-    """What the servos of a driver's file tell of loads; NaN for joints of which it is not known."""
+    """Read how a driver's servos tell loads; NaN for joints of which it is not known."""
     config = ServoConfig.load(servos).joints if servos else {}
     friction, step = np.full((2, arm.n), np.nan)
     for k, name in enumerate(arm.joint_names):

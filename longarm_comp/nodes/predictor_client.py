@@ -52,11 +52,7 @@ class PredictorClient:
         self.answers = False
         self.file_hash = ""
 
-    @property
-    def present(self) -> bool:
-        return self._caller.present
-
-    def tried(
+    def compensate_with(
         self, method: Method, compensate: Callable[[Nearby | None], Found]
     ) -> tuple[Found, str, str]:
         """Compensate with what answers, or without where none does or the method needs none.
@@ -65,7 +61,7 @@ class PredictorClient:
         that the method needs was not.
         """
         why = ""
-        if method.learned and self.present:
+        if method.learned and self._caller.present:
             try:  # mostly one call a target
                 found = compensate(Nearby(partial(self.ask, deflection=method.physics)))
                 return found, self.file_hash, ""
@@ -90,7 +86,15 @@ class PredictorClient:
             temperature_c=float(context.column("temperature_c", math.nan)),
             payload_kg=float(context.column("payload_kg", math.nan)),
         )
-        answer = self._call(request)
+        if not self._look():
+            raise NoAnswer("no error_predictor is running")
+        if self._silent:  # only the first target waits for the timeout
+            self.probe()
+            raise NoAnswer("error_predictor does not answer, physics only until it answers")
+        answer = self._caller.answer(self._caller.send(request), self._timeout_s)
+        self._note(answers=answer is not None, silent=answer is None)
+        if answer is None:
+            raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
         if not answer.success and math.isnan(answer.sigma):
             raise NoAnswer(answer.message)
         if answer.success and answer.beside_deflection != deflection:
@@ -108,18 +112,6 @@ class PredictorClient:
             reach=np.array(answer.reach) if expanded else np.zeros(n),
         )
 
-    def _call(self, request: PredictError.Request) -> PredictError.Response:
-        if not self._look():
-            raise NoAnswer("no error_predictor is running")
-        if self._silent:  # only the first target waits for the timeout
-            self.probe()
-            raise NoAnswer("error_predictor does not answer, physics only until it answers")
-        answer = self._caller.answer(self._caller.send(request), self._timeout_s)
-        self._note(answers=answer is not None, silent=answer is None)
-        if answer is None:
-            raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
-        return answer
-
     def probe(self) -> None:
         """Ask a predictor that does not answer whether it does now, without waiting."""
         if not self._look() or self.answers:
@@ -133,8 +125,8 @@ class PredictorClient:
             self._probe = self._caller.send(anywhere)
 
     def _look(self) -> bool:
-        """Whether a predictor is on the graph, after a look for the answer to a probe."""
-        if not self.present:
+        """Look for the answer to a probe, and return whether a predictor is on the graph."""
+        if not self._caller.present:
             self._note(answers=False, silent=False)
             return False
         if self._probe is not None and self._caller.answer(self._probe, 0.0) is not None:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.answers import Answer, TargetRequest
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import Ticks
-from longarm_comp.nodes.messages import Answer, joints_message, vector_message
+from longarm_comp.nodes.messages import joints_message, vector_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, Sighted, TipMonitor
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.targets import Request, TargetInlet
+from longarm_comp.nodes.targets import TargetInlet
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate
@@ -41,26 +43,22 @@ class ReachServer:
         self._told: dict[str, Motion] = {}  # by trajectory, since the goal at hand was begun
         self._server = graph.REACH.server(node, self._serve)
 
-    def told(self, motion: Motion) -> None:
+    def on_motion(self, motion: Motion) -> None:
         """Take what the driver says of a trajectory; from any thread."""
         if self._turns and motion.event != Motion.ACCEPTED:
             self._told.setdefault(motion.id, motion)
 
     @property
     def _no_driver(self) -> str:
-        """Why no driver will say that a move is done; empty where it does."""
+        """The reason that no driver will say that a move is done; empty where it does."""
         if not self._state.driver.acknowledged:
             return "the driver does not report what is reached: acknowledged is false"
         return self._state.driver.refusal
 
     async def _serve(self, goal: Any) -> Reach.Result:
         turn = object()
-        request = self._targets.asked(
-            Compensate.Request(
-                target=goal.request.target, position_only=goal.request.position_only, execute=True
-            )
-        )
-        fresh = not self._targets.stale(request)
+        target = self._targets.new_target(goal.request.target, goal.request.position_only)
+        fresh = not self._targets.stale(target)
         self._turns.append(turn)
         try:
             while self._turns[0] is not turn:
@@ -70,17 +68,17 @@ class ReachServer:
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for its turn, of which the client is told, makes it no older
-                request.since = time.monotonic()
-            return await self._reach(goal, request)
+                target = replace(target, sent_s=time.monotonic())
+            return await self._reach(goal, target)
         finally:
             self._turns.remove(turn)
 
-    async def _reach(self, goal: Any, request: Request) -> Reach.Result:
+    async def _reach(self, goal: Any, target: TargetRequest) -> Reach.Result:
         if self._no_driver:
             goal.abort()
             return _unseen(self._no_driver, Compensate.Response.NO_DRIVER)
         before, self._told = self._monitor.sighted, {}
-        asked = self._targets.execute(request)
+        asked = self._targets.execute(target)
         if asked is None:
             goal.abort()
             return _unseen("too many targets wait", Compensate.Response.NOT_READY)
@@ -92,20 +90,22 @@ class ReachServer:
             return result
         command = answer.outcome.command
         result.command = joints_message(self._arm, command, answer.target.header.stamp)
-        if not await self._moves(goal, answer.name, command, result):
+        if not await self._follow(goal, answer.name, command, result):
             return result
-        await self._looks(goal, command, before, result)
+        await self._look(goal, command, before, result)
         result.success = True
         self._at_rest(result)
-        stands, target = self._tips.tell(), answer.target.pose.position
+        stands, at = self._tips.tell(), answer.target.pose.position
         if stands is not None:
-            said = stands.said(np.array([target.x, target.y, target.z]))
+            said = stands.said(np.array([at.x, at.y, at.z]))
             result.message = f"{result.message}; {said}" if result.message else said
         goal.succeed()
         return result
 
-    async def _moves(self, goal: Any, name: str, command: np.ndarray, result: Reach.Result) -> bool:
-        """Wait until the driver says what became of the move; whether it was reached."""
+    async def _follow(
+        self, goal: Any, name: str, command: np.ndarray, result: Reach.Result
+    ) -> bool:
+        """Wait until the driver says what became of the move; return whether it was reached."""
         halted = False
         while (motion := self._told.get(name)) is None and not self._no_driver:
             if goal.is_cancel_requested and not halted:
@@ -123,7 +123,7 @@ class ReachServer:
         goal.abort()
         return False
 
-    async def _looks(
+    async def _look(
         self, goal: Any, command: np.ndarray, before: Sighted | None, result: Reach.Result
     ) -> None:
         """Wait for the tip to be seen at rest, where anybody looks."""

@@ -77,7 +77,7 @@ _FAILED = TransitionCallbackReturn.FAILURE
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
-def told(transition: Transition) -> Transition:
+def reporting_faults(transition: Transition) -> Transition:
     """A transition that tells of an exception: rclpy drops it, and the driver would wait for ever
     for a reason that nobody sees."""
 
@@ -150,40 +150,40 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if self.arm is not None and not self.active:
             self.trigger_activate()
 
-    @told
+    @reporting_faults
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             self.arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
         except LongarmError as error:
-            return self._failed(error)
+            return self._note_failure(error)
         for said in self.arm.said:
             self.get_logger().info(said)
         self.fault = ""
         self._stops.let_go()
         return super().on_configure(state)
 
-    @told
+    @reporting_faults
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Torque on, unless a stop stands; the arm holds its present position."""
         try:
             if not self._stops.standing:
                 self._machine.power(True)
         except LongarmError as error:
-            return self._failed(error)
+            return self._note_failure(error)
         self.fault, self.active, self._autostart = "", True, False
         return super().on_activate(state)
 
-    @told
+    @reporting_faults
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.active = self._autostart = False
         self._tell(Motion.BROKEN_OFF, self._motion, "torque off")
         try:
             self._machine.power(False)
         except LongarmError as error:
-            self._failed(error)  # torque off is sent as soon as the bus is back
+            self._note_failure(error)  # torque off is sent as soon as the bus is back
         return super().on_deactivate(state)
 
-    @told
+    @reporting_faults
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Torque off, back to unconfigured."""
         self._release()
@@ -191,7 +191,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     on_error = on_cleanup
 
-    @told
+    @reporting_faults
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._autostart = False
         self._release()
@@ -202,7 +202,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         assert self.arm is not None
         return self.arm
 
-    def _failed(self, error: LongarmError) -> TransitionCallbackReturn:
+    def _note_failure(self, error: LongarmError) -> TransitionCallbackReturn:
         starting = self._autostart and time.monotonic() < self._patient_until
         if starting and isinstance(error, (BusUnplugged, IncompleteReply)):
             if not self._waiting:
@@ -232,7 +232,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             arm.follower.break_off(EventKind.SHORT, f"the driver was away for {away:.1f} s")
         cycle = self._last = arm.cycle(now)
         if cycle.joints:
-            self._joint_states.publish(self._joints())
+            self._joint_states.publish(self._joints_message())
         else:
             self.tally.count("incomplete cycles", "")
         for event in cycle.step.events:
@@ -251,7 +251,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         else:
             self.get_logger().debug(why)
 
-    def _joints(self) -> JointState:
+    def _joints_message(self) -> JointState:
         return readings_message(self.readings, self.get_clock().now().to_msg())
 
     @property
@@ -265,7 +265,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def set_points(self) -> Mapping[str, float]:
-        """Where each joint should be now, rad or m; empty while none is driven."""
+        """The place where each joint should be now, rad or m; empty while none is driven."""
         return self.arm.follower.set_points if self.arm is not None else {}
 
     @property
@@ -304,14 +304,14 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell(Motion.REFUSED, name, why)
 
     def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
-        joints = self._joints()
+        joints = self._joints_message()
         message = Motion(header=joints.header, id=name, event=event, message=why, joints=joints)
         if taken is not None:
             message.start = JointState(name=self.names, position=taken.start.tolist())
             message.points = points_message(taken.points, taken.times)
         self._motions.publish(message)
         if self._follow is not None:
-            self._follow.told(event, name, why)
+            self._follow.on_event(event, name, why)
 
     def _tell_change(self) -> None:
         if self._said != self.state:

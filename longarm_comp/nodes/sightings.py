@@ -49,7 +49,7 @@ class TipSightings:
 
     @property
     def _is_unknown(self) -> bool:
-        """Whether nobody has said where the sightings' frame lies."""
+        """True where nobody has said where the sightings' frame lies."""
         try:
             self._frames.place(self._seen_in, self._state.base_frame, 0)
         except UnknownPlace:

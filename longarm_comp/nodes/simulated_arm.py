@@ -94,8 +94,8 @@ def numbers(field: str, text: str, count: int, allowed: str) -> dict[str, list[f
     return by_name
 
 
-def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
-    """The words of a text; each must be known."""
+def _check_names(field: str, text: str, known: Iterable[str]) -> list[str]:
+    """Return the words of a text; each must be known."""
     for word in text.split():
         if word not in known:
             raise InputError("parameters of simulated_arm", field, word, ", ".join(known))
@@ -151,7 +151,7 @@ class _SimulatedArm(ArmNode):
         if config.sockets:
             self._contact = graph.CONTACT.publisher(self)
             # Between two looks for contact of the ball, s
-            steady_timer(self, 0.1, self._feel)
+            steady_timer(self, 0.1, self._tell_contact)
         if p["frame_rate_hz"]:
             steady_timer(self, 1.0 / p["frame_rate_hz"], self._expose)
         if p["context_rate_hz"]:
@@ -176,10 +176,12 @@ class _SimulatedArm(ArmNode):
 
     def _unplug(self, text: str) -> None:
         ids = {joint.name: joint.servo_id for joint in self._plant.config.servos.joints}
-        self._plant.emulator.faults.silent = {ids[name] for name in _named("unplugged", text, ids)}
+        self._plant.emulator.faults.silent = {
+            ids[name] for name in _check_names("unplugged", text, ids)
+        }
 
     def _cover(self, text: str) -> None:
-        self._covered = _named("covered", text, SIDES)
+        self._covered = _check_names("covered", text, SIDES)
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -231,7 +233,7 @@ class _SimulatedArm(ArmNode):
         self._temperature.publish(Temperature(header=header, temperature=warm))
         self._payload.publish(Float64(data=self._plant.config.payload_kg))
 
-    def _feel(self) -> None:
+    def _tell_contact(self) -> None:
         self._contact.publish(String(data=self._plant.contact(self._t_s)))
 
     def _report(self) -> Report:

@@ -26,14 +26,14 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
-from longarm_comp.nodes.images import ImageInlet, decoded, pixels_of, same_camera
+from longarm_comp.nodes.images import ImageInlet, decode, pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 
 _TRANSPORTS = {
     "raw": ((graph.LEFT_IMAGE, graph.RIGHT_IMAGE), pixels_of),
-    "compressed": ((graph.LEFT_COMPRESSED, graph.RIGHT_COMPRESSED), decoded),
+    "compressed": ((graph.LEFT_COMPRESSED, graph.RIGHT_COMPRESSED), decode),
 }
 
 MARKER_LOST = "marker lost: "
@@ -192,22 +192,18 @@ class _StereoBridge(ArmNode):
         lost = np.full(3, np.nan)
         self._tips.publish(tip_message(lost, np.zeros((6, 6)), stamp_of(ns), self._base_frame))
 
-    def _calibration(self) -> str:
-        """Where the calibration is from, and whether the cameras tell another one."""
-        if not self._files:
-            return "camera_info"
-        told = ((info, self._files[side]) for side, info in self._infos.items() if info.k[0])
-        same = all(same_camera(*both) for both in told)
-        return "files" if same else "files; camera_info tells another one"
-
     def _report(self) -> Report:
+        calibration = "files" if self._files else "camera_info"
+        told = ((self._files.get(side), info) for side, info in self._infos.items() if info.k[0])
+        if any(file is not None and not same_camera(info, file) for file, info in told):
+            calibration = "files; camera_info tells another one"
         facts: dict[str, object] = {
             "sightings": self._sightings,
             "pairs": self._pairer.pairs,
             **dict(sorted(self.tally.counts.items())),
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
             **{f"lost on the way: {s.name.lower()}": i.watch.lost for s, i in self._inlets.items()},
-            "calibration": self._calibration(),
+            "calibration": calibration,
             **{f"images {s.name.lower()}": i.reliability for s, i in self._inlets.items()},
         }
         if not self._pairer.pairs:

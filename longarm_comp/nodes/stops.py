@@ -25,7 +25,7 @@ PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empt
 
 
 class Stoppable(Protocol):
-    """What a stop needs of the driver: as `servo_driver` has it."""
+    """The part of `servo_driver` that `Stops` uses."""
 
     @property
     def arm(self) -> ServoArm | None: ...
@@ -57,12 +57,12 @@ class Stops:
 
     @property
     def standing(self) -> str:
-        """Why the arm is stopped or held; empty where it is not."""
+        """The reason that the arm is stopped or held; empty where it is not."""
         return self._latch.words
 
     @property
     def unkept(self) -> bool:
-        """Whether what stands would end with this process."""
+        """True where a stop that stands would end with this process."""
         return bool(self._latch.trouble)
 
     @property
@@ -96,7 +96,7 @@ class Stops:
         return self.state[1] if self._torque_yet(stop) or self.unkept else done
 
     def _torque_yet(self, stop: Stop) -> str:
-        """What of the torque is not yet as a stop wants it; empty where it is."""
+        """Say what of the torque is not yet as a stop wants it; empty where it is."""
         arm = self._site.arm
         if stop is Stop.ESTOP:
             off = arm is not None and not arm.owing_off

@@ -7,28 +7,24 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rclpy.serialization import deserialize_message
 from rclpy.task import Future
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.answers import Answer, TargetRequest, compensation_message, response_of
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.drawing import Markers
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
-from longarm_comp.nodes.messages import (
-    Answer,
-    compensation_message,
-    response_of,
-    trajectory_message,
-)
+from longarm_comp.nodes.messages import trajectory_message
 from longarm_comp.nodes.monitoring import TipMonitor
 from longarm_comp.nodes.orders import Freshness, Stamps, order_id, untimely
 from longarm_comp.nodes.params import Param
@@ -40,20 +36,6 @@ PARAMS = (
     Param("move_time_s", 0.5, "time asked for a move; the driver may need longer", 0.0, 600.0),
     Param("acknowledge_s", 2.0, "longest wait for the driver's acknowledgement", 0.01, 60.0),
 )
-
-
-_Sent = tuple[bytes, float]
-"""A message of `target_pose` as it came, and when it was sent (monotonic s)."""
-
-
-@dataclass
-class Request:
-    """One target in work: its id, the request, since when (monotonic s) it is, its answer."""
-
-    name: str
-    message: Compensate.Request
-    since: float
-    answer: Answer | None = None
 
 
 class TargetInlet:
@@ -71,130 +53,133 @@ class TargetInlet:
         self._state, self._monitor, self._markers = state, monitor, markers
         self._max_age_s, node, worker = state.p["target_max_age_s"], state.node, state.worker
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
-        self._latest: _Sent | None = None
-        self._passed: deque[_Sent] = deque()
-        self._untold = 0
+        self._latest: tuple[PoseStamped, float] | None = None  # and when it was sent
+        self._superseded: deque[tuple[PoseStamped, float]] = deque()
+        self._unrecorded = 0
         self._fresh, self._stamps = Freshness(node, self._max_age_s), Stamps(node.get_clock())
         self._broken = ""  # the last fault of this software, until a target succeeds
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(node)
         self._compensation = graph.COMPENSATION.publisher(node)
         self._withdrawals = graph.WITHDRAWN.publisher(node)
-        worker.idle = self._idle
-        worker.hear_sent(graph.TARGET_POSE, self._on_target)
+        worker.hear(graph.TARGET_POSE, self._on_target)
         worker.serve(graph.COMPENSATE, self._on_compensate)
 
-    def asked(self, message: Compensate.Request, sent: float | None = None) -> Request:
-        """A target that is taken now; ``sent`` when (monotonic s), where that is known."""
-        since = time.monotonic() - self._fresh.away_s if sent is None else sent
-        return Request(f"{self._run}-{next(self._numbers)}", message, since)
+    def new_target(
+        self,
+        pose: PoseStamped,
+        position_only: bool,
+        execute: bool = True,
+        seed: JointState | None = None,
+        sent_s: float | None = None,
+    ) -> TargetRequest:
+        """Give a target its id. ``sent_s``: when it was sent (monotonic s), where that is known."""
+        since = time.monotonic() - self._fresh.away_s if sent_s is None else sent_s
+        name = f"{self._run}-{next(self._numbers)}"
+        return TargetRequest(name, pose, position_only, execute, since, seed or JointState())
 
-    def stale(self, request: Request) -> str:
-        """Why a target is too old to be carried out now, in words; empty if it is not."""
-        stamp = stamp_ns(request.message.target.header.stamp)
+    def stale(self, target: TargetRequest) -> str:
+        """Say why a target is too old to be carried out now; empty if it is not."""
+        stamp = stamp_ns(target.pose.header.stamp)
         why = untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
-        age_s = time.monotonic() - request.since
-        if not why and request.message.execute and age_s > self._max_age_s:
+        age_s = time.monotonic() - target.sent_s
+        if not why and target.execute and age_s > self._max_age_s:
             return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"
         return why and f"the target's stamp {why}, allowed {self._max_age_s:g} s"
 
-    def _on_target(self, message: bytes, sent: float) -> None:
+    def _on_target(self, message: PoseStamped, sent: float) -> None:
         if self._latest is not None:
-            self._passed.append(self._latest)
-        if len(self._passed) > graph.TARGET_POSE.depth:
-            self._passed.popleft()
-            self._untold += 1
+            self._superseded.append(self._latest)
+        if len(self._superseded) > graph.TARGET_POSE.depth:
+            self._superseded.popleft()
+            self._unrecorded += 1
         self._latest = message, sent
 
-    def _idle(self) -> bool:
-        """Serve the latest target of the topic, else tell of one that it has superseded."""
-        (taken, late), self._latest = (self._latest, False), None
-        if taken is None:
-            if not self._passed:
-                return False
-            taken, late = self._passed.popleft(), True
-        pose = deserialize_message(taken[0], PoseStamped)
+    def serve_topic(self) -> bool:
+        """Serve the latest target of the topic, else tell of one that it has superseded.
+
+        Returns whether there was one.
+        """
+        latest = self._latest is not None
+        if not latest and not self._superseded:
+            return False
+        pose, sent = self._latest or self._superseded.popleft()
+        self._latest = None
         free = self._node.get_parameter("position_only").value
-        asked = Compensate.Request(target=pose, position_only=free, execute=True)
-        request = self.asked(asked, taken[1])
-        if late:
-            self._refuse(request, Status.SUPERSEDED, "a later target came before work on it began")
+        target = self.new_target(pose, free, sent_s=sent)
+        if latest:
+            self._serve(target)
         else:
-            self._serve(request)
-        self._publish_answer(request)
+            why = "a later target came before work on it began"
+            self._publish_answer(self._compensator.refuse(target, Status.SUPERSEDED, why))
         return True
 
     def _on_compensate(
-        self, message: Compensate.Request, reply: Callable[[Compensate.Response], None],
+        self,
+        message: Compensate.Request,
+        reply: Callable[[Compensate.Response], None],
         sent: float,
-    ) -> None:  # fmt: skip
-        request = self.asked(message, sent)
+    ) -> None:
+        target = self.new_target(
+            message.target, message.position_only, message.execute, message.seed, sent
+        )
 
-        def answer() -> None:
-            try:
-                reply(response_of(self._serve(request), self._arm, self._base_frame))
-            finally:  # published even when the client is gone
-                self._publish_answer(request)
+        def respond(answer: Answer) -> None:
+            reply(response_of(answer, self._arm, self._base_frame))
 
-        if not self._worker.submit(answer):
+        if not self._worker.submit(partial(self._serve, target, respond)):
             waiting = f"{self._worker.waiting} targets wait already"
-            refused = self._refuse(request, Status.NOT_READY, waiting)
-            self._publish_answer(request)
-            reply(response_of(refused, self._arm, self._base_frame))
+            refused = self._compensator.refuse(target, Status.NOT_READY, waiting)
+            self._publish_answer(refused)
+            respond(refused)
 
-    def execute(self, request: Request) -> Future | None:
+    def execute(self, target: TargetRequest) -> Future | None:
         """Compute and send a target in its turn: its `Answer`; None where too many wait."""
-        return self._worker.ask(partial(self._served, request))
+        return self._worker.ask(partial(self._serve, target))
 
-    def _served(self, request: Request) -> Answer:
+    def _serve(
+        self, target: TargetRequest, respond: Callable[[Answer], None] = lambda answer: None
+    ) -> Answer:
+        """Compute a target, send its joints, respond, then publish; on the worker's thread."""
+        answer: Answer | None = None
         try:
-            return self._serve(request)
-        finally:
-            self._publish_answer(request)
+            if why := self.stale(target):
+                answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
+            else:
+                answer = self._compensator.answer(target)
+            arrival = answer.arrival if target.execute and answer.status.success else None
+            if arrival is not None:
+                stamp = self._stamps.next()  # before it is judged: later the driver judges
+                if why := self.stale(target):
+                    answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
+                elif why := self._state.doubt:  # it came while the joints were computed
+                    answer = self._compensator.refuse(target, Status.NOT_READY, why)
+                else:
+                    points, move_s = arrival.move.points, self._state.p["move_time_s"]
+                    message = trajectory_message(self._arm, points, move_s, stamp)
+                    answer = replace(answer, name=order_id(message), sent=True)
+                    self._driver.expect(answer.name)
+                    self._trajectory.publish(message)
+                    patience_s = self._state.p["acknowledge_s"]
+                    if not self._worker.take(lambda: self._driver.has_answered, patience_s):
+                        self._withdrawals.publish(String(data=answer.name))
+                    if why := self._driver.not_accepted:
+                        answer = replace(answer, status=Status.NOT_ACCEPTED, message=why)
+                    else:
+                        self._monitor.aim_at(arrival.outcome.command, arrival.outcome.position)
+                        answer = replace(answer, accepted=True)
+            respond(answer)
+            return answer
+        finally:  # published even when the client is gone
+            if answer is not None:
+                self._publish_answer(answer)
 
-    def _refuse(self, request: Request, status: Status, why: str) -> Answer:
-        request.answer = self._compensator.refused(request.name, request.message, status, why)
-        return request.answer
-
-    def _serve(self, request: Request) -> Answer:
-        """Compute and send, on the worker's thread. The caller publishes the answer afterwards."""
-        if why := self.stale(request):
-            return self._refuse(request, Status.STALE_TARGET, why)
-        request.answer = self._compensator.answer(request.name, request.message)
-        if request.message.execute and request.answer.status.success:
-            request.answer = self._send(request, request.answer)
-        return request.answer
-
-    def _send(self, request: Request, answer: Answer) -> Answer:
-        """Send the joints and wait for the driver to say whether it takes them."""
-        arrival = answer.arrival
-        assert arrival is not None
-        stamp = self._stamps.next()  # before it is judged: what happens later, the driver judges
-        if why := self.stale(request):
-            return self._refuse(request, Status.STALE_TARGET, why)
-        if why := self._state.doubt:  # it came while the joints were computed
-            return self._refuse(request, Status.NOT_READY, why)
-        p = self._state.p
-        message = trajectory_message(self._arm, arrival.move.points, p["move_time_s"], stamp)
-        answer = request.answer = replace(answer, name=order_id(message), sent=True)
-        self._driver.expect(answer.name)
-        self._trajectory.publish(message)
-        if not self._worker.take(lambda: self._driver.answered, p["acknowledge_s"]):
-            self._withdrawals.publish(String(data=answer.name))
-        if why := self._driver.not_accepted:
-            return replace(answer, status=Status.NOT_ACCEPTED, message=why)
-        self._monitor.aimed(arrival.outcome.command, arrival.outcome.position)
-        return replace(answer, accepted=True)
-
-    def _publish_answer(self, request: Request) -> None:
+    def _publish_answer(self, answer: Answer) -> None:
         """Count the answer, then publish it: who hears of it finds it counted."""
-        answer = request.answer
-        if answer is None:
-            return
         if answer.status is Status.INTERNAL_ERROR:
             self._broken = answer.message
         elif answer.status.success:
             self._broken = ""
-            self._node.health.mended()
+            self._node.health.clear_fault()
         why = "" if answer.status is Status.SUCCESS else answer.message
         self._node.tally.count(answer.status.name, why)
         self._compensation.publish(compensation_message(answer, self._arm, self._base_frame))
@@ -210,8 +195,8 @@ class TargetInlet:
         facts: dict[str, object] = {
             **self._node.tally.facts,
             "waiting": self._worker.waiting + (self._latest is not None),
-            "superseded, not told yet": len(self._passed),
-            "superseded; its fate was not recorded": self._untold,
+            "superseded, not told yet": len(self._superseded),
+            "superseded; its fate was not recorded": self._unrecorded,
             "lost on the way": self._worker.lost,
         }
         if self._state.doubt:

@@ -41,7 +41,7 @@ from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import joints_message, seconds, trajectory_message
 from longarm_comp.nodes.node import ArmNode, program
-from longarm_comp.nodes.orders import Freshness, Stamps, aborted
+from longarm_comp.nodes.orders import Freshness, Stamps, abort
 from longarm_comp.nodes.params import Param, where
 
 PARAMS = (
@@ -71,7 +71,7 @@ PARAMS = (
     Param("order_max_age_s", 2.0, "goals older than this are refused", 0.01, 60.0),
     Param("planned_period_s", 0.1, "time between two joint states for the planner", 0.01, 60.0),
     PERIOD,
-)  # fmt: skip
+)
 
 
 class _TrajectoryCompensator(ArmNode):
@@ -120,7 +120,7 @@ class _TrajectoryCompensator(ArmNode):
         why = f"joints {sorted(strange)}; allowed: {allowed}" if strange else self._not_now(asked)
         made: CompensatedPath | None = None
         if not why:
-            future = self._worker.ask(partial(self._compensated, goal.request))
+            future = self._worker.ask(partial(self._compensate, goal.request))
             made, why = (None, "too many goals wait") if future is None else await future
         why = why or self._fresh.too_old(asked.header.stamp)
         if goal.is_cancel_requested:
@@ -128,7 +128,7 @@ class _TrajectoryCompensator(ArmNode):
             return result(error_string="cancelled before anything was sent")
         if why or made is None:
             self.tally.count("refused", why)
-            return aborted(goal, result.INVALID_JOINTS if strange else result.INVALID_GOAL, why)
+            return abort(goal, result.INVALID_JOINTS if strange else result.INVALID_GOAL, why)
         self._following += 1
         try:
             return await self._forward(goal, made)
@@ -136,7 +136,7 @@ class _TrajectoryCompensator(ArmNode):
             self._following -= 1
 
     def _not_now(self, asked: JointTrajectory) -> str:
-        """Why nothing can be followed now; empty if it can."""
+        """Say why nothing can be followed now; empty if it can."""
         if not asked.points:
             return "a trajectory without points"
         if not self._out.server_is_ready():
@@ -145,7 +145,7 @@ class _TrajectoryCompensator(ArmNode):
         return self._fresh.too_old(asked.header.stamp) or why
 
     async def _forward(self, goal: Any, made: CompensatedPath) -> Any:
-        """Send the path to the controller; what became of it."""
+        """Send the path to the controller, and return what became of it."""
         timed = made.timed
         message = trajectory_message(
             self._arm, timed.joints, timed.times, self._stamps.next(), timed.velocities
@@ -159,7 +159,7 @@ class _TrajectoryCompensator(ArmNode):
         if not sent.accepted:
             why = f"{self._controller} does not accept the goal"
             self.tally.count("refused", why)
-            return aborted(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
+            return abort(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
         if not self._driver.acknowledged:
             self._driver.went(timed.joints[1:], start)
         ended, asked = sent.get_result_async(), False
@@ -181,13 +181,19 @@ class _TrajectoryCompensator(ArmNode):
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
 
-    def _compensated(self, request: Any) -> tuple[CompensatedPath | None, str]:
-        """The path to send, or why there is none."""
+    def _compensate(self, request: Any) -> tuple[CompensatedPath | None, str]:
+        """Compute the path to send, or say why there is none."""
         start = self._state.joints
         assert start is not None
         loaded = self._files.loaded
         physics = physics_of(loaded.model, self._method)
         history = History.unknown(self._arm.n) if self._following else self._driver.history
+        # A path may take no longer than the goal's time tolerance, if there is one, allows
+        late = seconds(request.goal_time_tolerance)
+        lasts = seconds(request.trajectory.points[-1].time_from_start)
+        max_longer = self.p["max_longer"]
+        if late > 0.0 < lasts:
+            max_longer = min(max_longer, late / lasts)
         try:
             compensate = partial(
                 compensate_path, loaded.model,
@@ -196,22 +202,15 @@ class _TrajectoryCompensator(ArmNode):
                 context_at=partial(self._state.context, model=physics),
                 max_correction_m=self.p["max_correction_m"], turn_m=self.p["turn_m"],
                 position_only=self.p["position_only"], max_turn_rad=self.p["max_turn_rad"],
-                max_longer=self._longer(request), options=CompensationOptions(self._method),
+                max_longer=max_longer, options=CompensationOptions(self._method),
             )  # fmt: skip
             with ik.compile_at_once():
-                found, *_ = self._state.predictor.tried(self._method, compensate)
+                found, *_ = self._state.predictor.compensate_with(self._method, compensate)
         except (PathRefused, StaleContext, InputError) as error:
             return None, str(error)
         for note in found.notes:
             self.get_logger().warning(note, throttle_duration_sec=1.0)
         return found, ""
-
-    def _longer(self, request: Any) -> float:
-        """Share by which a path may take longer: no more than the goal's time tolerance, if any."""
-        late = seconds(request.goal_time_tolerance)
-        lasts = seconds(request.trajectory.points[-1].time_from_start)
-        most: float = self.p["max_longer"]
-        return min(most, late / lasts) if late > 0.0 < lasts else most
 
     def _plan(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
         """A trajectory as a plan of all joints; those that it does not name stay at ``start``."""

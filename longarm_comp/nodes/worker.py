@@ -44,6 +44,8 @@ _USED: dict[str, tuple[str, ...]] = {
 }
 
 Job = Callable[[], Any]
+Hear = Callable[[Any, float], None]
+"""Takes a message, and when it was sent (monotonic s)."""
 
 _LAST_JOB_S = 2.0
 """Time that the current job has when the node ends, s: a node has three in all."""
@@ -51,8 +53,6 @@ _WAIT_S = 0.05
 """The longest wait at once, s: a longer one is a process that was stopped."""
 _PAUSE_S = 0.01
 """Pause after an exception, s, so that a repeating one does not use the whole processor."""
-
-
 _FAILING_S = 60.0
 """A job that failed and is not done again is held against the worker for so long, s."""
 
@@ -77,10 +77,12 @@ class SequenceWatch:
         self._last: list[int] = []
         self.lost = 0
 
-    def taken(self, numbers: list[int], *, full: bool) -> None:
-        """Enter the numbers (from 1 for each publisher) of messages taken at once, oldest first.
+    def count(self, numbers: list[int], *, full: bool) -> None:
+        """Enter the numbers of messages taken at once.
 
-        ``full``: whether the queue may have been full.
+        Args:
+            numbers: from 1 for each publisher; the oldest first.
+            full: the queue may have been full.
         """
         for number in numbers:
             before = max((last for last in self._last if last < number), default=None)
@@ -92,7 +94,7 @@ class SequenceWatch:
                 self.lost += number - before - 1
 
 
-class _Aside(CallbackGroup):
+class _NotOfTheExecutor(CallbackGroup):
     """Callback group of entities that a worker takes; the executor ignores them."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -109,9 +111,6 @@ class Worker:
     Args:
         executor: woken when an awaited job is done.
         capacity: number of jobs that may wait; further ones are refused.
-
-    Attributes:
-        idle: called while no job waits; does a piece of what can wait, and says whether it did.
     """
 
     def __init__(
@@ -123,31 +122,24 @@ class Worker:
         self._capacity = capacity
         self._closing = False
         self._thread: threading.Thread | None = None
-        self.idle: Callable[[], bool] = lambda: False
-        self._aside = _Aside()
-        self._bell = GuardCondition(None, None, context=node.context)
-        self._topics: list[tuple[Subscription, SequenceWatch, Callable[[Any, float], None]]] = []
+        self._group = _NotOfTheExecutor()
+        self._woken = GuardCondition(None, None, context=node.context)
+        self._topics: list[tuple[Subscription, SequenceWatch, Hear]] = []
         self._services: list[Service] = []
-        self._set: Any = None
+        self._wait_set: Any = None
         self._failed: dict[str, tuple[str, float]] = {}
 
-    def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
-        self.hear_sent(topic, lambda message, _: callback(message), raw=False)
-
-    def hear_sent(
-        self, topic: Topic, callback: Callable[[Any, float], None], *, raw: bool = True
-    ) -> None:
-        """The same; the callback gets bytes, and when they were sent (monotonic s)."""
-        made = topic.subscription(self._node, lambda message: None, self._aside, raw=raw)
+    def hear(self, topic: Topic, callback: Hear) -> None:
+        made = topic.subscription(self._node, lambda message: None, self._group)
         self._topics.append((made, SequenceWatch(), callback))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Any, float], None]) -> None:
         """Offer a service; its callback gets request, reply function and time of sending (s)."""
-        self._services.append(service.server(self._node, callback, self._aside))
+        self._services.append(service.server(self._node, callback, self._group))
 
     def caller(self, service: ServiceName) -> ServiceCaller:
-        """A client of a service, for this thread."""
-        return ServiceCaller(service.client(self._node, self._aside), self._node)
+        """Make a client of a service, for this thread."""
+        return ServiceCaller(service.client(self._node, self._group), self._node)
 
     @property
     def lost(self) -> int:
@@ -156,7 +148,7 @@ class Worker:
 
     @property
     def failing(self) -> str:
-        """Why one of its jobs failed of late and has not succeeded since; empty if none did."""
+        """The failure of a job that has not succeeded since; empty if there is none of late."""
         recent = time.monotonic() - _FAILING_S
         return next((why for why, at_s in self._failed.values() if at_s > recent), "")
 
@@ -164,12 +156,18 @@ class Worker:
     def waiting(self) -> int:
         return len(self._jobs)
 
-    def start(self) -> None:
+    def start(self, idle: Callable[[], bool] = lambda: False) -> None:
+        """Begin to work.
+
+        Args:
+            idle: called while no job waits; does a piece of what can wait, and returns whether it
+                did.
+        """
         with self._node.context.handle:
-            self._set = rclpy_implementation.WaitSet(
+            self._wait_set = rclpy_implementation.WaitSet(
                 len(self._topics), 1, 0, 0, len(self._services), 0, self._node.context.handle
             )
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(idle,), daemon=True)
         self._thread.start()
 
     def submit(self, job: Job) -> bool:
@@ -178,7 +176,7 @@ class Worker:
             return False
         self._jobs.append(job)
         if threading.current_thread() is not self._thread:  # the worker itself need not be woken
-            self.wake()
+            self._woken.trigger()
         return True
 
     def submit_once(self, job: Job) -> None:
@@ -200,65 +198,61 @@ class Worker:
         return future if self.submit(answer) else None
 
     def take(self, until: Callable[[], bool], within_s: float) -> bool:
-        """Take messages and requests, inside a job, until a condition holds; whether it does.
+        """Take messages and requests, inside a job, until a condition holds, and return it.
 
         Time in which this process was stopped does not count: what came meanwhile is still heard.
         """
         left = within_s
         while not self._closing:
-            self._empty()
+            self._take_all()
             if until():
                 return True
             if left <= 0.0:
                 return False
             begun = time.monotonic()
-            self.wait(min(left, _WAIT_S))
+            self._wait(min(left, _WAIT_S))
             left -= min(time.monotonic() - begun, _WAIT_S)
         return until()
 
     def close(self) -> bool:
-        """Finish the current job and drop the others; whether the thread has ended."""
+        """Finish the current job, drop the others, and return whether the thread has ended."""
         self._closing = True
-        self.wake()
+        self._woken.trigger()
         if self._thread is None:
             return True
         self._thread.join(_LAST_JOB_S)
         return not self._thread.is_alive()
 
-    def wake(self) -> None:
-        """End a wait; from any thread."""
-        self._bell.trigger()
-
-    def wait(self, at_most_s: float | None = None) -> None:
-        """Sleep until a message or a request arrives, or `wake`."""
-        self._set.clear_entities()
-        self._set.add_guard_condition(self._bell.handle)
+    def _wait(self, at_most_s: float | None = None) -> None:
+        """Sleep until a message or a request arrives, or `_woken` is triggered from any thread."""
+        self._wait_set.clear_entities()
+        self._wait_set.add_guard_condition(self._woken.handle)
         for topic, *_ in self._topics:
-            self._set.add_subscription(topic.handle)
+            self._wait_set.add_subscription(topic.handle)
         for service in self._services:
-            self._set.add_service(service.handle)
-        self._set.wait(-1 if at_most_s is None else max(1, int(1e9 * at_most_s)))
+            self._wait_set.add_service(service.handle)
+        self._wait_set.wait(-1 if at_most_s is None else max(1, int(1e9 * at_most_s)))
 
-    def _run(self) -> None:
+    def _run(self, idle: Callable[[], bool]) -> None:
         while not self._closing and self._node.context.ok():
             doing = "hearing messages"
             try:
-                self._empty()
+                self._take_all()
                 if self._jobs:
                     job = self._jobs.popleft()
                     doing = _name_of(job)
                     job()
                     if doing in self._failed:  # replaced whole: other threads read it
                         self._failed = {k: v for k, v in self._failed.items() if k != doing}
-                elif not self.idle():
-                    self.wait()
+                elif not idle():
+                    self._wait()
             except Exception as error:  # reported; the worker goes on with the next job
                 why = f"{doing} failed: {type(error).__name__}: {error}"
                 self._failed = {**self._failed, doing: (why, time.monotonic())}
                 self._on_error(error)
                 time.sleep(_PAUSE_S)
 
-    def _empty(self) -> None:
+    def _take_all(self) -> None:
         """Run the callbacks of everything received, so that no middleware queue overflows."""
         for service in self._services:
             for _ in range(self._capacity):
@@ -273,16 +267,16 @@ class Worker:
             numbers: list[int] = []
             for _ in range(max(self._capacity, depth)):
                 with topic.handle:
-                    taken = topic.handle.take_message(topic.msg_type, topic.raw)
+                    taken = topic.handle.take_message(topic.msg_type, False)
                 if taken is None:
                     break
                 numbers.append(taken[1]["publication_sequence_number"] or 0)
                 callback(taken[0], sent_s(taken[1]["source_timestamp"]))
-            watch.taken(numbers, full=len(numbers) >= depth > 1)
+            watch.count(numbers, full=len(numbers) >= depth > 1)
 
 
 def _name_of(job: Any) -> str:
-    """Name of a job, the same for all of its kind."""
+    """Return the name of a job, the same for all of its kind."""
     while isinstance(job, partial):
         job = job.func
     return str(getattr(job, "__qualname__", job))
@@ -307,18 +301,18 @@ class ServiceCaller:
             return int(handle.send_request(request))
 
     def answer(self, number: int, within_s: float) -> Any:
-        """The response to a request, or None after ``within_s``. Earlier responses are dropped."""
+        """Wait for the response to a request; None after ``within_s``. Earlier ones are dropped."""
         handle = self._client.handle
         end = time.monotonic() + within_s
         while True:
             with handle:
                 header, response = handle.take_response(self._client.srv_type.Response)
-                if header is not None and header.request_id.sequence_number == number:
-                    return response
-                left = end - time.monotonic()
-                if header is None and left <= 0.0:
-                    return None
-                if header is None:
+                if header is not None:
+                    if header.request_id.sequence_number == number:
+                        return response
+                elif (left := end - time.monotonic()) > 0.0:
                     self._waiting.clear_entities()
                     self._waiting.add_client(handle)
                     self._waiting.wait(max(1, int(1e9 * left)))
+                else:
+                    return None

@@ -72,21 +72,18 @@ class Buttons:
     def step(self, now: float) -> None:
         """Send what was pressed and take the answers that have come. ``now``: monotonic, s."""
         while self._pressed:
-            self._begin(self._pressed.popleft(), now)
-        self._calls = [call for call in self._calls if not self._ended(*call, now)]
+            button = self._pressed.popleft()
+            client = self._clients[button.service]
+            if client.service_is_ready():
+                self._say(button, "asked", well=True)
+                self._calls.append((button, Call(client, button.request(), again=True), now))
+            else:
+                name = self._node.resolve_service_name(client.srv_name)
+                self._say(button, f"not done, nobody offers {name}")
+        self._calls = [call for call in self._calls if not self._has_ended(*call, now)]
 
-    def _begin(self, button: Button, now: float) -> None:
-        client = self._clients[button.service]
-        if not client.service_is_ready():
-            name = self._node.resolve_service_name(client.srv_name)
-            self._say(button, f"not done, nobody offers {name}")
-            return
-        self._say(button, "asked", well=True)
-        asked = Call(client, button.request(), again=True)
-        self._calls.append((button, asked, now))
-
-    def _ended(self, button: Button, asked: Call, since: float, now: float) -> bool:
-        """Whether a call is answered or given up."""
+    def _has_ended(self, button: Button, asked: Call, since: float, now: float) -> bool:
+        """Return whether a call is answered or given up."""
         answer = asked.answer()
         if answer is None and now - since < _PATIENCE_S:
             return False
@@ -135,7 +132,7 @@ class Panel:
 
     @property
     def exaggeration(self) -> tuple[float, float]:
-        """How many times larger the deflection, and how many times longer error arrows are."""
+        """The factors by which the deflection and the error arrows are drawn larger."""
         return self._deflection.value, self._error.value
 
     def show(

@@ -23,7 +23,7 @@ from visualization_msgs.msg import MarkerArray
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.model.link_frames import exaggerated
-from longarm_comp.jobs.graph_client import GraphClient, reported
+from longarm_comp.jobs.graph_client import GraphClient, reports_of
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import RING_SAID
 from longarm_comp.nodes.messages import driver_words, sighting_of
@@ -93,7 +93,7 @@ class Listener:
         self._heard(answer=LastAnswer(status, message.message, sent))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for node, parts in reported(message, self._namespace).items():
+        for node, parts in reports_of(message, self._namespace).items():
             health = tuple(Part(name, min(ord(s.level), 3), s.message) for name, s in parts.items())
             told = {words: parts[name].message for name, words in _TOLD.items() if name in parts}
             self.state = self.state.with_report(node, health, time.monotonic())

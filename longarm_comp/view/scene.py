@@ -44,8 +44,11 @@ class Scene:
             end = hanging[-1]
             self._label("hanging", None if pale else end, f"deflection × {times:g}")
             tip = None if pale else state.seen_tip(now)
-            for name, at in (("target", picture.target), ("tip", tip),
-                             ("pseudo_target", picture.pseudo_target)):  # fmt: skip
+            for name, at in (
+                ("target", picture.target),
+                ("tip", tip),
+                ("pseudo_target", picture.pseudo_target),
+            ):
                 self._handles[name].visible = at is not None and not pale
                 if at is not None:
                     self._handles[name].position = at
@@ -61,8 +64,11 @@ class Scene:
         scene.world_axes.visible = False
         scene.add_frame("/base", axes_length=0.08 * size, axes_radius=0.004 * size)
         scene.add_grid("/grid", width=2 * size, height=2 * size, cell_size=0.1, section_size=1.0)
-        for name, radius, colour in (("target", 0.012, GREEN), ("tip", 0.008, RED),
-                                     ("pseudo_target", 0.006, YELLOW)):  # fmt: skip
+        for name, radius, colour in (
+            ("target", 0.012, GREEN),
+            ("tip", 0.008, RED),
+            ("pseudo_target", 0.006, YELLOW),
+        ):
             self._handles[name] = scene.add_icosphere(
                 f"/{name}", radius=radius * size, color=colour, visible=False
             )

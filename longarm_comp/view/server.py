@@ -43,7 +43,7 @@ a{display:inline-block;padding:.8em 1.2em;margin:.3em .3em .3em 0;color:#fff;bor
 
 
 class PlainPage:
-    """What is served below `PATH`. A press has a drawn key in its address: no other page knows it.
+    """The page below `PATH`. A press has a drawn key in its address, which no other page knows.
 
     Attributes:
         lines: of the state; the page asks for them once a second.
@@ -68,8 +68,10 @@ class PlainPage:
             for at, button in self._buttons.items()
         )
         told = "".join(f"<p>{escape(line)}</p>" for line in self.lines)
-        return (f'<!doctype html><meta http-equiv="refresh" content="1"><title>longarm view</title>'
-                f"<style>{_STYLE}</style>{links}{told}")  # fmt: skip
+        return (
+            f'<!doctype html><meta http-equiv="refresh" content="1"><title>longarm view</title>'
+            f"<style>{_STYLE}</style>{links}{told}"
+        )
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Gate:
         self._codes.add(code)
         return f"http://{LOOPBACK}:{port}/?code={code}"
 
-    def guarded(self, serve: Serve) -> Serve:
+    def guard(self, serve: Serve) -> Serve:
         """The server's function of HTTP requests and WebSocket handshakes, behind the gate."""
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
@@ -96,7 +98,7 @@ class Gate:
             if why:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             where = urlsplit(request.path)
-            if where.path == "/" and self._redeemed(*parse_qs(where.query).get("code", [])):
+            if where.path == "/" and self._redeem(*parse_qs(where.query).get("code", [])):
                 return self._welcome(port)
             if not self._is_token(*_cookies(request.headers, _cookie(port))):
                 why = "open the link that `longarm view` printed; it opens the page once"
@@ -114,7 +116,7 @@ class Gate:
         return answer
 
     def _stranger(self, headers: Headers, hosts: list[str]) -> str:
-        """Why a request is not from this page; empty if it is."""
+        """Say why a request is not from this page; empty if it is."""
         asked, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(asked) != 1 or asked[0] not in hosts:
             return f"Host {', '.join(asked)!r} is not this server; allowed: {', '.join(hosts)}"
@@ -124,8 +126,8 @@ class Gate:
             return "a WebSocket needs an Origin"
         return ""
 
-    def _redeemed(self, *given: str) -> bool:
-        """Whether this is a code of a link that was not used before; it is now."""
+    def _redeem(self, *given: str) -> bool:
+        """Use a code of a link up, and return whether it was one that was not used before."""
         try:
             self._codes.remove(*given)
         except (KeyError, TypeError):  # unknown, another request was quicker; none or several
@@ -182,7 +184,7 @@ def _policy(hosts: list[str]) -> dict[str, str]:
 
 
 class _Server(viser.ViserServer):
-    """Without viser's public link, which any client may ask for."""
+    """A server without viser's public link, which any client may ask for."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         return None
@@ -199,7 +201,7 @@ def serving(port: int, gate: Gate) -> Iterator[viser.ViserServer]:
 
     def behind_the_gate(handler: Any, host: str, port: int, **options: Any) -> Any:
         guarded.append(host)
-        options["process_request"] = gate.guarded(options["process_request"])
+        options["process_request"] = gate.guard(options["process_request"])
         return serve(handler, host, port, **options)
 
     console = rich.get_console()  # viser prints an address without the token

@@ -1,4 +1,4 @@
-"""What the graph has said last, as one frozen record, and as the sentences of the page."""
+"""The last words of the graph, as one frozen record and as the sentences of the page."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class LastAnswer:
-    """What became of the last target: status, reason, joints sent by name (none: not sent)."""
+    """The fate of the last target: status, reason, joints sent by name (none: not sent)."""
 
     status: str
     message: str
@@ -46,7 +46,7 @@ class Part:
 
 @dataclass(frozen=True)
 class NodeHealth:
-    """What a node reports, and when it did so last."""
+    """The reports of a node, and when it sent the last one."""
 
     name: str
     parts: tuple[Part, ...]
@@ -60,7 +60,7 @@ class NodeHealth:
 
 @dataclass(frozen=True)
 class CollectProgress:
-    """How far a collection is: share of its plan, 0 to 1, and words."""
+    """The progress of a collection: share of its plan, 0 to 1, and words."""
 
     share: float
     message: str
@@ -119,7 +119,7 @@ class PageState:
         return _silence(self.read, now, _SILENT_S)
 
     def old(self, now: float) -> bool:
-        """Whether the picture of the arm is not of now."""
+        """Return whether the picture of the arm is not of now."""
         at = None if self.picture is None else self.picture.at
         return bool(self.unread_s(now) or _silence(at, now, 5.0))
 
@@ -131,7 +131,7 @@ class PageState:
 
     @property
     def resting(self) -> bool:
-        """Whether picture and sighting are both of the arm at rest."""
+        """True where picture and sighting are both of the arm at rest."""
         if self.picture is None:
             return False
         # A picture is a half second old, and a sighting some frames
@@ -166,7 +166,7 @@ def _silence(last: float | None, now: float, allowed: float) -> float:
 
 
 def _same_joints(sent: Mapping[str, float], joints: Mapping[str, float]) -> bool:
-    """Whether there are joints and all of them stand there, within `JOINT_REST`."""
+    """Return whether there are joints and all of them stand there, within `JOINT_REST`."""
     return bool(sent) and all(
         name in joints and abs(joints[name] - value) <= JOINT_REST for name, value in sent.items()
     )
@@ -178,7 +178,7 @@ LEVELS = ((WELL, "well"), (WARNING, "warning"), (BAD, "error"), (SILENT, "stale"
 
 
 def headline(state: PageState, now: float, namespace: str) -> str:
-    """Whether the graph speaks, and what the arm does."""
+    """Say whether the graph speaks, and what the arm does."""
     silent = state.silent_s(now)
     if math.isinf(silent):
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
@@ -203,12 +203,15 @@ def sections(state: PageState, now: float, namespace: str, said: str) -> dict[st
         "state": [headline(state, now, namespace), target(state)],
         "said": [said],
         "job": [progress(state, now)],
-        "tip": [f"tip − target: {millimetres(state.missed(now))}",
-                f"tip − predicted: {millimetres(state.unpredicted(now))}", drift(state),
-                *(f"{what}: {told}." for what, told in state.told.items())],
+        "tip": [
+            f"tip − target: {millimetres(state.missed(now))}",
+            f"tip − predicted: {millimetres(state.unpredicted(now))}",
+            drift(state),
+            *(f"{what}: {told}." for what, told in state.told.items()),
+        ],
         "health": [line for name in sorted(state.nodes) for line in health(state.nodes[name], now)]
         or ["no node has reported yet"],
-    }  # fmt: skip
+    }
     return {place: [line for line in found if line] for place, found in lines.items()}
 
 
@@ -237,7 +240,7 @@ LEGEND = (
 
 
 def exaggeration(deflection: float, error: float) -> str:
-    """What is drawn larger than it is."""
+    """Say what is drawn larger than it is."""
     bent = "to scale" if deflection == 1.0 else f"{deflection:g} times larger than it is"
     arrows = "to scale" if error == 1.0 else f"{error:g} times longer than they are"
     drawn = f"The blue arm's deflection is drawn {bent}, error arrows {arrows}."
@@ -245,7 +248,7 @@ def exaggeration(deflection: float, error: float) -> str:
 
 
 def drift(state: PageState) -> str:
-    """How near the test of drift is to a warning."""
+    """Say how near the test of drift is to a warning."""
     if math.isnan(state.evidence):
         return "Drift: nothing judged yet."
     warns = "warns" if state.evidence >= 1.0 else "does not warn"
@@ -253,7 +256,7 @@ def drift(state: PageState) -> str:
 
 
 def progress(state: PageState, now: float) -> str:
-    """How far a collection is; empty where none was heard of."""
+    """Say how far a collection is; empty where none was heard of."""
     job = state.progress
     if job is None:
         return ""

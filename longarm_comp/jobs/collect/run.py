@@ -43,7 +43,7 @@ _COMMAND_TOPIC = "joint_trajectory"
 _READ = {ROW_TOPIC: ROW_TYPE, _COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajectory"}
 
 
-def visited(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
+def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
     """Indices of the visits that a bag of an arm with n joints holds."""
     planned = {visit.index: visit.path for visit in todo}
     done: set[int] = set()
@@ -93,7 +93,7 @@ def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """Where a collection is.
+    """The progress of a collection.
 
     Attributes:
         done, total: visits in the bag, of the plan.
@@ -114,7 +114,7 @@ class Progress:
 
     @property
     def share(self) -> float:
-        """Of the plan, 0 to 1."""
+        """The share of the plan that is done, 0 to 1."""
         return self.done / max(1, self.total)
 
     @property
@@ -129,7 +129,7 @@ class Progress:
 
     @property
     def losses(self) -> str:
-        """How often the marker was lost, and why; empty if never."""
+        """A count of the poses at which the marker was lost, and why; empty if there is none."""
         if not self.lost:
             return ""
         why = in_words(self.lost.values())
@@ -145,7 +145,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Collected:
-    """How many visits were made now and before, of all that are planned.
+    """The numbers of visits that were made now and before, and that are planned.
 
     By index: `unseen`, why the marker was lost; `blocked`, which box every way there enters.
     """
@@ -178,17 +178,18 @@ def collect(
         view: what the cameras see by the files, to say why a marker is lost.
     """
     begun = resume and (path / "metadata.yaml").is_file()
-    done = visited(path, todo, client.arm.n) if begun else set()
+    done = visits_in_bag(path, todo, client.arm.n) if begun else set()
     with SegmentedBag(path, resume=resume) as bag:
-        run = _Run(client, Recorder(client.node, bag), pace or Pace(), progress,
-                   view, len(done), len(todo))  # fmt: skip
+        run = _Run(
+            client, Recorder(client.node, bag), pace or Pace(), progress, view, len(done), len(todo)
+        )
         try:
             run.drive([visit for visit in todo if visit.index not in done], give_up)
         except JobError as error:
             if run.now().lost == run.made and not done:
                 bag.discard()  # nothing in it is worth going on with
             with client.putting_back():
-                run.ended("ended", str(error))
+                run.end("ended", str(error))
             raise
     return Collected(len(run.made), len(done), len(todo), run.now().lost, run.blocked)
 
@@ -230,9 +231,9 @@ class _Run:
             if len(now.lost) > half:
                 raise JobError(f"the marker is not seen at most poses. {now.losses}")
         self._visit = None
-        self.ended("done")
+        self.end("done")
 
-    def ended(self, state: str, why: str = "") -> None:
+    def end(self, state: str, why: str = "") -> None:
         """Tell everybody how it ended, and why."""
         self._tell(state, why)
         self._client.spin(0.2)  # s for it to be heard before the node ends
@@ -260,15 +261,17 @@ class _Run:
         self._tell()
 
     def _cause(self, q: np.ndarray, recorded: str) -> str:
-        """Why the marker is likely lost at joints q (n,): as the recording says, or by the cameras'
-        geometry, or as `stereo_bridge` says."""
+        """Say why the marker is likely lost at joints q (n,).
+
+        It is as the recording says, or by the cameras' geometry, or as `stereo_bridge` says.
+        """
         if recorded == NO_REST:
             return recorded
         why = "" if self._view is None else self._view.unseen(self._model.pose(q[None]))[0]
         if why:
             return why
         near = "in view, but " if self._view is not None else ""
-        said = self._reports.said("stereo_bridge", "stereo")
+        said = self._reports.last_message("stereo_bridge", "stereo")
         why = said.removeprefix(MARKER_LOST)
         return near + (why.partition(" (")[0] if why != said else "not seen")
 

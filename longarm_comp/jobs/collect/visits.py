@@ -108,12 +108,19 @@ def plan_checks(
     outside = tuple(_outside(arm.joint_names, v.path, arm.lower, arm.upper) for v in visits)
     checks = [PlanCheck("inside the limits of arm.yaml", outside, True)]
     if servos is not None:
-        checks.append(PlanCheck("inside the servos' limits", _servo_limits(arm, servos, q), True))
+        joints = [servos.joints[name] for name in arm.joint_names]
+        tick = np.array([joint.si_per_tick for joint in joints])
+        lower = np.array([joint.lower for joint in joints]) - tick
+        upper = np.array([joint.upper for joint in joints]) + tick
+        faults = tuple(_outside(arm.joint_names, row[None], lower, upper) for row in q)
+        checks.append(PlanCheck("inside the servos' limits", faults, True))
     if arm.keep_out:
-        checks += [
-            *_boxes(model, visits),
-            PlanCheck("way there is free", _ways(model, visits), False),
-        ]
+        checks += _boxes(model, visits)
+        # The way from the visit before, and the run-up
+        starts = [visits[0].path[0], *q[:-1]]
+        ways = (np.vstack([start, v.path]) for start, v in zip(starts, visits, strict=True))
+        free = tuple(entered(model, way) for way in ways)
+        checks.append(PlanCheck("way there is free", free, False))
     if view is not None:
         checks.append(PlanCheck("seen by both cameras", tuple(view.unseen(model.pose(q))), False))
     return checks
@@ -147,17 +154,9 @@ def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: 
 
 
 def in_words(faults: Iterable[str]) -> str:
-    """How many faults of each kind, the most frequent first."""
+    """Count the faults of each kind, the most frequent first."""
     kinds = Counter(fault.partition(": ")[0] for fault in faults)  # without their figures
     return ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
-
-
-def _servo_limits(arm: Arm, servos: ServoConfig, q: np.ndarray) -> tuple[str, ...]:
-    joints = [servos.joints[name] for name in arm.joint_names]
-    slack = np.array([joint.si_per_tick for joint in joints])
-    lower = np.array([joint.lower for joint in joints]) - slack
-    upper = np.array([joint.upper for joint in joints]) + slack
-    return tuple(_outside(arm.joint_names, row[None], lower, upper) for row in q)
 
 
 def _outside(names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
@@ -179,12 +178,3 @@ def _boxes(model: Model, visits: Sequence[Visit]) -> list[PlanCheck]:
     asked = {"over the floor": True, "outside the keep-out boxes": False}
     names = {True: FLOOR in model.arm.keep_out, False: set(model.arm.keep_out) - {FLOOR}}
     return [PlanCheck(text, tuple(found[low]), True) for text, low in asked.items() if names[low]]
-
-
-def _ways(model: Model, visits: Sequence[Visit]) -> tuple[str, ...]:
-    """Whether the way from the visit before, and the run-up, are free of boxes."""
-    found, start = [], visits[0].path[0]
-    for visit in visits:
-        found.append(entered(model, np.vstack([start, visit.path])))
-        start = visit.q
-    return tuple(found)
