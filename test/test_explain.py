@@ -32,7 +32,8 @@ from longarm_comp.core.effects.plays import TelescopeClearance
 from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth, ThermalSoftening
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.model_tolerance import BACKGROUND_COMPLIANCE, SOFT
-from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
+from longarm_comp.core.identify.posterior.explain import explain_session
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm

@@ -32,7 +32,8 @@ from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.causes import Cause, causes, doubts, proposed
 from longarm_comp.core.identify.discover.functions import Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, camera_inputs, levels_of
-from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
+from longarm_comp.core.identify.posterior.explain import explain_session
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden.base import HiddenEffect

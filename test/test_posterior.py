@@ -24,7 +24,8 @@ from longarm_comp.core.effects.quantities import Span
 from longarm_comp.core.effects.shapes import Cosine, FunctionError
 from longarm_comp.core.identify.discover.inputs import arm_inputs
 from longarm_comp.core.identify.posterior.ascent import explain
-from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
+from longarm_comp.core.identify.posterior.explain import explain_session
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
 from longarm_comp.core.identify.posterior.single_effects import OfferBank

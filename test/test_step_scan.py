@@ -19,7 +19,8 @@ from longarm_comp.core.effects.catalogue import searched
 from longarm_comp.core.effects.drive_errors import JointGain, ServoQuantisation
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
+from longarm_comp.core.identify.posterior.explain import explain_session
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.model.model_file import load_model, save_model, store
 from longarm_comp.sim.hidden import drives

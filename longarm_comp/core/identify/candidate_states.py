@@ -14,7 +14,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns, rms_shift
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.findings import Finding, ReportPart
-from longarm_comp.core.identify.posterior.explain import ExplainedSession
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 Label = tuple[str, str]

@@ -27,7 +27,8 @@ from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.findings import complete_findings, make_findings
 from longarm_comp.core.identify.intervals import intervals
-from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
+from longarm_comp.core.identify.posterior.explain import explain_session
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
 from longarm_comp.core.identify.proof import (
     CALIBRATED,

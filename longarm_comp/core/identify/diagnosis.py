@@ -26,7 +26,7 @@ from longarm_comp.core.identify.candidate_states import (
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import Finding, improvement, left_in_words, sentence
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.posterior.explain import ExplainedSession
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import (

@@ -21,15 +21,19 @@ from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_tolerance import (
     FORMS,
-    RIGID,
     TOLERANCES,
     ModelTolerance,
     with_background,
 )
 from longarm_comp.core.identify.posterior.ascent import BETTER
+from longarm_comp.core.identify.posterior.explained import (
+    ExplainedSession,
+    loosen,
+    put_in,
+    without_idle,
+)
 from longarm_comp.core.identify.posterior.forms import agreement, refined
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
@@ -51,39 +55,6 @@ are usual."""
 NEAR = 0.3
 """Last step of a fit between rounds, in standard errors: the next would be a tenth of it or less.
 The last fit converges."""
-
-
-@dataclass(frozen=True)
-class ExplainedSession:
-    """A model with what was found in it, fitted.
-
-    Attributes:
-        fit: the model; at the end with what gives way besides what was found.
-        found: the single effects in the model, with their credible sets.
-        noise: as judged last.
-        doubtful: single effects whose presence is in doubt, not in the model.
-        candidates: the library as it was offered last.
-        tolerance: what moves the rows besides.
-        linear: its linear stage, to be repeated on other rows.
-    """
-
-    fit: ModelFit
-    found: tuple[FoundEffect, ...]
-    noise: NoiseEstimate
-    doubtful: tuple[FoundEffect, ...] = ()
-    candidates: tuple[Candidate, ...] = ()
-    tolerance: ModelTolerance = RIGID
-    linear: Resampling | None = None
-
-    @property
-    def chosen(self) -> tuple[Term, ...]:
-        """The terms in the model, as they were offered."""
-        return tuple(t for f in self.found for t in f.terms)
-
-    @property
-    def need(self) -> float:
-        """Log Bayes factor from which on a candidate is more likely there than not."""
-        return NONE + math.log(max(len(self.candidates), 1))
 
 
 def explain_session(
@@ -168,7 +139,7 @@ class _Search:
             state = replace(state, found=found)
         rest = self._rest(state)
         closed = fit(state.fit.model, self.session, begun=state.fit, **state.fit.judged)
-        fitted = _plain(with_background(closed, self.candidates, rest) if rest else closed)
+        fitted = without_idle(with_background(closed, self.candidates, rest) if rest else closed)
         known = {t.variant: t for t in fitted.model.terms}
         held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
@@ -188,7 +159,7 @@ class _Search:
                 break
             for f in explained.found:
                 self.say(Candidate(f.name, f.terms).label)
-            taken = self._taken(state, tuple(map(_loose, explained.found)))
+            taken = self._taken(state, tuple(map(loosen, explained.found)))
             if taken is None:
                 break
             taken = self._reformed(taken)
@@ -324,7 +295,7 @@ class _Search:
         if len(set(places)) < len(places):
             return -math.inf
         try:
-            model = _with(self.base, state.fit.model, found)
+            model = put_in(self.base, state.fit.model, found)
             begun = fit(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
             return self._whole(begun, found, near=state.fit)
         except JobError:
@@ -358,7 +329,7 @@ class _Search:
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
         """The model fitted with what was found; None where that runs away."""
-        model = _with(self.base, state.fit.model, found)
+        model = put_in(self.base, state.fit.model, found)
         try:
             return self._fitted(model, found, state)
         except JobError:
@@ -410,30 +381,3 @@ class _Search:
                 break
             state = taken
         return state
-
-
-def _plain(fitted: ModelFit) -> ModelFit:
-    """Without what acts through others, where there is nothing that it acts through."""
-    model = fitted.model
-    idle = {e.key for e in model.effects if e.through_others}
-    if not idle or any(e.loaded for e in model.effects if e.key not in idle):
-        return fitted
-    return fit(model.without(idle), fitted.session, near=fitted, **fitted.judged)
-
-
-def _loose(found: FoundEffect) -> FoundEffect:
-    """With a prior that hardly pulls at the amount of a function: that it is there is decided."""
-    if not found.unnamed:
-        return found
-    terms = tuple(
-        replace(t, scale=max(t.scale, LOOSE * abs(t.amount)))  # type: ignore
-        for t in found.terms
-    )
-    return replace(found, terms=terms, loose=True)
-
-
-def _with(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
-    """The base model with what was found, at the values of the model as it is now."""
-    known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
-    terms = (alike.get(t.variant, t) for f in found for t in f.terms)
-    return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])

@@ -1,0 +1,77 @@
+"""A session that is explained: the model with what was found in it, fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from longarm_comp.core.calibration.candidates import Candidate, Term
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.noise import NoiseEstimate
+from longarm_comp.core.identify.intervals import LOOSE
+from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
+from longarm_comp.core.identify.posterior.found import NONE, FoundEffect
+from longarm_comp.core.identify.posterior.resampled import Resampling
+from longarm_comp.core.model.model import Model
+
+
+@dataclass(frozen=True)
+class ExplainedSession:
+    """A model with what was found in it, fitted.
+
+    Attributes:
+        fit: the model; at the end with what gives way besides what was found.
+        found: the single effects in the model, with their credible sets.
+        noise: as judged last.
+        doubtful: single effects whose presence is in doubt, not in the model.
+        candidates: the library as it was offered last.
+        tolerance: what moves the rows besides.
+        linear: its linear stage, to be repeated on other rows.
+    """
+
+    fit: ModelFit
+    found: tuple[FoundEffect, ...]
+    noise: NoiseEstimate
+    doubtful: tuple[FoundEffect, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    tolerance: ModelTolerance = RIGID
+    linear: Resampling | None = None
+
+    @property
+    def chosen(self) -> tuple[Term, ...]:
+        """The terms in the model, as they were offered."""
+        return tuple(t for f in self.found for t in f.terms)
+
+    @property
+    def need(self) -> float:
+        """Log Bayes factor from which on a candidate is more likely there than not."""
+        return NONE + math.log(max(len(self.candidates), 1))
+
+
+def without_idle(fitted: ModelFit) -> ModelFit:
+    """Leave out what acts through others, where there is nothing that it acts through."""
+    model = fitted.model
+    idle = {e.key for e in model.effects if e.through_others}
+    if not idle or any(e.loaded for e in model.effects if e.key not in idle):
+        return fitted
+    return fit(model.without(idle), fitted.session, near=fitted, **fitted.judged)
+
+
+def loosen(found: FoundEffect) -> FoundEffect:
+    """Widen the prior of a function until it hardly pulls: that it is there is decided."""
+    if not found.unnamed:
+        return found
+    terms = tuple(
+        replace(t, scale=max(t.scale, LOOSE * abs(t.amount)))  # type: ignore
+        for t in found.terms
+    )
+    return replace(found, terms=terms, loose=True)
+
+
+def put_in(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
+    """Put what was found into the base model, at the values of the model as it is now."""
+    known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
+    terms = (alike.get(t.variant, t) for f in found for t in f.terms)
+    return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])
