@@ -18,8 +18,8 @@ from longarm_comp.core.calibration.linear import sized
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
+from longarm_comp.core.effects.fields import ALIKE
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.parameters import ALIKE
 from longarm_comp.core.effects.quantities import Span
 from longarm_comp.core.effects.shapes import Cosine, FunctionError
 from longarm_comp.core.identify.discover.inputs import arm_inputs

@@ -12,7 +12,7 @@ from longarm_comp.cli.output import note, print_effects, print_json, print_rows,
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.core.effects.parameters import Parameter
+    from longarm_comp.core.effects.fields import Parameter
     from longarm_comp.workflows.fleet import Diagnosed
 
 _SHOWN = ("name", "unit", "prior", "unknown", "lower", "upper")

@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.special import log_ndtr, logsumexp, ndtri
 
-from longarm_comp.core.effects.parameters import ALIKE
+from longarm_comp.core.effects.fields import ALIKE
 
 
 @dataclass(frozen=True)

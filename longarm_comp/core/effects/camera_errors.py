@@ -11,7 +11,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.spatial import Vec, add, dot, scale, sub
 from longarm_comp.core.effects.effect import Bias, parameter
-from longarm_comp.core.effects.settling import settled, slowing
+from longarm_comp.core.effects.slow_changes import change_so_far, slowing
 
 
 @dataclass(frozen=True)
@@ -76,5 +76,5 @@ class CameraDrift(Bias):
     z: float = parameter("m/h", "drift of the seen points in the first hour", prior=2e-3)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        gone = settled(context, self.slowing)
+        gone = change_so_far(context, self.slowing)
         return (point[0] + self.x * gone, point[1] + self.y * gone, point[2] + self.z * gone)

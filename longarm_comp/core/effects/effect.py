@@ -25,11 +25,18 @@ from longarm_comp.core.arm.context import PER_JOINT, Context, is_told
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.posture import Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
-from longarm_comp.core.effects.fields import FORM, PARAMETER, PLACE, TRIED, Places, metadata
+from longarm_comp.core.effects.fields import (
+    FORM,
+    PARAMETER,
+    PLACE,
+    TRIED,
+    Parameter,
+    Places,
+    metadata,
+)
 from longarm_comp.core.effects.fields import form as form
 from longarm_comp.core.effects.fields import parameter as parameter
 from longarm_comp.core.effects.fields import place as place
-from longarm_comp.core.effects.parameters import Parameter
 from longarm_comp.core.effects.sites import moving_joints
 from longarm_comp.core.errors import InputError
 

@@ -6,11 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from longarm_comp.core.arm.context import CLOCK, Context
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.arm.spatial import Twist, sum_twists
+from longarm_comp.core.arm.spatial import Scalar, Twist, sum_twists
 from longarm_comp.core.effects.effect import Effect, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
-from longarm_comp.core.effects.settling import settled, slowing
+
+
+def slowing() -> float:
+    """Declare a field: one over the time constant, 1/h; 0: it goes on at a constant rate.
+
+    An instrument warms up in a quarter of an hour or more, ground settles in hours.
+    """
+    return form(0.0, lower=0.0, upper=36.0, tried=(0.0, 0.25, 1.0, 4.0))
+
+
+def change_so_far(context: Context, slowing: float) -> Scalar:
+    """Return how far a change has gone by now, as a share of its first hour:
+    ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, t in hours."""
+    hours: Scalar = context.column(CLOCK, 0.0) / 3600.0
+    return (1.0 - np.exp(-slowing * hours)) / (1.0 - np.exp(-slowing)) if slowing else hours
 
 
 @dataclass(frozen=True)
@@ -58,7 +73,7 @@ class BaseSettling(Effect):
     about_y: float = parameter("rad/h", "lean about base y in the first hour", prior=2e-3)
 
     def twists(self, posture: Posture) -> Twists:
-        gone = settled(posture.context, self.slowing)
+        gone = change_so_far(posture.context, self.slowing)
         sunk, x, y = self.sink * gone, self.about_x * gone, self.about_y * gone
         return {0: (0.0, 0.0, sunk, x, y, 0.0)}
 

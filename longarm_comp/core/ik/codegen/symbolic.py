@@ -176,7 +176,15 @@ def _simplify(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
     if op in _FOLD and fa and fb:
         return _FOLD[op](a, b)
     if op == "add":
-        return b if fa and a == 0.0 else a if fb and b == 0.0 else _signed_sum(graph, a, b)
+        if fa and a == 0.0:
+            return b
+        if fb and b == 0.0:
+            return a
+        for x, y in ((a, b), (b, a)):
+            inner = _negation_of(graph, y)
+            if inner is not None:
+                return graph.apply("sub", x, inner)
+        return None
     if op == "sub":
         if fb and b == 0.0:
             return a
@@ -201,17 +209,8 @@ def _simplify(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
 
 
 def _negation_of(graph: Graph, x: Any) -> Any:
-    """y where x is the symbol -y, else None."""
+    """Return y where x is the symbol -y, else None."""
     if not isinstance(x, Symbol):
         return None
     op, operands = graph.nodes[x.node]
     return graph._symbols[operands[0]] if op == "neg" else None
-
-
-def _signed_sum(graph: Graph, a: Any, b: Any) -> Any:
-    """Return a + b where one of them is a negated symbol, else None."""
-    for x, y in ((a, b), (b, a)):
-        inner = _negation_of(graph, y)
-        if inner is not None:
-            return graph.apply("sub", x, inner)
-    return None
