@@ -156,10 +156,12 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
         predictor = Path(scratch) / "predictor.npz"
         train_dummy(arm, predictor)
         graph = BringUp(
-            arm=demo_arm_file(), predictor=predictor, namespace=space,
+            arm=demo_arm_file(),
+            predictor=predictor,
+            namespace=space,
             without=tuple(n for n in REAL if n not in ("error_predictor", "kinematics")),
             set={"kinematics": {"acknowledged": False}},
-        )  # fmt: skip
+        )
         echo = str(Path(__file__).with_name("ros_echo.py"))
         ros = ["--ros-args", "-r", f"__ns:=/{space}"]
         commands = {"echo": [sys.executable, echo, *ros], **graph.commands(Path(scratch))}

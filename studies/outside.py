@@ -235,11 +235,13 @@ def outside(arm: Arm) -> dict[str, HiddenEffect | CameraEffect]:
         "supply_sag": SupplySag(sag=2.5e-4),
         "two_seats": TwoSeats(row=7, axis=1, angle=4e-3, flips_at=-0.6),
         "cable_bundle": CableBundle(
-            links=(2, 5), at=np.array([[0.02, -0.05, 0.06], [0.03, 0.02, 0.05]]),
-            stiffness=300.0, slack_m=0.5,
+            links=(2, 5),
+            at=np.array([[0.02, -0.05, 0.06], [0.03, 0.02, 0.05]]),
+            stiffness=300.0,
+            slack_m=0.5,
         ),
         "rubber_stop": RubberStop(joint=4, begins=-0.25, holds=0.04),
         "warm_boom": WarmBoom(row=3, bow=8e-3),
         "pump_shake": PumpShake(sway=2e-3, waves=6.0),
         "window_glass": WindowGlass(bend=0.02),
-    }  # fmt: skip
+    }

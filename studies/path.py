@@ -188,8 +188,9 @@ def deviation(
 ) -> np.ndarray:
     """(M,) m: distance of the true tip from the curve; joints came to its start from sides (n,)."""
     count = _LOOKED_AT * (len(path.times) - 1) + 1
-    joints = path.at(np.interp(np.arange(count) / _LOOKED_AT, np.arange(len(path.times)),
-                               path.times))  # fmt: skip
+    joints = path.at(
+        np.interp(np.arange(count) / _LOOKED_AT, np.arange(len(path.times)), path.times)
+    )
     behind = lagging(joints, studied.half, sides * studied.half)
     tips = studied.true.tip(joints, TrueContext(behind=behind))
     a, along = curve[:-1], np.diff(curve, axis=0)

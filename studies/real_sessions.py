@@ -39,8 +39,9 @@ class Measured:
         if self.test is not None or "location" not in self.train.labels:
             return [(self.train, self.test)]
         place = self.train.labels["location"]
-        return [(self.train.take(place != p), self.train.take(place == p))
-                for p in np.unique(place)]  # fmt: skip
+        return [
+            (self.train.take(place != p), self.train.take(place == p)) for p in np.unique(place)
+        ]
 
 
 def declared_arm(name: str) -> Arm:

@@ -136,8 +136,10 @@ def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for shaping in SHAPINGS:
         mine = [line for line in lines if line["moves"] == shaping.name]
-        row = {key: float(np.mean([line[key] for line in mine]))
-               for key in ("move_s", "longer_s", "settle_s")}  # fmt: skip
+        row = {
+            key: float(np.mean([line[key] for line in mine]))
+            for key in ("move_s", "longer_s", "settle_s")
+        }
         whole = row["longer_s"] + row["settle_s"]
         first = rows[0]["settle_s"] if rows else row["settle_s"]
         rows.append({

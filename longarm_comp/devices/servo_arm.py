@@ -85,9 +85,10 @@ class ServoArm:
                     raise JobError(
                         f"{name} is not the configured servo: `longarm servo setup` writes the "
                         "model that it finds; or correct servo_id",
-                        servo_id=joint.servo_id, model=joint.model,
+                        servo_id=joint.servo_id,
+                        model=joint.model,
                         answers=bus.model_name(number) or f"unknown model {number}",
-                    )  # fmt: skip
+                    )
             self._check(bus, turned=False)
             self._set_turns(bus)
         except BaseException:
@@ -124,8 +125,9 @@ class ServoArm:
         if driven:
             raise JobError(
                 "servos hold the arm and have to be set for other turns, which lets go: support "
-                "the arm and cut their power once", ids=driven,
-            )  # fmt: skip
+                "the arm and cut their power once",
+                ids=driven,
+            )
         bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
         self.said += bus.describe_turns(many, others)
         journal = SetupJournal(bus.port)

@@ -24,8 +24,9 @@ def check_memory(name: str, joint: JointConfig, kept: ServoMemory) -> None:
         fastest = f"max_velocity up to {most * joint.si_per_tick:.4g} {joint.unit}/s"
         raise JobError(
             f"{_who(name, joint)} does not go as fast as its joint may; allowed: {fastest}, or "
-            f"another limit in its memory ({kept.notable})", max_velocity=joint.max_velocity,
-        )  # fmt: skip
+            f"another limit in its memory ({kept.notable})",
+            max_velocity=joint.max_velocity,
+        )
     if joint.multi_turn and _narrower(joint, kept):
         raise JobError(
             f"{_who(name, joint)} keeps limits within one turn, which multi_turn: true would lift; "

@@ -85,8 +85,10 @@ class ServoSetup:
             if left:
                 raise JobError(
                     "servos have not stored again what they had: the next `longarm servo setup` on "
-                    "this port sees to it", ids=sorted(left), file=self._journal.path,
-                )  # fmt: skip
+                    "this port sees to it",
+                    ids=sorted(left),
+                    file=self._journal.path,
+                )
 
     def _check(self) -> None:
         """Refuse servos with an alarm, or whose memory gives commands another meaning."""
@@ -185,8 +187,10 @@ class ServoSetup:
                 raise JobError(
                     f"servo {joint.servo_id} of {name} does not move as slowly as asked, or not to "
                     f"where it is sent: stopped, its torque is off ({self.memory[name].changes})",
-                    from_ticks=start, sent=sent, at=at,
-                )  # fmt: skip
+                    from_ticks=start,
+                    sent=sent,
+                    at=at,
+                )
             if abs(at - last) > 1:
                 rested, last = now, at
             if abs(at - goal) <= _NEAR_TICKS and now - rested > _SETTLED_S:

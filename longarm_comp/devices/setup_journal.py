@@ -35,8 +35,9 @@ class SetupJournal:
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise JobError(
                 f"{self.path} is damaged: it holds what servos had stored before a setup changed "
-                "it; look at the servos with `longarm servo scan`, then delete it", why=str(error),
-            ) from error  # fmt: skip
+                "it; look at the servos with `longarm servo scan`, then delete it",
+                why=str(error),
+            ) from error
 
     def begin(self, protocol: str, changes: Mapping[int, Change]) -> None:
         """Note what is about to be changed; what is noted already stays."""

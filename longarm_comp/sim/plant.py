@@ -47,18 +47,6 @@ def hidden_effects(
     return tuple(draw(name, arm, rng, size_mm) for name, size_mm in sizes_mm.items())
 
 
-def _with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEffect, ...]:
-    """Hidden effects with play (n,), rad or m, added to the play that is there already."""
-    if not more.any():
-        return hidden
-    if not any(isinstance(effect, Backlash) for effect in hidden):
-        return (*hidden, Backlash(0.5 * more, gate=np.inf))
-    return tuple(
-        replace(effect, half=effect.half + 0.5 * more) if isinstance(effect, Backlash) else effect
-        for effect in hidden
-    )
-
-
 @dataclass(frozen=True)
 class PlantConfig:
     arm: Arm
@@ -126,8 +114,14 @@ class Plant:
                 raise InputError("plant", "more_play", joint, ", ".join(names))
             if not 0.0 <= value < np.inf:
                 raise InputError("plant", f"more_play {joint}", value, "0 or more, rad or m")
-        more = np.array([play.get(name, 0.0) for name in names])
-        self._true = TrueArm(self.config.arm, _with_play(self._behind, more), steps=QUICK_STEPS)
+        more = 0.5 * np.array([play.get(name, 0.0) for name in names])
+        worn = [
+            replace(effect, half=effect.half + more) if isinstance(effect, Backlash) else effect
+            for effect in self._behind
+        ]
+        if more.any() and not any(isinstance(effect, Backlash) for effect in worn):
+            worn.append(Backlash(more, gate=np.inf))
+        self._true = TrueArm(self.config.arm, worn, steps=QUICK_STEPS)
         self._last = None
 
     def start(self) -> None:

@@ -59,17 +59,15 @@ class _Build:
         """A spring where hidden effects yield."""
         whole = np.zeros((3, 3))
         for effect in self._hidden:
-            gives = [effect.give(place, self._bent(times), self._state) for times in (1.0, 2.0)]
+            gives = []
+            for times in (1.0, 2.0):
+                walker = Walker(np.zeros((3, 1, 3)))
+                walker.moment[:, 0] = times * np.eye(3)  # moments about the three axes here
+                gives.append(effect.give(place, walker, self._state))
             if gives[0] is not None and gives[1] is not None:
                 whole += (gives[1] - gives[0])[:, 0]
         if whole.any():
             self._spring(self._at, whole)
-
-    def _bent(self, times: float) -> Walker:
-        """Unit moments about the three axes here, times a number."""
-        walker = Walker(np.zeros((3, 1, 3)))
-        walker.moment[:, 0] = times * np.eye(3)
-        return walker
 
     def _spring(self, at: Array, compliance: Array) -> None:
         values, axes = np.linalg.eigh(0.5 * (compliance + compliance.T))
@@ -80,8 +78,10 @@ class _Build:
         for mass, at in self._walk.masses[row]:
             self._mass(float(np.ravel(mass)[0]), self._at + self._turn @ np.asarray(at))
         if row == self.arm.tip.frame:
-            self.tip = (self._at + self._turn @ np.asarray(self.arm.tip.position_m),
-                        len(self.springs))  # fmt: skip
+            self.tip = (
+                self._at + self._turn @ np.asarray(self.arm.tip.position_m),
+                len(self.springs),
+            )
 
     def _mass(self, mass: float, at: Array) -> None:
         self.masses.append((at, mass, len(self.springs)))
@@ -117,8 +117,10 @@ class _Build:
         fixed = sum(b.length_m for b in beams if b.length_m != "rest")
         lengths = [abs(size) - fixed if b.length_m == "rest" else b.length_m for b in beams]
         ends, begin = np.cumsum(lengths), self._at
-        bodies = [(b.mass_kg, e, e - (b.body_length_m or length))
-                  for b, e, length in zip(beams, ends, lengths, strict=True)]  # fmt: skip
+        bodies = [
+            (b.mass_kg, e, e - (b.body_length_m or length))
+            for b, e, length in zip(beams, ends, lengths, strict=True)
+        ]
         for mass, end, start in bodies:  # bodies that reach back past the row's beginning
             behind = max(-start, 0.0)
             self._mass(mass * behind / (end - start), begin - 0.5 * behind * along)

@@ -300,8 +300,10 @@ def _incomplete(
 ) -> IncompleteReply:
     silent = sorted({*answers.silent, *unconfirmed} - set(answers.corrupt))
     facts = {
-        "silent": silent, "corrupt": list(answers.corrupt), "answered": sorted(states),
+        "silent": silent,
+        "corrupt": list(answers.corrupt),
+        "answered": sorted(states),
         "attempts": answers.attempts,
-    }  # fmt: skip
+    }
     damaged = "answers of servos failed their checksum"
     return IncompleteReply("servos did not answer in time" if silent else damaged, states, **facts)

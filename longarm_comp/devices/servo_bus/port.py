@@ -72,8 +72,10 @@ def _in_words(path: str, error: OSError | ValueError) -> str:
     if number in (errno.EACCES, errno.EPERM):
         with contextlib.suppress(OSError, KeyError):
             group = grp.getgrgid(os.stat(path).st_gid).gr_name
-            return (f"no permission: `sudo usermod -aG {group} $USER`, then log out and in again; "
-                    f"until then `sudo chmod a+rw {path}`")  # fmt: skip
+            return (
+                f"no permission: `sudo usermod -aG {group} $USER`, then log out and in again; "
+                f"until then `sudo chmod a+rw {path}`"
+            )
     if number in (errno.EBUSY, errno.EAGAIN):
         return "another program holds it: a running `longarm up`, or another terminal"
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):

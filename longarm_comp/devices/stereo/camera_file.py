@@ -79,9 +79,11 @@ def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
 def write_camera(path: Path, name: str, camera: CameraInfo, head: str) -> None:
     """Write a camera's file; ``head``: comment on top."""
     data: dict[str, Any] = {
-        "image_width": camera.width, "image_height": camera.height, "camera_name": name,
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
         "distortion_model": camera.distortion_model,
-    }  # fmt: skip
+    }
     for key, (field, rows, columns) in _MATRICES.items():
         data[key] = {"rows": rows, "cols": columns, "data": list(getattr(camera, field))}
     comment = "".join(f"# {line}\n" for line in head.splitlines())

@@ -48,7 +48,7 @@ def picture(device: str) -> np.ndarray:
             "the camera gives no picture: does another program use it, and are you in the group "
             "video (`sudo usermod -aG video $USER`)?",
             device=device,
-        )  # fmt: skip
+        )
     return np.asarray(taken[-1])
 
 
