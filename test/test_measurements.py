@@ -35,6 +35,7 @@ from longarm_comp.core.data.kinds import rotation_vector
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraScale
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.placements import (
     AnchorPlace,
@@ -43,6 +44,7 @@ from longarm_comp.core.effects.placements import (
     TipOrientation,
 )
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.record import parse_report
@@ -226,6 +228,13 @@ def test_calibrate_and_evaluate_take_a_mixture(tmp_path: Path) -> None:
     assert miss(found.model) < GOOD
     errs = la.evaluate(ARM, path, model=found.model)
     assert errs["calibrated"].mean < 0.25 * errs["rigid"].mean
+
+
+def test_orientations_alone_name_an_effect_of_no_gain_in_millimetres() -> None:
+    rows = sensed(GAIN, n=60, seed=3)
+    session = read(rows, xyz=np.full((60, 3), np.nan), readings={"orientation": rows.quaternion()})
+    (found,) = diagnose(ARM, session, kinds=(JointGain,)).findings
+    assert (found.name, found.seen_mm) == ("joint_gain", (0.0, 0.0))
 
 
 @pytest.mark.parametrize("kind", [pytest.param("pose", marks=pytest.mark.long), "mixture"])

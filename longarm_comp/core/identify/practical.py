@@ -89,6 +89,9 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 def _without(fitted: ModelFit, places: set[tuple[str, str]], rows: Session) -> tuple[Pair, Pair]:
     """Errors (M, 3) at rows without and with the terms at some places: as seen, as commanded."""
+    if not len(rows):
+        none = np.zeros((0, 3))
+        return (none, none), (none, none)
     model, own = fitted.model, own_way(rows)
     at = posture(model, rows), posture(as_commanded(model), own)
     after = errors(model, rows, at[0]), commanded_errors(model, own, at[1])
