@@ -167,7 +167,7 @@ class Learner:
         active, covariance = known.covariance()
         slots = tuple(known.space.slots[k].identity for k in active)
         record = dataclasses.replace(self.record, slots=slots, factor=factor_of(covariance))
-        return model.with_uncertainty(record)
+        return model.with_fields(uncertainty=record)
 
     def request_pose(self, context: Context) -> PoseRequest | None:
         """Find the pose where the likeliest explanation and a rival disagree most.

@@ -46,9 +46,7 @@ HALVINGS = 30
 
 def with_uncertainty(fit: ModelFit) -> Model:
     """The fitted model with the record of how good it is, and of when its session ended."""
-    made = dataclasses.replace(fit.model, uncertainty=uncertainty(fit), ended_s=fit.session.ended_s)
-    made.__dict__["chain"] = fit.model.chain
-    return made
+    return fit.model.with_fields(uncertainty=uncertainty(fit), ended_s=fit.session.ended_s)
 
 
 def uncertainty(fit: ModelFit) -> ModelUncertainty:

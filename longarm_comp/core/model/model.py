@@ -36,7 +36,7 @@ class Slot:
     owner: Effect | Bias
     parameter: Parameter
 
-    @property
+    @cached_property
     def identity(self) -> tuple[object, ...]:
         """Key of the parameter: effect, place, form and name."""
         return (self.owner.name, *self.owner.placement.items(), self.parameter.name)
@@ -121,18 +121,17 @@ class Model:
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """All free parameters, in the order of `values` and of the columns."""
-        return tuple(self._within(slot) for slot in slots_of(self.arm, self.terms))
-
-    def _within(self, slot: Slot) -> Slot:
-        """The parameter with the prior that this model gives it."""
-        p, owner = slot.parameter, slot.owner
-        share = dict(self.beyond).get(slot.identity, 1.0)
-        if owner.geometry and not owner.passing and not p.unknown:
-            share *= self.tolerances
-        if share == 1.0:
-            return slot
-        return dataclasses.replace(slot, parameter=dataclasses.replace(p, prior=p.prior * share))
+        """All free parameters, in the order of `values` and of the columns, with their priors."""
+        beyond, made = dict(self.beyond), []
+        for slot in slots_of(self.arm, self.terms):
+            p, owner, share = slot.parameter, slot.owner, beyond.get(slot.identity, 1.0)
+            if owner.geometry and not owner.passing and not p.unknown:
+                share *= self.tolerances
+            if share != 1.0:
+                parameter = dataclasses.replace(p, prior=p.prior * share)
+                slot = dataclasses.replace(slot, parameter=parameter)
+            made.append(slot)
+        return tuple(made)
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -142,27 +141,14 @@ class Model:
     @cached_property
     def rigid(self) -> Model:
         """The model without deflection: its calibrated geometry alone."""
-        return self._with_effects([e for e in self.effects if e.geometry])
+        kept = tuple(e for e in self.effects if e.geometry)
+        return self if len(kept) == len(self.effects) else self.with_fields(effects=kept)
 
     @cached_property
     def commandable(self) -> Model:
         """The model without what no command can undo: a servo's rounding stays in the residual."""
-        return self._with_effects([e for e in self.effects if e.continuous])
-
-    def _with_effects(self, effects: Sequence[Effect]) -> Model:
-        """A copy with some of its effects; itself with all."""
-        if len(effects) == len(self.effects):
-            return self
-        return dataclasses.replace(self, effects=tuple(effects))
-
-    @cached_property
-    def steps(self) -> np.ndarray:
-        """Steps of the joints' servos, (n,), rad or m: of an effect, else as the arm declares."""
-        steps = self.arm.steps.copy()
-        for effect in self.effects:
-            if step := effect.step(self.arm):
-                steps[[self.arm.commanded.index(row) for row in effect.joints]] = step
-        return steps
+        kept = tuple(e for e in self.effects if e.continuous)
+        return self if len(kept) == len(self.effects) else self.with_fields(effects=kept)
 
     @cached_property
     def memo(self) -> dict[str, Any]:
@@ -178,9 +164,9 @@ class Model:
             [t.with_values(c) if c else t for t, c in zip(self.terms, changes, strict=True)]
         )
 
-    def with_uncertainty(self, uncertainty: ModelUncertainty) -> Model:
-        """A copy with another record of how far its tip may be off."""
-        model = dataclasses.replace(self, uncertainty=uncertainty)
+    def with_fields(self, **changes: Any) -> Model:
+        """A copy with other fields, of the same arm; it keeps the stations, which take long."""
+        model = dataclasses.replace(self, **changes)
         model.__dict__["chain"] = self.chain
         return model
 
@@ -204,13 +190,10 @@ class Model:
 
     def with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
         """A copy with these terms and no others."""
-        model = dataclasses.replace(
-            self,
+        return self.with_fields(
             effects=tuple(t for t in terms if isinstance(t, Effect)),
             biases=tuple(t for t in terms if isinstance(t, Bias)),
         )
-        model.__dict__["chain"] = self.chain
-        return model
 
     def plus(self, *terms: Effect | Bias) -> Model:
         """A copy with further terms."""
@@ -221,12 +204,9 @@ class Model:
         kept = [term for term in self.terms if not term.missing(context)]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
-    # ------------------------------------------------------------------ predict
-
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
-        context = context or Context()
-        return self._passed(self.unsagged(q, context), self.load_passes)
+        return self._passed(self.unsagged(q, context or Context()), self.load_passes)
 
     def posture_near(self, known: Posture, close: bool = False) -> Posture:
         """`posture` at the joints and circumstances of a known one of a similar model.
@@ -239,7 +219,14 @@ class Model:
 
     def _weighed(self, posture: Posture) -> Posture:
         """A posture's frames under this model's gravity and masses."""
-        gravity = self._gravity(posture.context)
+        gravity: Vec = self.arm.gravity_mps2  # in the frame of the measurements, m/s^2
+        for effect in self.effects:
+            gravity = effect.gravity(gravity)
+        still, home = self.unplaced((), posture.context), self.arm.base.frame()
+        for effect in self.effects:
+            if effect.seen_only:
+                turn = spatial.exp_large(effect.twists(still)[PLACEMENT])
+                gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
         bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
         extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
         return dataclasses.replace(bare, extra=extra, _cache={}) if extra else bare
@@ -268,18 +255,6 @@ class Model:
         """The arm at q with given twists (by station), and its loads."""
         placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
         return self._weighed(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
-
-    def _gravity(self, context: Context) -> Vec:
-        """Gravity (m/s^2) in the frame of the measurements."""
-        gravity: Vec = self.arm.gravity_mps2
-        for effect in self.effects:
-            gravity = effect.gravity(gravity)
-        bare, home = self.unplaced((), context), self.arm.base.frame()
-        for effect in self.effects:
-            if effect.seen_only:
-                turn = spatial.exp_large(effect.twists(bare)[PLACEMENT])
-                gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
-        return gravity
 
     def twists(self, posture: Posture) -> Twists:
         """Sum of all effects' twists, by station."""
@@ -332,8 +307,6 @@ class Model:
 
     def measured_at(self, posture: Posture) -> np.ndarray:
         return stack(self.seen(self.tip_frame(posture).p, posture.context))
-
-    # ------------------------------------------------------------------ explain
 
     def columns(
         self, posture: Posture, slots: Sequence[Slot] | None = None
