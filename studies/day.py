@@ -22,9 +22,9 @@ from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
-from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
+from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.drift import Monitor
-from longarm_comp.core.compensation.result import Method
+from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
