@@ -10,8 +10,8 @@ import numpy as np
 from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside
 from bench.kinematics import soft_model, time_calls
-from longarm_comp.core.compensation.compensate import Method, compensate
-from longarm_comp.core.compensation.result import Compensation, Prediction
+from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.compensation.result import Compensation, Method, Prediction
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.workflows.compensate_path import compensate_path

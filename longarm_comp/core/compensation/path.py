@@ -62,7 +62,7 @@ class CompensatedPath:
     """A path to send, and what its k way-points are for.
 
     Attributes:
-        timed: joints, velocities and times, as `smoothed`.
+        timed: joints, velocities and times, as `smooth` lays them.
         ideal: (k, n) joints without what is learned.
         error, sigma: (k, 3) m, as learned; NaN sigma where nothing is.
         context: circumstances at the way-points. passes: of the pseudo-targets.
@@ -309,8 +309,8 @@ class _Way:
             return smooth(plan, planned, times, stands, beyond, box)
 
         bare = np.vstack([way[second] - first, way[1:]])
-        times = slow_down(planned, bare, arm.upper - arm.lower, begins, turns, self.max_longer,
-                       commands)  # fmt: skip
+        unit = arm.upper - arm.lower
+        times = slow_down(planned, bare, unit, begins, turns, self.max_longer, commands)
         try:
             limited = np.isfinite([self.limits.velocity, self.limits.acceleration]).all()
             if plan.times is None and limited and len(way) > 1:
