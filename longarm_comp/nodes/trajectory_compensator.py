@@ -188,12 +188,6 @@ class _TrajectoryCompensator(ArmNode):
         loaded = self._files.loaded
         physics = physics_of(loaded.model, self._method)
         history = History.unknown(self._arm.n) if self._following else self._driver.history
-        # A path may take no longer than the goal's time tolerance, if there is one, allows
-        late = seconds(request.goal_time_tolerance)
-        lasts = seconds(request.trajectory.points[-1].time_from_start)
-        max_longer = self.p["max_longer"]
-        if late > 0.0 < lasts:
-            max_longer = min(max_longer, late / lasts)
         try:
             compensate = partial(
                 compensate_path, loaded.model,
@@ -202,7 +196,7 @@ class _TrajectoryCompensator(ArmNode):
                 context_at=partial(self._state.context, model=physics),
                 max_correction_m=self.p["max_correction_m"], turn_m=self.p["turn_m"],
                 position_only=self.p["position_only"], max_turn_rad=self.p["max_turn_rad"],
-                max_longer=max_longer, options=CompensationOptions(self._method),
+                max_longer=self._longer(request), options=CompensationOptions(self._method),
             )  # fmt: skip
             with ik.compile_at_once():
                 found, *_ = self._state.predictor.compensate_with(self._method, compensate)
@@ -211,6 +205,13 @@ class _TrajectoryCompensator(ArmNode):
         for note in found.notes:
             self.get_logger().warning(note, throttle_duration_sec=1.0)
         return found, ""
+
+    def _longer(self, request: Any) -> float:
+        """Return the share by which a path may take longer: within the goal's time tolerance."""
+        late = seconds(request.goal_time_tolerance)
+        lasts = seconds(request.trajectory.points[-1].time_from_start)
+        most: float = self.p["max_longer"]
+        return min(most, late / lasts) if late > 0.0 < lasts else most
 
     def _plan(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
         """A trajectory as a plan of all joints; those that it does not name stay at ``start``."""
