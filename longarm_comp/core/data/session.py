@@ -133,7 +133,7 @@ class Session(MeasuredRows):
                 "from the row before". Not given: every row is.
             run_up: (N, n) where each joint's last approach began, rad and m; NaN where it had
                 none or nobody knows.
-            further: other attributes of a session.
+            further: other attributes of a session; None is as not given.
         """
         q = _joints(source, q)
         n_rows = len(q)
@@ -153,7 +153,7 @@ class Session(MeasuredRows):
             legs=history.legs,
             told=sides_told(q, approach, begun),
             touch_distances=tuple(touch_distances),
-            **further,
+            **{name: value for name, value in further.items() if value is not None},
         )
 
     def with_run_ups(self, lengths: np.ndarray) -> Session:
