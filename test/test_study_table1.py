@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.compensation.compensate import Method
+from longarm_comp.core.compensation.result import Method
 from studies import table1, table1_bench
 from studies.table1 import command
 from studies.table1_figure import draw_table1

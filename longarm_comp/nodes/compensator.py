@@ -13,9 +13,9 @@ from std_msgs.msg import Header
 
 from longarm_comp.core.arm.frame_tree import UnknownPlace, carried
 from longarm_comp.core.compensation.arrive import compensate_move
-from longarm_comp.core.compensation.compensate import Method, Status, physics_of
+from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.online import StaleContext, check_inside
-from longarm_comp.core.compensation.result import CompensationOptions
+from longarm_comp.core.compensation.result import CompensationOptions, Method, Status
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled

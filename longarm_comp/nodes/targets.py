@@ -16,7 +16,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from longarm_comp.core.compensation.compensate import Status
+from longarm_comp.core.compensation.result import Status
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.answers import Answer, TargetRequest, compensation_message, response_of
 from longarm_comp.nodes.arm_state import ArmState

@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.measuring import VISIBLE_M
-from longarm_comp.core.compensation.compensate import Method, physics_of
+from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.compensation.path import (
     MAX_LONGER,
@@ -31,7 +31,7 @@ from longarm_comp.core.compensation.path import (
     compensate_path,
 )
 from longarm_comp.core.compensation.planned_path import MotionLimits, PlannedPath, as_planned
-from longarm_comp.core.compensation.result import CompensationOptions
+from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.nodes import arm_state
