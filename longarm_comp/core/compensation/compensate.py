@@ -132,9 +132,13 @@ def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
     """
     if not realisable:
         return None
-    own = Lattice(model.steps, *np.zeros((2, model.arm.n)))
-    lattice = realisable if isinstance(realisable, Lattice) else own
-    return lattice if lattice.step.any() else None
+    if isinstance(realisable, Lattice):
+        return realisable if realisable.step.any() else None
+    arm, steps = model.arm, model.arm.steps.copy()
+    for effect in model.effects:
+        if step := effect.step(arm):
+            steps[[arm.commanded.index(row) for row in effect.joints]] = step
+    return Lattice(steps, *np.zeros((2, arm.n))) if steps.any() else None
 
 
 @dataclass

@@ -62,7 +62,7 @@ class CompensatedPath:
     """A path to send, and what its k way-points are for.
 
     Attributes:
-        timed: joints, velocities and times, as `smoothed`.
+        timed: joints, velocities and times, as `smooth` lays them.
         ideal: (k, n) joints without what is learned.
         error, sigma: (k, 3) m, as learned; NaN sigma where nothing is.
         context: circumstances at the way-points. passes: of the pseudo-targets.
