@@ -19,9 +19,10 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
-from longarm_comp.core.compensation.compensate import Method, Status, compensate
+from longarm_comp.core.compensation.arrive import compensate_move
+from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.online import Readings
+from longarm_comp.core.compensation.result import CompensationOptions, Method, Status
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect

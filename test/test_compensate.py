@@ -7,8 +7,8 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import Method, Status, compensate
-from longarm_comp.core.compensation.result import Prediction
+from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.compensation.result import Method, Prediction, Status
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError

@@ -7,8 +7,9 @@ import pytest
 from small_arm import ARM
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import Status, compensate
+from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.expansion import LINEAR_M, Nearby
+from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.declared_model import declared_model

@@ -21,7 +21,7 @@ from nodes_bench import PATIENCE_S, bench, own_graph
 from quick_arm import QuickArm, quick_arm
 from small_arm import ARM
 
-from longarm_comp.core.compensation.compensate import Method
+from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.files import write_text

@@ -18,9 +18,9 @@ from small_arm import ARM, measured
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.arm.moves import plan_move, run_up_lengths, wanted_sides
-from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
-from longarm_comp.core.compensation.compensate import Method
+from longarm_comp.core.compensation.arrive import Arrival, compensate_move
 from longarm_comp.core.compensation.expected import expected_miss
+from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.effects.joint_term import joint_load
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.typical_loads import typical_loads

@@ -12,8 +12,8 @@ from small_arm import ARM
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.parts import Payload
 from longarm_comp.core.compensation.arrive import compensate_move
-from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.compensation.online import Readings, StaleContext
+from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.plays import Backlash

@@ -15,11 +15,11 @@ from cli_shell import Shell
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
+from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.expansion import Expansion, Nearby
 from longarm_comp.core.compensation.realisable import Lattice
-from longarm_comp.core.compensation.result import Method, Prediction, Status
+from longarm_comp.core.compensation.result import CompensationOptions, Method, Prediction, Status
 from longarm_comp.core.compensation.target_frame import placement
 from longarm_comp.core.effects.drive_errors import ServoQuantisation
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis

@@ -14,8 +14,8 @@ import longarm_comp as la
 from longarm_comp.core.arm.context import ORDER, Context
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
-from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.compensation.online import Readings, StaleContext
+from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Bias, Effect

@@ -9,7 +9,7 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.compensation.compensate import Method
+from longarm_comp.core.compensation.result import Method
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies import conditions
 from studies.conditions import ALSO, CONDITIONS, NETWORK, TOGETHER, claims, one_arm, rows_of, table

@@ -25,9 +25,9 @@ from longarm_comp.core.calibration.uncertainty import (
     uncertainty,
     with_uncertainty,
 )
-from longarm_comp.core.compensation.compensate import Method, Status, compensate, judge
+from longarm_comp.core.compensation.compensate import compensate, judge
 from longarm_comp.core.compensation.expected import expected_miss, tolerances
-from longarm_comp.core.compensation.result import Prediction
+from longarm_comp.core.compensation.result import Method, Prediction, Status
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraRadial

@@ -140,7 +140,7 @@ def verify(
       longarm verify arm.yaml -n 40
       longarm verify arm.yaml --targets targets.csv -o verified
     """
-    from longarm_comp.core.compensation.compensate import Method
+    from longarm_comp.core.compensation.result import Method
     from longarm_comp.core.data.plan import sobol
     from longarm_comp.core.files import write_text
     from longarm_comp.core.model.model import Model

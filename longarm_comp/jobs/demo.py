@@ -17,7 +17,7 @@ from geometry_msgs.msg import PointStamped
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.compensation.compensate import Status
+from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.loop import Loop, LoopSettings, Names

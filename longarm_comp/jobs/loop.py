@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.compensation.compensate import Method
+from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.data.plan import Plan, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 
-from longarm_comp.core.compensation.compensate import Method, Status
+from longarm_comp.core.compensation.result import Method, Status
 from longarm_comp.core.compensation.target_frame import base_of_graph
 from longarm_comp.core.data.plan import random_targets
 from longarm_comp.core.errors import JobError

@@ -3,7 +3,7 @@
 "Nothing changed" is one Kalman filter over the model's parameters, without process noise.  "Effect
 c changed before sighting t" differs from it by a known linear response to the unknown jump, which
 a recursion carries along (Willsky and Jones 1976, IEEE Trans. Automatic Control 21), so that
-hundreds of such hypotheses cost one filter.  Each has its evidence.  A drift is a row of jumps.
+hundreds of such changes cost one filter.  Each has its evidence.  A drift is a row of jumps.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _GROWN = 3.0
 _ONSETS = 16
 """Times of a change that are carried along: over a thousand sightings by a factor of 1.6 apart."""
 NEGLIGIBLE = 1e-3
-"""Probability below which a hypothesis moves no parameter: less than any sighting sees."""
+"""Probability below which a possible change moves no parameter: less than any sighting sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class _Hypotheses:
+class _PossibleChanges:
     """The changes of every effect at every onset."""
 
     log_weight: np.ndarray  # (T, C) against "nothing changed"
@@ -135,7 +135,7 @@ class RecursivePosterior:
         return dataclasses.replace(after, log_likelihood=likelihood)
 
     @cached_property
-    def hypotheses(self) -> _Hypotheses:
+    def possible(self) -> _PossibleChanges:
         """The changes of every effect at every onset, each over all `SIZES` and inside bounds."""
         values, turn = np.linalg.eigh(self.gram)
         z = np.einsum("tcik,tci->tck", turn, self.along)[:, :, None, :]
@@ -167,12 +167,12 @@ class RecursivePosterior:
             more = math.log(_AGAIN / self.again.sum())
             log_prior = np.where(self.again, np.maximum(log_prior, more), log_prior)
         unnamed = self.growth + math.log(_HAZARD * UNNAMED)
-        return _Hypotheses(factor + log_prior, middle, spread, unnamed)
+        return _PossibleChanges(factor + log_prior, middle, spread, unnamed)
 
     @property
     def total(self) -> float:
         """The log of the sum of all weights; that of "nothing changed" is 1."""
-        h = self.hypotheses
+        h = self.possible
         top = max(float(h.log_weight.max(initial=0.0)), float(h.unnamed.max(initial=0.0)))
         whole = math.exp(-top) + np.exp(h.log_weight - top).sum() + np.exp(h.unnamed - top).sum()
         return top + math.log(whole)
@@ -180,17 +180,17 @@ class RecursivePosterior:
     @cached_property
     def probability(self) -> np.ndarray:
         """The probability of every change at every onset, (T, C)."""
-        return np.asarray(np.exp(self.hypotheses.log_weight - self.total))
+        return np.asarray(np.exp(self.possible.log_weight - self.total))
 
     @property
     def unexplained(self) -> float:
         """Probability that something changed that no known effect explains."""
-        return float(np.exp(self.hypotheses.unnamed - self.total).sum())
+        return float(np.exp(self.possible.unnamed - self.total).sum())
 
     def _jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Give positions of a change, its mean jump (k,), how all numbers follow it, (q, k)."""
         places = np.array(self.space.own(c))
-        jump = self.hypotheses.mean[t, c, : len(places)] * self.space.widths[places]
+        jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
         follows = np.zeros((len(self.space), len(places)))
         follows[self.active] = -self.response[t][:, places]
         follows[places, np.arange(len(places))] += 1.0
@@ -198,7 +198,7 @@ class RecursivePosterior:
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """The mean over all hypotheses, (q,)."""
+        """The mean over all possible changes and none, (q,)."""
         made = self.mean.copy()
         for t, c in np.argwhere(self.probability > NEGLIGIBLE):
             _, jump, follows = self._jump(t, c)
@@ -219,7 +219,7 @@ class RecursivePosterior:
         covariance[np.ix_(before, before)] = self.covariance
         width = self.space.widths[places]
         for t, (_, _, follows) in moved.items():
-            own = self.hypotheses.spread[t, c][: len(places), : len(places)]
+            own = self.possible.spread[t, c][: len(places), : len(places)]
             off = (ends[t] - mean)[active]
             carried = follows[active] * width
             covariance += weight[t] * (carried @ own @ carried.T + np.outer(off, off))

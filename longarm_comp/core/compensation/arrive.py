@@ -72,10 +72,11 @@ def compensate_move(
         return stack_contexts([context_after(history.after(move_to(x).points, start)) for x in q])
 
     def solve(options: CompensationOptions) -> Compensation:
-        return compensate(
-            model, predictor, to, context=context, seed=seed, position_only=position_only,
-            doubtful=move.doubtful, context_at=context_at if by_field else None, **vars(options),
-        )[0]  # fmt: skip
+        given = {**vars(options), "seed": seed, "position_only": position_only}
+        if by_field:
+            given["context_at"] = context_at
+        found = compensate(model, predictor, to, context=context, doubtful=move.doubtful, **given)
+        return found[0]
 
     wanted = np.zeros(arm.n) if sides is None else sides
     move = Move(np.zeros(0), None, wanted, np.zeros(arm.n, bool))
@@ -83,9 +84,14 @@ def compensate_move(
     if predictor is not None or by_field or sides is not None:
         here = context_after(history)
         first = ik.solve(
-            physics, target, seed=seed, context=here,
-            position_only=position_only, locked=options.locked, max_starts=options.starts,
-        )  # fmt: skip
+            physics,
+            target,
+            seed=seed,
+            context=here,
+            position_only=position_only,
+            locked=options.locked,
+            max_starts=options.starts,
+        )
         if sides is None and options.run_up:
             joints = sorted({joint for each in by_field.values() for joint in each})
             wanted = _choose_sides(physics, start, first.q, joints, here)

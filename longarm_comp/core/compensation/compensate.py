@@ -78,12 +78,16 @@ def compensate(
     settings, to = CompensationOptions(**options), np.asarray(targets, dtype=float)
     if to.shape in ((3,), (4, 4)):
         to = to[None]
-    start = ik.checked_seed(model, seed, len(to), "compensate")
-    free = position_only or to.ndim == 2
     batch = _Batch(
-        model, predictor if settings.method.learned else None, to, start, context or Context(),
-        free, context_at, settings,
-    )  # fmt: skip
+        model=model,
+        predictor=predictor if settings.method.learned else None,
+        target=to,
+        q=ik.checked_seed(model, seed, len(to), "compensate"),
+        context=context or Context(),
+        position_only=position_only or to.ndim == 2,
+        context_at=context_at,
+        options=settings,
+    )
     batch.correct(batch.solve_ideal())
     lattice = lattice_of(model, settings.realisable)
     if lattice is not None and not settings.single_pass:
@@ -277,9 +281,14 @@ class _Batch:
                 continue
             of: Any = rows if len(rows) > 1 else rows[0]  # one is quicker than an array of one
             miss, known, doubts = judge(
-                self.model, self.method, command[of], self._context_of(rows),
-                ik.position_of(pseudo)[of], self.sigma[of] if learned else None, doubtful,
-            )  # fmt: skip
+                self.model,
+                self.method,
+                command[of],
+                self._context_of(rows),
+                ik.position_of(pseudo)[of],
+                self.sigma[of] if learned else None,
+                doubtful,
+            )
             sigma[of] = miss.sigma
             sizes[0, of], sizes[1, of] = miss.sizes
             for k, is_known, doubt in zip(rows, np.atleast_1d(known), doubts, strict=True):
@@ -309,10 +318,8 @@ class _Batch:
 
     def _search(self, rows: list[int], to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
         """Take the joints that bring the tip to some of N places; which fail, and how."""
-        given: dict[str, Any] = {
-            "position_only": self.position_only, "locked": self.options.locked,
-            "max_starts": starts,
-        }  # fmt: skip
+        locked, free = self.options.locked, self.position_only
+        given: dict[str, Any] = {"position_only": free, "locked": locked, "max_starts": starts}
         if len(rows) == 1:  # quicker than many of one
             k, here = rows[0], self._context_of(rows)
             one = ik.solve(self.physics, to[k], seed=self.q[k], context=here, **given)

@@ -85,9 +85,13 @@ class Monitor:
         started = np.where(fresh, self.samples, self.onset)
         before = np.where(fresh[:, None], 0.0, self.total)
         return replace(
-            self, samples=self.samples + 1, sums=np.where(alive, raised, 0.0), onset=started,
-            total=before + r, squares=np.where(fresh, 0.0, self.squares) + square,
-        )  # fmt: skip
+            self,
+            samples=self.samples + 1,
+            sums=np.where(alive, raised, 0.0),
+            onset=started,
+            total=before + r,
+            squares=np.where(fresh, 0.0, self.squares) + square,
+        )
 
     def verdict(self) -> Verdict:
         """Judge by the largest of the cumulative sums."""

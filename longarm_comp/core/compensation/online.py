@@ -90,9 +90,9 @@ they may speak twice a second, or once in five."""
 def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
     """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m)."""
     # Share of a joint's range by which a reading may lie outside its limits
-    slack = 0.02 * (arm.upper - arm.lower)
+    margin = 0.02 * (arm.upper - arm.lower)
     low, high = arm.bounds
-    for k in np.flatnonzero(~((q >= low - slack) & (q <= high + slack))):
+    for k in np.flatnonzero(~((q >= low - margin) & (q <= high + margin))):
         allowed = f"{arm.lower[k]:g} to {arm.upper[k]:g}"
         raise InputError(where, arm.joint_names[k], float(q[k]), allowed)
 

@@ -309,8 +309,8 @@ class _Way:
             return smooth(plan, planned, times, stands, beyond, box)
 
         bare = np.vstack([way[second] - first, way[1:]])
-        times = slow_down(planned, bare, arm.upper - arm.lower, begins, turns, self.max_longer,
-                       commands)  # fmt: skip
+        unit = arm.upper - arm.lower
+        times = slow_down(planned, bare, unit, begins, turns, self.max_longer, commands)
         try:
             limited = np.isfinite([self.limits.velocity, self.limits.acceleration]).all()
             if plan.times is None and limited and len(way) > 1:

@@ -269,9 +269,12 @@ class _Problem:
         factor: np.ndarray = np.linalg.qr(A, mode="r")  # type: ignore[assignment]
         R = factor[: len(moving)]
         k, nodes = nearest(
-            R[f:, f:], self.low - self.whole, self.high - self.whole,
-            kept=self.search.kept, max_nodes=self.search.max_nodes,
-        )  # fmt: skip
+            R[f:, f:],
+            self.low - self.whole,
+            self.high - self.whole,
+            kept=self.search.kept,
+            max_nodes=self.search.max_nodes,
+        )
         q = np.repeat(self.rounded[None], len(k), axis=0)
         if f:
             b = k @ R[:f, f:-1].T + R[:f, -1]
