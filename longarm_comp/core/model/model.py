@@ -145,13 +145,13 @@ class Model:
     def rigid(self) -> Model:
         """The model without deflection: its calibrated geometry alone."""
         kept = tuple(e for e in self.effects if e.geometry)
-        return self if len(kept) == len(self.effects) else self.with_fields(effects=kept)
+        return self if len(kept) == len(self.effects) else dataclasses.replace(self, effects=kept)
 
     @cached_property
     def commandable(self) -> Model:
         """The model without what no command can undo: a servo's rounding stays in the residual."""
         kept = tuple(e for e in self.effects if e.continuous)
-        return self if len(kept) == len(self.effects) else self.with_fields(effects=kept)
+        return self if len(kept) == len(self.effects) else dataclasses.replace(self, effects=kept)
 
     @cached_property
     def memo(self) -> dict[str, Any]:
