@@ -36,7 +36,7 @@ class Slot:
     owner: Effect | Bias
     parameter: Parameter
 
-    @property
+    @cached_property
     def identity(self) -> tuple[object, ...]:
         """Key of the parameter: effect, place, form and name."""
         return (self.owner.name, *self.owner.placement.items(), self.parameter.name)
@@ -144,27 +144,14 @@ class Model:
     @cached_property
     def rigid(self) -> Model:
         """The model without deflection: its calibrated geometry alone."""
-        return self._with_effects([e for e in self.effects if e.geometry])
+        kept = tuple(e for e in self.effects if e.geometry)
+        return self if len(kept) == len(self.effects) else dataclasses.replace(self, effects=kept)
 
     @cached_property
     def commandable(self) -> Model:
         """The model without what no command can undo: a servo's rounding stays in the residual."""
-        return self._with_effects([e for e in self.effects if e.continuous])
-
-    def _with_effects(self, effects: Sequence[Effect]) -> Model:
-        """A copy with some of its effects; itself with all."""
-        if len(effects) == len(self.effects):
-            return self
-        return dataclasses.replace(self, effects=tuple(effects))
-
-    @cached_property
-    def steps(self) -> np.ndarray:
-        """Steps of the joints' servos, (n,), rad or m: of an effect, else as the arm declares."""
-        steps = self.arm.steps.copy()
-        for effect in self.effects:
-            if step := effect.step(self.arm):
-                steps[[self.arm.commanded.index(row) for row in effect.joints]] = step
-        return steps
+        kept = tuple(e for e in self.effects if e.continuous)
+        return self if len(kept) == len(self.effects) else dataclasses.replace(self, effects=kept)
 
     @cached_property
     def memo(self) -> dict[str, Any]:
@@ -214,8 +201,6 @@ class Model:
         """Return a copy without terms that read what the context lacks; itself with all."""
         kept = [term for term in self.terms if not term.missing(context)]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
-
-    # ------------------------------------------------------------------ predict
 
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """Return the loaded, deflected arm at q (n scalars, each a float or (N,))."""
@@ -323,8 +308,6 @@ class Model:
 
     def measured_at(self, posture: Posture) -> np.ndarray:
         return stack(self.seen(self.tip_frame(posture).p, posture.context))
-
-    # ------------------------------------------------------------------ explain
 
     def columns(
         self, posture: Posture, slots: Sequence[Slot] | None = None
