@@ -32,8 +32,9 @@ from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.causes import Cause, causes, doubts, proposed
 from longarm_comp.core.identify.discover.functions import Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, camera_inputs, levels_of
-from longarm_comp.core.identify.posterior.explain import explain_session
+from longarm_comp.core.identify.posterior.explain import _Search, explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
+from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
@@ -89,6 +90,20 @@ def test_a_function_is_found_where_the_geometry_is_exact() -> None:
     assert term.function == "linear(q2)"
     assert term.where in ("joint 2, turn z", "joint 3, turn y")
     assert abs(term.amount) == pytest.approx(0.02, rel=0.02)
+
+
+def test_what_explains_half_of_the_rows_is_tried_on_all() -> None:
+    """A search that stopped at a function of no use goes on from there; a good one stays."""
+    rows = session([drives.JointGain(at(2, 0.02))])
+    useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
+    search = _Search(Model(SMALL), rows, [], None, (), lambda _: None, nameless=True)
+    first = search._fitted(search.base, (), None)
+    poor = search._taken(first, (FoundEffect((useless,), 1.0, 0.0),))
+    assert poor is not None
+    found = search._by_halves(poor, 0)
+    assert [t.function for f in found.found for t in f.terms] == ["linear(q2)"]  # type: ignore[union-attr]
+    assert search._by_halves(found, 0) is found
+    assert search._by_halves(first, 0) is first  # where no function is needed, none is sought
 
 
 @pytest.mark.long

@@ -93,3 +93,12 @@ def resample(session: Session, count: int, rng: np.random.Generator | int = 0) -
     share = np.full(len(names), 1.0 / len(names))
     drawn = np.random.default_rng(rng).multinomial(len(names), share, size=count)
     return np.asarray(drawn[:, inverse])
+
+
+def split_in_half(session: Session, rng: np.random.Generator | int = 0) -> tuple[np.ndarray, ...]:
+    """(N,) masks of two random halves of the rows; rows of one pose stay together."""
+    rng = np.random.default_rng(rng)
+    poses = np.unique(session.pose_id)
+    drawn = rng.permutation(poses)[: len(poses) // 2]
+    first = np.isin(session.pose_id, drawn)
+    return first, ~first

@@ -18,6 +18,7 @@ from longarm_comp.core.calibration.fit import fit, unfitted
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
+from longarm_comp.core.data.holdout import split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
@@ -113,7 +114,7 @@ class _Search:
             state, _, changed = self._compared(state)
             state = self._repeated(state) if changed else state
             self.nameless = True
-            state = self._repeated(self._repeated(state), functions=True)
+            state = self._by_halves(self._repeated(self._repeated(state), functions=True), seed)
         state, doubtful, changed = self._compared(state)
         if changed:
             state = self._repeated(state)
@@ -166,6 +167,25 @@ class _Search:
             if not self._rose(state, taken):
                 break
             state = taken
+        return state
+
+    def _by_halves(self, state: ExplainedSession, seed: int) -> ExplainedSession:
+        """Try on all rows what explains either half of them, where functions are needed.
+
+        Of many causes none may be worth its price while the others count as noise: the ascent stops
+        there.  Other rows stop it elsewhere.
+        """
+        if not any(f.unnamed for f in state.found):
+            return state
+        for rows in split_in_half(self.session, seed):
+            half = replace(self, session=self.session.take(rows))
+            begun = half._taken(state, ())
+            if begun is None:
+                continue
+            found = half._repeated(begun, functions=True).found
+            taken = self._taken(state, tuple(map(loosen, found)))
+            if taken is not None and self._odds(state, taken) > BETTER:
+                state = self._repeated(taken, functions=True)
         return state
 
     def _explained(self, state: ExplainedSession) -> Explained | None:
