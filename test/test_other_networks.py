@@ -64,7 +64,10 @@ def test_it_learns_is_honest_and_comes_back_from_its_file(small: Path, tmp_path:
     again = trained(small)
     np.testing.assert_array_equal(predictor.weights, again.weights)
     save(predictor, file)
-    back = load(file)
+    back, written = load(file), file.read_bytes()
+    for _ in range(8):
+        save(back, file)
+        assert file.read_bytes() == written
     assert back.network == predictor.network
     np.testing.assert_array_equal(back.predict(rows().test_q).sigma, found.sigma)
     np.testing.assert_array_equal(back.predict(rows().test_q).error, found.error)

@@ -97,7 +97,9 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         header["network"] = {"name": network.name, "origin": network.origin}
         said = json.dumps(header, sort_keys=True)
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        content = packed(arrays, {"header": said, "sha256": _digest(said, arrays)})
+        # One entry: safetensors writes several in any order.
+        entry = json.dumps({"header": said, "sha256": _digest(said, arrays)}, sort_keys=True)
+        content = packed(arrays, {"longarm": entry})
     write_bytes(path, content)
 
 
@@ -198,7 +200,8 @@ def _packed(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]
 
     check_regular(path)
     with safe_open(path, framework="numpy") as data:
-        said, arrays = data.metadata(), {name: data.get_tensor(name) for name in data.keys()}  # noqa: SIM118
+        said = json.loads(data.metadata()["longarm"])
+        arrays = {name: data.get_tensor(name) for name in data.keys()}  # noqa: SIM118
     if said["sha256"] != _digest(said["header"], arrays):
         raise InputError(path, "sha256", "does not match", "an undamaged file")
     return said["header"].encode(), arrays
