@@ -27,7 +27,7 @@ from studies.true_camera import CameraEffect, Hidden, Noise, TrueCamera, hidden
 HELD_OUT = 100
 """Number of further poses, uniform over the joint box."""
 CANDIDATES = 150
-"""Approximate number of hypotheses; visibility accounts for the choice among them."""
+"""Approximate number of candidates; visibility accounts for the choice among them."""
 _PLANS = {"grid": grid, "sobol": sobol}
 _STEPS = 4
 _MOST = 6.0  # times the typical size

@@ -115,8 +115,8 @@ def gaussian_process(q: np.ndarray, residual: np.ndarray, context: Context, seed
 def with_effects(declared: Model, session: Session) -> Model:
     """Calibrated, with the effects found on the training rows (`explain_session`)."""
     base = declared.plus(*geometry(declared.arm, session))
-    hypotheses = library(declared.arm, session.context(), declared=base.terms).testable
-    return explain_session(base, session, hypotheses).fit.model
+    candidates = library(declared.arm, session.context(), declared=base.terms).testable
+    return explain_session(base, session, candidates).fit.model
 
 
 def without_steps(declared: Model, session: Session) -> Model:

@@ -37,10 +37,10 @@ from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.identify.discover.functions import FunctionFamily
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, instead
+from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, instead
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered, tolerance_columns
-from longarm_comp.core.identify.posterior.propositions import propositions
+from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
@@ -58,7 +58,7 @@ def test_every_name_is_as_likely_and_functions_have_a_twentieth() -> None:
     fitted = fit(Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))), rows)
     tried = library(DEMO, rows.context(), KINDS, fitted.model.terms).testable
     terms = [Discovered("joint 5", "turn z", f"legendre(q5, {k}.0)", "q5 -1..1") for k in (2, 3)]
-    functions = [Proposition((t,), math.log(0.5)) for t in terms]
+    functions = [ProposedFunction((t,), math.log(0.5)) for t in terms]
     bank = offered(fitted, tried, functions, (), [ModelTolerance(0.01, False)])[0]
     shares = [chance(bank, name) for name in ("joint_compliance", "joint_gain", "servo_droop")]
     assert shares == pytest.approx([0.95 / 4] * 3)
@@ -287,7 +287,7 @@ def test_a_row_at_a_threshold_says_nothing_of_its_side() -> None:
 
 def test_functions_on_offer_are_the_best_and_none_is_of_geometry() -> None:
     fitted = calibrated(SMALL, measured(SMALL, (PumpShake(sway=2e-3, waves=6.0),), ROWS, 3))
-    made = propositions(fitted, ())
+    made = propose_functions(fitted, ())
     assert 0 < len(made) <= 60
     assert any("pump_bar" in t.function for t in made[0].terms)  # type: ignore[union-attr]
     still = [p for p in made if all(t.function == "1" for t in p.terms)]  # type: ignore[union-attr]
@@ -299,7 +299,7 @@ def test_a_joint_far_off_its_zero_is_no_function() -> None:
     """Fifteen tolerances: a constant turn of the joint would have much evidence."""
     rows = measured(SMALL, (), ROWS, 3)
     moved = dataclasses.replace(rows, q=rows.q + np.array([0.0, 0.06, 0.0, 0.0]))
-    for p in propositions(calibrated(SMALL, moved), ()):
+    for p in propose_functions(calibrated(SMALL, moved), ()):
         parts = {t.where.split(", ")[1][:4] for t in p.terms}
         assert not ({t.function for t in p.terms} == {"1"} and parts <= {"move", "turn"})  # type: ignore[union-attr]
 
@@ -310,7 +310,7 @@ def test_functions_are_on_offer_in_the_place_of_what_was_found() -> None:
     bare = calibrated(SMALL, rows)
     whole = fit(bare.model.plus(JointGain(2)), rows)
     named = Candidate("joint_gain", (JointGain(2),))
-    made = [propositions(whole, found) for found in ((), (named,))]
+    made = [propose_functions(whole, found) for found in ((), (named,))]
     same = [any(t.place == "joint 2, turn z, linear(q2)" for p in m for t in p.terms) for m in made]
     assert same == [False, True]
 
@@ -320,7 +320,7 @@ def test_no_function_is_on_offer_in_the_place_of_what_gives_way() -> None:
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=2e-2))
     whole = fit(calibrated(DEMO, rows).model.plus(JointCompliance(2)), rows)
     found = [Candidate("joint_compliance", (JointCompliance(2),))]
-    assert JointCompliance.elastic and not propositions(whole, found)
+    assert JointCompliance.elastic and not propose_functions(whole, found)
 
 
 def test_the_curve_of_a_joint_is_on_offer_in_the_place_of_a_gear() -> None:
@@ -333,7 +333,7 @@ def test_the_curve_of_a_joint_is_on_offer_in_the_place_of_a_gear() -> None:
     found = [Candidate(n, (known[n],)) for n in ("joint_gain", "gear_eccentricity")]
     curves = {
         p.log_prior: p.terms
-        for p in propositions(whole, found)
+        for p in propose_functions(whole, found)
         if {t.where for t in p.terms} == {"joint 2, turn z"} and len(p.terms) == 5
     }
     own = curves[-math.log(len(FunctionFamily) * SMALL.n)]
@@ -346,7 +346,7 @@ def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
     fitted = calibrated(
         SMALL, measured(SMALL, (RubberStop(joint=1, begins=0.8, holds=0.1),), ROWS, 3)
     )
-    (term,) = next(p.terms for p in propositions(fitted, ()) if len(p.terms) == 1)
+    (term,) = next(p.terms for p in propose_functions(fitted, ()) if len(p.terms) == 1)
     inside = fitted.weights > 0
     white = FitColumns(fitted).of([term])[inside, :, 0] / fitted.sigma
     assert np.sqrt((white**2).sum() / inside.sum()) == pytest.approx(1.0, rel=0.02)

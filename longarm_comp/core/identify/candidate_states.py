@@ -36,7 +36,7 @@ class Smallest:
     """The smallest size of a candidate that would be accepted.
 
     Attributes:
-        candidate: the hypothesis.
+        candidate: the possible effect.
         log_bayes_factor: what it scores on these data.
         size: in its prior standard deviations; infinite where no size could be seen.
         shift_m: RMS shift of the tip that this size stands for, m; infinite as `size`.
@@ -61,7 +61,7 @@ def detectable(
 
     Args:
         fit: whose rows, noise and weights count.
-        candidates: the hypotheses.
+        candidates: the possible effects.
         threshold: log Bayes factor to reach.
     """
     columns = FitColumns(fit)

@@ -62,7 +62,7 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class FunctionCandidate:
     """Columns that are fitted together.
 
     Attributes:
@@ -103,7 +103,7 @@ class Bank:
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
-    def evidences(self, marginal: Marginal, listed: Sequence[Hypothesis]) -> np.ndarray:
+    def evidences(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
         """(C,) log odds of candidates on top of a marginal, on all rows, with their priors."""
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
@@ -113,7 +113,7 @@ class Bank:
                 made[portion] += self._worth(marginal, [listed[n] for n in portion.tolist()])
         return made
 
-    def _worth(self, marginal: Marginal, listed: Sequence[Hypothesis]) -> np.ndarray:
+    def _worth(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
         """(C,) log evidence of candidates of the same number r of members."""
         count = len(listed[0].members)
         white = self._white([member for h in listed for member in h.members])
@@ -126,9 +126,9 @@ class Bank:
         z = np.einsum("cij,ci->cj", turned, t)
         return _averaged(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
-    def sizes(self, hypothesis: Hypothesis) -> np.ndarray:
+    def sizes(self, candidate: FunctionCandidate) -> np.ndarray:
         """(r,) rms shift of the rows by a unit of each column, in units of the noise."""
-        return self._rms(self._white(hypothesis.members))
+        return self._rms(self._white(candidate.members))
 
     def _white(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
         """(dM, r) columns per unit of the M inliers, in units of the noise."""
@@ -144,7 +144,7 @@ class Bank:
 
     def shortlisted(
         self, kept: np.ndarray, left: Sequence[np.ndarray]
-    ) -> list[list[list[Hypothesis]]]:
+    ) -> list[list[list[FunctionCandidate]]]:
         """By what is left, the best of every kind, by the first look.
 
         Args:
@@ -187,7 +187,7 @@ class Bank:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return np.stack(list(pool.map(squares, turned)))
 
-    def _best(self, worth: np.ndarray) -> Iterator[list[Hypothesis]]:
+    def _best(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
         """The best of every kind by the (K, G) log evidence of each component and function.
 
         That of several columns is taken to be the sum of theirs.
@@ -196,41 +196,41 @@ class Bank:
         for sharp in (False, True):
             prior = [self._prior(g) if g.family.sharp == sharp else -np.inf for g in self._single]
             best = _top(worth[:, alone] + np.array(prior))
-            yield [self._hypothesis([(k, alone[n])], self._single[n]) for k, n in best]
+            yield [self._candidate([(k, alone[n])], self._single[n]) for k, n in best]
         several = []
         for family in dict.fromkeys(g.family for g in self._several):
             groups = [g for g in self._several if g.family == family]
             grouped = [_together(worth[:, g.functions].T) + self._prior(g) for g in groups]
             for n, k in _top(np.stack(grouped)):
-                several.append(self._hypothesis([(k, f) for f in groups[n].functions], groups[n]))
+                several.append(self._candidate([(k, f) for f in groups[n].functions], groups[n]))
         yield several
         prior = [self._prior(g) for g in self._single]
         vectors = np.array([_together(worth[ks]) for ks in self._vectors]).reshape(-1, len(worth.T))
         yield [
-            self._hypothesis([(k, alone[n]) for k in self._vectors[v]], self._single[n])
+            self._candidate([(k, alone[n]) for k in self._vectors[v]], self._single[n])
             for v, n in _top(vectors[:, alone] + np.array(prior))
         ]
         every = self.functions.each_joint if self._axes else []
         at = ([(self._axes[j], f) for j, f in joints] for joints in every)
         seen = ([(k, f) for k, f in joints if np.isfinite(worth[k, f])] for joints in at)
-        yield [self._hypothesis(joints, None) for joints in seen if len(joints) > 1]
+        yield [self._candidate(joints, None) for joints in seen if len(joints) > 1]
         own = self.functions.own_joint if self._axes else {}
         yield [
-            self._hypothesis([(self._axes[j], f) for f in group.functions], group)
+            self._candidate([(self._axes[j], f) for f in group.functions], group)
             for j, group in own.items()
             if np.isfinite(worth[self._axes[j], list(group.functions)]).any()
         ]
 
-    def _hypothesis(
+    def _candidate(
         self, members: Sequence[tuple[int, int]], group: FunctionGroup | None
-    ) -> Hypothesis:
+    ) -> FunctionCandidate:
         """Of numbers of components and functions; of one function at each joint without a group."""
         named = tuple((self.places[k], self.functions.listed[f]) for k, f in members)
         if group is None:
             prior = -math.log(len(FunctionFamily) * len(self.functions.each_joint))
-            return Hypothesis(named, (1.0,) * len(named), prior)
+            return FunctionCandidate(named, (1.0,) * len(named), prior)
         decay = group.decay if len(group.decay) == len(named) else (1.0,) * len(named)
-        return Hypothesis(named, decay, self._prior(group))
+        return FunctionCandidate(named, decay, self._prior(group))
 
     def _prior(self, group: FunctionGroup) -> float:
         """Log prior of a group of functions at one component; half is for components alone."""

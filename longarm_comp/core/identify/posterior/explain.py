@@ -40,12 +40,12 @@ from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     NONE,
     FoundEffect,
-    Proposition,
+    ProposedFunction,
     instead,
 )
 from longarm_comp.core.identify.posterior.offered_effects import Explained, OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered
-from longarm_comp.core.identify.posterior.propositions import propositions
+from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
 from longarm_comp.core.identify.posterior.resampled import Resampling
 from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
@@ -98,7 +98,7 @@ class _Search:
     known: NoiseEstimate | None
     stepped: Sequence[type[Effect]]
     say: Callable[[str], None]
-    propositions: tuple[Proposition, ...] = ()
+    functions: tuple[ProposedFunction, ...] = ()
     usual: frozenset[tuple[str, str]] = frozenset()
     nameless: bool = False
 
@@ -126,7 +126,7 @@ class _Search:
         tolerance = self._standing(state.fit, state.found)[1]
         self.say("resampled rows")
         linear = Resampling(
-            state.fit, tuple(self.candidates), self.propositions, state.found, tolerance, self.usual
+            state.fit, tuple(self.candidates), self.functions, state.found, tolerance, self.usual
         )
         found = tuple(
             f.doubted(*absence[f.name]) if f.name in absence else f for f in linear.averaged(seed)
@@ -154,7 +154,9 @@ class _Search:
             self._scan(state)
             if functions:
                 tolerance = self._standing(state.fit, state.found)[1]
-                self.propositions = propositions(state.fit, state.found, self.candidates, tolerance)
+                self.functions = propose_functions(
+                    state.fit, state.found, self.candidates, tolerance
+                )
             explained = self._explained(state)
             if explained is None:
                 break
@@ -335,7 +337,7 @@ class _Search:
             if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.soft)
         ]
         return offered(
-            fitted, self.candidates, self.propositions, found, tried, others=others, near=near,
+            fitted, self.candidates, self.functions, found, tried, others=others, near=near,
             usual=self.usual,
         )  # fmt: skip
 

@@ -23,7 +23,7 @@ NONE = -math.log(UNNAMED)
 
 
 @dataclass(frozen=True)
-class Proposition:
+class ProposedFunction:
     """A function without a name on offer.
 
     Attributes:

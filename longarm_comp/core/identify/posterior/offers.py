@@ -22,7 +22,7 @@ from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, margi
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.model_tolerance import ModelTolerance, background_columns
-from longarm_comp.core.identify.posterior.found import NONE, UNNAMED, FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.found import NONE, UNNAMED, FoundEffect, ProposedFunction
 from longarm_comp.core.identify.posterior.offer import Offer
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
@@ -36,7 +36,7 @@ AMPLITUDES = (3.0, 30.0, 300.0)
 def offered(
     fitted: ModelFit,
     library: Sequence[Candidate],
-    functions: Sequence[Proposition],
+    functions: Sequence[ProposedFunction],
     found: Sequence[FoundEffect],
     tolerances: Sequence[ModelTolerance],
     *,
@@ -96,7 +96,7 @@ _Listed = tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]
 def _listed(
     arm: Arm,
     library: Sequence[Candidate],
-    functions: Sequence[Proposition],
+    functions: Sequence[ProposedFunction],
     found: Sequence[FoundEffect],
 ) -> list[_Listed]:
     """What is on offer, with its price."""

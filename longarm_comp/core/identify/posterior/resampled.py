@@ -21,7 +21,7 @@ from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.holdout import resample
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, Rival
+from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, Rival
 from longarm_comp.core.identify.posterior.offers import offered
 
 SAMPLES = 12
@@ -45,7 +45,7 @@ class Resampling:
 
     fit: ModelFit
     candidates: Sequence[Candidate]
-    functions: Sequence[Proposition]
+    functions: Sequence[ProposedFunction]
     found: Sequence[FoundEffect]
     tolerance: ModelTolerance
     usual: frozenset[tuple[str, str]] = frozenset()

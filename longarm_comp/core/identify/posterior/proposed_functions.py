@@ -19,14 +19,14 @@ from longarm_comp.core.identify.discover.bank import (
     CAMERA,
     SHORTLIST,
     Bank,
-    Hypothesis,
+    FunctionCandidate,
     banks,
     marginal_of,
     term_of,
 )
 from longarm_comp.core.identify.discover.functions import DENSE, nearby
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
 
 REFINED = 4
@@ -34,12 +34,12 @@ REFINED = 4
 the choice among as many."""
 
 
-def propositions(
+def propose_functions(
     fit: ModelFit,
     found: Sequence[FoundEffect],
     library: Sequence[Candidate] = (),
     tolerance: ModelTolerance = RIGID,
-) -> tuple[Proposition, ...]:
+) -> tuple[ProposedFunction, ...]:
     """The functions that explain most, on top of all that was found and in the place of each.
 
     The best of every kind is among them: what bends into any curve is the same function for more
@@ -59,11 +59,11 @@ def propositions(
         for (marginal, _), kinds, mine in zip(marginals, looked, ranked, strict=True):
             mine += _of_bank(bank, marginal, kinds)
     few = SHORTLIST // 2 if found else SHORTLIST
-    offered: dict[Hypothesis, Bank] = {}
+    offered: dict[FunctionCandidate, Bank] = {}
     for mine in ranked:
         better = sorted((one for one in mine if one.worth > 0), key=lambda one: -one.worth)
-        offered |= {one.hypothesis: one.bank for one in better[:few]}
-        offered |= {one.hypothesis: one.bank for one in better if one.first}
+        offered |= {one.candidate: one.bank for one in better[:few]}
+        offered |= {one.candidate: one.bank for one in better if one.first}
         few = SHORTLIST // (2 * max(len(gone) - 1, 1))  # of what may take the place of each
     return tuple(_proposed(bank, h) for h, bank in offered.items())
 
@@ -85,13 +85,13 @@ class _Ranked(NamedTuple):
     """A candidate, its log odds, and whether it is the best of its kind."""
 
     worth: float
-    hypothesis: Hypothesis
+    candidate: FunctionCandidate
     bank: Bank
     first: bool = False
 
 
 def _of_bank(
-    bank: Bank, marginal: Marginal, kinds: Sequence[Sequence[Hypothesis]]
+    bank: Bank, marginal: Marginal, kinds: Sequence[Sequence[FunctionCandidate]]
 ) -> list[_Ranked]:
     """The best candidates of a bank on top of a marginal, and these with other thresholds."""
     made, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
@@ -99,7 +99,7 @@ def _of_bank(
         weighed = _weighed(bank, marginal, [h for h in some if not _geometric(h)])[:each]
         made += [_Ranked(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed)]
     made.sort(key=lambda one: -one.worth)
-    best = [(one.worth, one.hypothesis) for one in made[:REFINED]]
+    best = [(one.worth, one.candidate) for one in made[:REFINED]]
     refined = (_Ranked(worth, h, bank) for worth, h in _refined(bank, marginal, best))
     return [*made, *refined]
 
@@ -111,34 +111,34 @@ def _columns_beside(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
 
 
 def _weighed(
-    bank: Bank, marginal: Marginal, few: Sequence[Hypothesis]
-) -> list[tuple[float, Hypothesis]]:
+    bank: Bank, marginal: Marginal, few: Sequence[FunctionCandidate]
+) -> list[tuple[float, FunctionCandidate]]:
     """The log odds of each, the best first."""
     worth = bank.evidences(marginal, few).tolist()
     return sorted(zip(worth, few, strict=True), key=lambda each: -each[0])
 
 
-def _geometric(hypothesis: Hypothesis) -> bool:
+def _geometric(candidate: FunctionCandidate) -> bool:
     """Whether it is a displacement that is always the same: an error of geometry or placement."""
-    still = all(not function.factors for _, function in hypothesis.members)
-    rigid = (isinstance(COMPONENTS.get(p.component), (Move, Turn)) for p, _ in hypothesis.members)
-    seen = (p.at == CAMERA and p.component in AXES for p, _ in hypothesis.members)
+    still = all(not function.factors for _, function in candidate.members)
+    rigid = (isinstance(COMPONENTS.get(p.component), (Move, Turn)) for p, _ in candidate.members)
+    seen = (p.at == CAMERA and p.component in AXES for p, _ in candidate.members)
     return still and all(a or b for a, b in zip(rigid, seen, strict=True))
 
 
-def _proposed(bank: Bank, hypothesis: Hypothesis) -> Proposition:
+def _proposed(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction:
     """Its terms; a unit of each prior moves the rows by one noise, rms, times its decay."""
-    scales = np.array(hypothesis.decay) / bank.sizes(hypothesis)
+    scales = np.array(candidate.decay) / bank.sizes(candidate)
     terms = tuple(
         term_of(place, f.text, f.domain, float(scale))
-        for (place, f), scale in zip(hypothesis.members, scales, strict=True)
+        for (place, f), scale in zip(candidate.members, scales, strict=True)
     )
-    return Proposition(terms, hypothesis.log_prior)
+    return ProposedFunction(terms, candidate.log_prior)
 
 
 def _refined(
-    bank: Bank, marginal: Marginal, first: Sequence[tuple[float, Hypothesis]]
-) -> Iterator[tuple[float, Hypothesis]]:
+    bank: Bank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
+) -> Iterator[tuple[float, FunctionCandidate]]:
     """Candidates with other thresholds or frequencies, closer and closer to the best."""
     for best in first:
         prior = best[1].log_prior - math.log(REFINED)
@@ -148,9 +148,9 @@ def _refined(
         yield best
 
 
-def _around(bank: Bank, hypothesis: Hypothesis, width: float) -> Iterator[Hypothesis]:
+def _around(bank: Bank, candidate: FunctionCandidate, width: float) -> Iterator[FunctionCandidate]:
     """The same candidate with thresholds or frequencies near its own."""
-    factors = dict.fromkeys(f for _, function in hypothesis.members for f in function.factors)
+    factors = dict.fromkeys(f for _, function in candidate.members for f in function.factors)
     bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
     if len(bent) == 1 or all(isinstance(f, Wave) for f in bent):
         by_name = bank.functions.inputs.by_name
@@ -158,6 +158,6 @@ def _around(bank: Bank, hypothesis: Hypothesis, width: float) -> Iterator[Hypoth
             other: dict[Shape, Shape] = dict(zip(bent, moved, strict=True))
             members = tuple(
                 (place, Function(tuple(other.get(f, f) for f in function.factors)))
-                for place, function in hypothesis.members
+                for place, function in candidate.members
             )
-            yield dataclasses.replace(hypothesis, members=members)
+            yield dataclasses.replace(candidate, members=members)
