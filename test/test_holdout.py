@@ -9,7 +9,7 @@ import pytest
 from hidden_arm import at, session
 from small_arm import ARM
 
-from longarm_comp.core.data.holdout import folds_of, resample
+from longarm_comp.core.data.holdout import folds_of, resample, split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
@@ -58,6 +58,14 @@ def test_samples_draw_whole_blocks_again() -> None:
     assert (counts.sum(axis=1) == 100).all()
     assert (counts[:, 0:4] == counts[:, :1]).all(), "25 blocks of four poses"
     assert len({tuple(row) for row in counts.tolist()}) == 6
+
+
+def test_halves_are_of_poses_with_all_their_visits_and_hold_every_row_once() -> None:
+    rng = np.random.default_rng(1)
+    q = np.concatenate([once := rng.random((50, 4)), once[:10]])
+    first, second = split_in_half(Session.record(q, np.zeros((60, 3))), 3)
+    assert (first ^ second).all() and 20 < first.sum() < 40
+    assert np.array_equal(first[:10], first[50:])
 
 
 @pytest.fixture(scope="module")
