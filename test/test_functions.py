@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,7 +93,7 @@ def test_a_function_is_found_where_the_geometry_is_exact() -> None:
     assert abs(term.amount) == pytest.approx(0.02, rel=0.02)
 
 
-def test_what_explains_half_of_the_rows_is_tried_on_all() -> None:
+def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """A search that stopped at a function of no use goes on from there; a good one stays."""
     rows = session([drives.JointGain(at(2, 0.02))])
     useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
@@ -100,7 +101,15 @@ def test_what_explains_half_of_the_rows_is_tried_on_all() -> None:
     first = search._fitted(search.base, (), None)
     poor = search._taken(first, (FoundEffect((useless,), 1.0, 0.0),))
     assert poor is not None
+    rows_of, explain = [], _Search._repeated
+
+    def spied(self: _Search, *how: Any, **further: Any) -> ExplainedSession:
+        rows_of.append(len(self.session))
+        return explain(self, *how, **further)
+
+    monkeypatch.setattr(_Search, "_repeated", spied)
     found = search._by_halves(poor, 0)
+    assert rows_of == [60, 120, 60, 120]  # either half, and all rows from what it brings
     assert [t.function for f in found.found for t in f.terms] == ["linear(q2)"]  # type: ignore[union-attr]
     assert search._by_halves(found, 0) is found
     assert search._by_halves(first, 0) is first  # where no function is needed, none is sought

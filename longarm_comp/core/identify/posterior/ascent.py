@@ -55,9 +55,8 @@ def explain(
     Args:
         bank: what is on offer.
         known: the offers that were found before.
-        begun: what explains the same offers by another tolerance; empty for `known` in another
-            sample of the rows. The ascent starts from it, too, and has no restart of its own:
-            what they bring, they brought there.
+        begun: what explains the same offers by another tolerance. The ascent starts from it, too,
+            and has no restart of its own: what they bring, they brought there.
     """
     most = len(known) + AT_ONCE
     starts = [_grown(bank, (), frozenset(), most)]

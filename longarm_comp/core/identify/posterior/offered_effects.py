@@ -90,12 +90,9 @@ class OfferedEffects:
         return Explained(found, doubtful, self.base + evidence, best.effects)
 
     def single_effects(self) -> tuple[FoundEffect, ...]:
-        """The effects of the best explanation, each with the names among which it is shared.
-
-        By ascents from nothing and from what is known. Restarts brought what is known.
-        """
+        """The effects of the best explanation, each with the names among which it is shared."""
         made = []
-        for effect in explain(self.bank, self.known, ()).effects:
+        for effect in explain(self.bank, self.known).effects:
             shares: dict[str, tuple[float, Candidate]] = {}
             for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
                 terms = self.things[n].terms
