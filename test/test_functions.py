@@ -36,6 +36,7 @@ from longarm_comp.core.identify.discover.inputs import Argument, Arguments, came
 from longarm_comp.core.identify.posterior.explain import _Search, explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import FoundEffect
+from longarm_comp.core.identify.posterior.resampled import SAMPLES
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
@@ -113,6 +114,15 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
     assert [t.function for f in found.found for t in f.terms] == ["linear(q2)"]  # type: ignore[union-attr]
     assert search._by_halves(found, 0) is found
     assert search._by_halves(first, 0) is first  # where no function is needed, none is sought
+
+
+def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt() -> None:
+    found = explain_session(Model(SMALL), session([drives.JointGain(at(2, 0.02))]), ())
+    assert found.linear is not None and found.found[0].there > 0.99
+    (doubted,) = dataclasses.replace(found.linear, of_halves=((), ())).averaged(0)
+    assert doubted.there == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
+    (both,) = dataclasses.replace(found.linear, of_halves=(found.found,) * 2).averaged(0)
+    assert both.there > 0.99 and both.name == doubted.name
 
 
 @pytest.mark.long

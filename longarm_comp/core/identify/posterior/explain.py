@@ -46,7 +46,7 @@ from longarm_comp.core.identify.posterior.found import (
 from longarm_comp.core.identify.posterior.offered_effects import Explained, OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
-from longarm_comp.core.identify.posterior.resampled import Resampling
+from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
 from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
 
@@ -101,6 +101,7 @@ class _Search:
     functions: tuple[ProposedFunction, ...] = ()
     usual: frozenset[tuple[str, str]] = frozenset()
     nameless: bool = False
+    of_halves: tuple[tuple[FoundEffect, ...], ...] = ()
 
     def run(self, functions: bool, seed: int) -> ExplainedSession:
         self.say("geometry")
@@ -126,15 +127,17 @@ class _Search:
         tolerance = self._standing(state.fit, state.found)[1]
         self.say("resampled rows")
         linear = Resampling(
-            state.fit, tuple(self.candidates), self.functions, state.found, tolerance, self.usual
-        )
+            state.fit, tuple(self.candidates), self.functions, state.found, tolerance,
+            self.of_halves, self.usual,
+        )  # fmt: skip
         found = tuple(
             f.doubted(*absence[f.name]) if f.name in absence else f for f in linear.averaged(seed)
         )
-        stable = tuple(f for f in found if f.there > 0.5)
+        least = 0.5 * SAMPLES / (SAMPLES + len(self.of_halves))  # a half may have too few rows
+        stable = tuple(f for f in found if f.there > least)
         fewer = self._taken(state, stable) if len(stable) < len(found) else None
         if fewer is not None:
-            doubtful = (*doubtful, *(f for f in found if f.there <= 0.5))
+            doubtful = (*doubtful, *(f for f in found if f.there <= least))
             linear, state = replace(linear, fit=fewer.fit, found=fewer.found), fewer
         else:
             state = replace(state, found=found)
@@ -175,7 +178,8 @@ class _Search:
         """Try on all rows what explains either half of them, where functions are needed.
 
         Of many causes none may be worth its price while the others count as noise: the ascent stops
-        there.  Other rows stop it elsewhere.
+        there.  Other rows stop it elsewhere.  What either finds by itself is a sample of what
+        another session would say.
         """
         if not any(f.unnamed for f in state.found):
             return state
@@ -185,6 +189,7 @@ class _Search:
             if begun is None:
                 continue
             found = half._repeated(begun, functions=True).found
+            self.of_halves = (*self.of_halves, found)
             taken = self._taken(state, tuple(map(loosen, found)))
             if taken is not None and self._odds(state, taken) > BETTER:
                 state = self._repeated(taken, functions=True)

@@ -40,6 +40,7 @@ class Resampling:
         candidates, functions: what is on offer.
         found: what was found.
         tolerance: what moves the rows besides.
+        of_halves: what either half of the rows was explained by, in a search of its own.
         usual: as of `offered`.
     """
 
@@ -48,6 +49,7 @@ class Resampling:
     functions: Sequence[ProposedFunction]
     found: Sequence[FoundEffect]
     tolerance: ModelTolerance
+    of_halves: Sequence[Sequence[FoundEffect]] = ()
     usual: frozenset[tuple[str, str]] = frozenset()
 
     def explained(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
@@ -67,7 +69,8 @@ class Resampling:
             return ()
         whole = self.explained(np.ones(len(self.fit.session)))
         samples = [self.explained(c) for c in resample(self.fit.session, SAMPLES, seed)]
-        return tuple(self._averaged(f, whole, samples) for f in self.found)
+        every = [*samples, *self.of_halves]
+        return tuple(self._averaged(f, whole, every) for f in self.found)
 
     def _averaged(
         self,
