@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -23,6 +23,7 @@ from longarm_comp.core.effects.compliances import (
     BearingTilt,
     JointCompliance,
     LinkStiffness,
+    ServoDroop,
 )
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect
@@ -68,6 +69,16 @@ def test_a_planted_compliance_is_named_with_its_value() -> None:
     assert term.compliance == pytest.approx(8e-3, rel=0.1)
     assert one(found).terms == (term,)
     assert one(found).where == (("joint 2",),)
+
+
+def test_a_half_of_the_rows_agrees_with_every_name_of_the_set_that_it_names_one_of() -> None:
+    rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
+    found = explained(rows, JointCompliance, ServoDroop)
+    effect, linear = one(found), found.linear
+    assert linear is not None and effect.chance == pytest.approx(0.5)
+    half = (replace(effect, chance=1.0, rivals=()),)
+    (shared,) = replace(linear, of_halves=(half, half)).averaged(0)
+    assert shared.there > 0.99 and shared.chance == pytest.approx(0.5)
 
 
 def test_geometry_and_noise_alone_name_nothing() -> None:

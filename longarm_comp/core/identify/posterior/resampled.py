@@ -81,17 +81,20 @@ class Resampling:
         """An effect with the names of what stands in its place in each sample.
 
         Columns are those of small changes: by how much fits of all rows made a name likelier than
-        its columns did, they would in a sample.
+        its columns did, they would in a sample.  A half of the rows names one effect, and so agrees
+        with every name of the set that this one is of.
         """
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
         linear = self._in_its_place(found, whole)
         told = {} if linear is None else linear.names
         fitted = {name: p / told[name] for name, p in found.names.items() if told.get(name)}
         rivals = {r.name: r for r in found.rivals}
-        for effects in samples:
+        for n, effects in enumerate(samples):
             other = self._in_its_place(found, effects)
             if other is None:
                 continue
+            if n >= SAMPLES and linear is not None and other.name in found.credible:
+                other = replace(linear, there=other.there)
             there += other.there / len(samples)
             theirs = {other.name: Candidate(other.name, other.terms)}
             theirs |= {r.name: r.candidate for r in other.rivals}
