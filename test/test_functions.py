@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
@@ -33,10 +32,8 @@ from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.causes import Cause, causes, doubts, proposed
 from longarm_comp.core.identify.discover.functions import Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, camera_inputs, levels_of
-from longarm_comp.core.identify.posterior.explain import _Search, explain_session
+from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
-from longarm_comp.core.identify.posterior.found import FoundEffect
-from longarm_comp.core.identify.posterior.resampled import SAMPLES
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
@@ -92,37 +89,6 @@ def test_a_function_is_found_where_the_geometry_is_exact() -> None:
     assert term.function == "linear(q2)"
     assert term.where in ("joint 2, turn z", "joint 3, turn y")
     assert abs(term.amount) == pytest.approx(0.02, rel=0.02)
-
-
-def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search that stopped at a function of no use goes on from there; a good one stays."""
-    rows = session([drives.JointGain(at(2, 0.02))])
-    useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
-    search = _Search(Model(SMALL), rows, [], None, (), lambda _: None, nameless=True)
-    first = search._fitted(search.base, (), None)
-    poor = search._taken(first, (FoundEffect((useless,), 1.0, 0.0),))
-    assert poor is not None
-    rows_of, explain = [], _Search._repeated
-
-    def spied(self: _Search, *how: Any, **further: Any) -> ExplainedSession:
-        rows_of.append(len(self.session))
-        return explain(self, *how, **further)
-
-    monkeypatch.setattr(_Search, "_repeated", spied)
-    found = search._by_halves(poor, 0)
-    assert rows_of == [60, 120, 60, 120]  # either half, and all rows from what it brings
-    assert [t.function for f in found.found for t in f.terms] == ["linear(q2)"]  # type: ignore[union-attr]
-    assert search._by_halves(found, 0) is found
-    assert search._by_halves(first, 0) is first  # where no function is needed, none is sought
-
-
-def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt() -> None:
-    found = explain_session(Model(SMALL), session([drives.JointGain(at(2, 0.02))]), ())
-    assert found.linear is not None and found.found[0].there > 0.99
-    (doubted,) = dataclasses.replace(found.linear, of_halves=((), ())).averaged(0)
-    assert doubted.there == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
-    (both,) = dataclasses.replace(found.linear, of_halves=(found.found,) * 2).averaged(0)
-    assert both.there > 0.99 and both.name == doubted.name
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +12,16 @@ from small_arm import ARM
 
 from longarm_comp.core.data.holdout import folds_of, resample, split_in_half
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.posterior.explain import _Search, explain_session
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
+from longarm_comp.core.identify.posterior.found import FoundEffect
+from longarm_comp.core.identify.posterior.resampled import SAMPLES
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import worse
 from longarm_comp.core.model.model import Model
@@ -66,6 +72,37 @@ def test_halves_are_of_poses_with_all_their_visits_and_hold_every_row_once() -> 
     first, second = split_in_half(Session.record(q, np.zeros((60, 3))), 3)
     assert (first ^ second).all() and 20 < first.sum() < 40
     assert np.array_equal(first[:10], first[50:])
+
+
+def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that stopped at a function of no use goes on from there; a good one stays."""
+    rows = session([drives.JointGain(at(2, 0.02))])
+    useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
+    search = _Search(Model(ARM), rows, [], None, (), lambda _: None, nameless=True)
+    first = search._fitted(search.base, (), None)
+    poor = search._taken(first, (FoundEffect((useless,), 1.0, 0.0),))
+    assert poor is not None
+    rows_of, explain = [], _Search._repeated
+
+    def spied(self: _Search, *how: Any, **further: Any) -> ExplainedSession:
+        rows_of.append(len(self.session))
+        return explain(self, *how, **further)
+
+    monkeypatch.setattr(_Search, "_repeated", spied)
+    found = search._by_halves(poor, 0)
+    assert rows_of == [60, 120, 60, 120]  # either half, and all rows from what it brings
+    assert [t.function for f in found.found for t in f.terms] == ["linear(q2)"]  # type: ignore[union-attr]
+    assert search._by_halves(found, 0) is found
+    assert search._by_halves(first, 0) is first  # where no function is needed, none is sought
+
+
+def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt() -> None:
+    found = explain_session(Model(ARM), session([drives.JointGain(at(2, 0.02))]), ())
+    assert found.linear is not None and found.found[0].there > 0.99
+    (doubted,) = dataclasses.replace(found.linear, of_halves=((), ())).averaged(0)
+    assert doubted.there == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
+    (both,) = dataclasses.replace(found.linear, of_halves=(found.found,) * 2).averaged(0)
+    assert both.there > 0.99 and both.name == doubted.name
 
 
 @pytest.fixture(scope="module")

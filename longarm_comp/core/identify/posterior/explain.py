@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from longarm_comp.core.calibration import noise as noise_step
-from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
+from longarm_comp.core.calibration.candidates import Candidate, distinct
 from longarm_comp.core.calibration.fit import fit, unfitted
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -35,7 +35,7 @@ from longarm_comp.core.identify.posterior.explained import (
     put_in,
     without_idle,
 )
-from longarm_comp.core.identify.posterior.forms import agreement, refined
+from longarm_comp.core.identify.posterior.forms import agreement, better_forms
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     NONE,
@@ -381,20 +381,10 @@ class _Search:
         return ExplainedSession(fitted, found, noise)
 
     def _reformed(self, state: ExplainedSession) -> ExplainedSession:
-        """Move forms on a scale to where the evidence is highest, while the rows agree better.
-
-        One after the other: a form is judged beside those that moved before it.
-        """
+        """Move forms on a scale to where the evidence is highest, while the rows agree better."""
         for _ in range(ROUNDS):
-            terms = {t.key: t for f in state.found for t in f.terms}
-            fitted = {t.key: t for t in state.fit.model.terms}
-            moved: dict[tuple[str, str], Term] = {}
-            for key, term in terms.items():
-                if term.scales():
-                    others = tuple(moved.values())
-                    better = refined(state.fit, fitted[key], self.candidates, others)
-                    if better.variant != term.variant:
-                        moved[key] = better
+            terms = [t for f in state.found for t in f.terms]
+            moved = better_forms(state.fit, terms, self.candidates)
             if not moved:
                 break
             for term in moved.values():

@@ -23,6 +23,23 @@ from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 
+def better_forms(
+    fit: ModelFit, terms: Sequence[Term], candidates: Sequence[Candidate]
+) -> dict[tuple[str, str], Term]:
+    """The terms (as they were offered) that are better in another form, by place.
+
+    One after the other: a form is judged beside those that moved before it.
+    """
+    fitted = {t.key: t for t in fit.model.terms}
+    moved: dict[tuple[str, str], Term] = {}
+    for term in terms:
+        if term.scales():
+            better = refined(fit, fitted[term.key], candidates, tuple(moved.values()))
+            if better.variant != term.variant:
+                moved[term.key] = better
+    return moved
+
+
 def refined(
     fit: ModelFit, term: Term, candidates: Sequence[Candidate], moved: Sequence[Term] = ()
 ) -> Term:

@@ -11,9 +11,6 @@ from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_
 from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.identify.posterior.offer import Offer
 
-NEGLIGIBLE = 1e-16
-"""Probability below which an offer adds nothing to a mean."""
-
 
 class Products(NamedTuple):
     """Products of K columns, projected off the geometry, and what is known of coefficients.
@@ -128,7 +125,7 @@ class OfferTable:
         On average over the sizes, too, and within bounds.
         """
         z, chance = found
-        on = np.flatnonzero(q > NEGLIGIBLE)
+        on = np.flatnonzero(q > np.finfo(float).eps)  # what adds to the sum of all
         shrunk = (self._share[on] * chance[on][:, None, :]).sum(axis=-1) * z[on]
         mean = _times(shrunk, np.swapaxes(self._turn[on], 1, 2))
         mean = np.clip(mean, self._lower[on], self._upper[on]) + self._fixed[on]
