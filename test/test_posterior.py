@@ -218,6 +218,13 @@ def test_of_names_that_rounding_alone_distinguishes_the_first_is_named() -> None
     assert SingleEffect(offers, q + np.array([0.0, 1e-3, 0.0]), np.zeros(1)).best == 1
 
 
+def test_others_leave_their_places_and_names_where_they_are_more_likely_there_than_not() -> None:
+    offers = [single("a", 0), single("b", 1, site="joint 1")]
+    each = [SingleEffect(offers, np.array(q), np.zeros(2)) for q in ([0.4, 0.0], [0.0, 0.6])]
+    shut = frozenset({7})
+    assert Others.of(each, shut) == Others(shut, *(frozenset({x}) for x in ("b", "b", "joint 1")))
+
+
 def test_a_restart_leaves_a_local_optimum() -> None:
     """One column imitates the sum of two: uphill it comes first and, alone, it would stay."""
     rng = np.random.default_rng(5)
