@@ -70,7 +70,7 @@ class Bench:
         process = subprocess.Popen(
             words,
             cwd=folder,
-            env={**os.environ, "PYTHONPATH": str(packages)},
+            env={**os.environ, "PYTHONPATH": str(packages), "PYTHONFAULTHANDLER": "1"},
             text=True,
             stdout=(said := tempfile.TemporaryFile("w+")),  # noqa: SIM115
             stderr=subprocess.STDOUT,
@@ -135,7 +135,7 @@ class Bench:
             self.spin(lambda done=future.done, by=patience: done() or time.monotonic() > by, within)
             if future.done():
                 return future.result()
-            assert time.monotonic() < end, f"no answer within {within:g} s\n{self.state()}"
+            assert time.monotonic() < end, f"no answer: not within {within:g} s\n{self.stacks()}"
 
     def action(self, kind: Any, name: str) -> ActionClient:
         """A client of an action that its server answers."""
@@ -146,9 +146,21 @@ class Bench:
         self.said[process].seek(0)
         return self.said[process].read()
 
+    def running(self) -> list[subprocess.Popen[str]]:
+        """The processes that have not ended."""
+        return [process for process in self.processes if process.poll() is None]
+
     def state(self) -> str:
-        """What every process says, for a failed test."""
-        return "\n".join(f"{p.args!r} {p.poll()}:\n{self.output(p)}" for p in self.processes)
+        """What every process that runs has said, for a failed test."""
+        return "\n".join(f"{each.args!r}:\n{self.output(each)}" for each in self.running())
+
+    def stacks(self) -> str:
+        """The same, and where the threads of each are: it ends them."""
+        ended = self.running()
+        for process in ended:
+            process.send_signal(signal.SIGABRT)  # Python's fault handler writes it
+            process.wait(timeout=60)
+        return "\n".join(f"{each.args!r}:\n{self.output(each)}" for each in ended)
 
     def end_processes(self) -> None:
         """End every process, gently first."""

@@ -16,6 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from builtin_interfaces.msg import Time
 from driver_rig import Rig
 from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.duration import Duration as Lapse
@@ -56,6 +57,10 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
     rig.send("asleep", shoulder=0.0)
     assert "not active" in rig.becomes("asleep", Motion.REFUSED).message
     assert "torque is off" in rig.is_in(DriverState.INACTIVE).message
+    again = rig.stage.node.create_client(ChangeState, "servo_driver/change_state")
+    for nothing_to_do in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CONFIGURE, 250):
+        asked = ChangeState.Request(transition=Transition(id=nothing_to_do))
+        assert not rig.stage.call(again, asked, within=30.0).success
     assert rig.joints()["shoulder"] == pytest.approx(0.4, abs=1e-3)
     assert rig.change(Transition.TRANSITION_ACTIVATE)
     assert rig.driving()

@@ -13,8 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Any
 
+from lifecycle_msgs.srv import ChangeState
 from pydantic import BaseModel
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -75,6 +77,7 @@ _FAILED = TransitionCallbackReturn.FAILURE
 
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
+Change = Callable[[ChangeState.Request, ChangeState.Response], Any]
 
 
 def reporting_faults(transition: Transition) -> Transition:
@@ -93,9 +96,28 @@ def reporting_faults(transition: Transition) -> Transition:
     return tell
 
 
+def _refusing(change: Change) -> Change:
+    """A service that refuses a transition that the state does not have.
+
+    rclpy raises there and answers nothing, so whoever asked would wait for ever.
+    """
+
+    @wraps(change)
+    def answer(request: ChangeState.Request, response: ChangeState.Response) -> Any:
+        try:
+            return change(request, response)
+        except rclpy_implementation.RCLError:
+            response.success = False
+            return response
+
+    return answer
+
+
 class _ServoDriver(ArmNode, LifecycleNode):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
+        changes = self._service_change_state
+        changes.callback = _refusing(changes.callback)
         p = self.p
         given = declare_sections(self, SECTIONS)
         self._config = ServoConfig.parse(given, "parameters of servo_driver")
