@@ -9,27 +9,22 @@ for _pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import fcntl
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from cli_shell import Shell, made_by_commands
+from own_domain import claimed_domain
+from places import DATA, DEMO_ARM, ROOT
 
 from longarm_comp.core.arm.arm import Arm
 
 if TYPE_CHECKING:
     from driver_rig import Rig
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA = Path(__file__).parent / "data"
 NOT_SHIPPED = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data")) / "real"
-
-# Above 101 the ports of a domain fall among those that Linux hands out to other programs.
-ROS_DOMAINS = range(1, 102)
 
 
 LONGEST = (
@@ -95,26 +90,13 @@ def photographs() -> Path:
 @pytest.fixture(scope="session")
 def demo_arm_path() -> Path:
     """The declared arm of the demonstration."""
-    return Path(__file__).parents[1] / "config" / "arm_demo.yaml"
+    return DEMO_ARM
 
 
 @pytest.fixture(scope="session")
 def demo(demo_arm_path: Path) -> Arm:
     """The arm of the demonstration, as declared."""
     return Arm.load(demo_arm_path)
-
-
-@contextmanager
-def unprivileged() -> Iterator[None]:
-    """Without root's right to write anywhere, where the tests run as root."""
-    root = os.geteuid() == 0
-    if root:
-        os.seteuid(65534)
-    try:
-        yield
-    finally:
-        if root:
-            os.seteuid(0)
 
 
 @pytest.fixture
@@ -187,21 +169,6 @@ def running_driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 def rig(running_driver: Rig) -> Rig:
     """The driver, running and in order."""
     return running_driver.in_order()
-
-
-@contextmanager
-def claimed_domain() -> Iterator[int]:
-    """A ROS domain that no other test on this machine uses, across processes and sessions."""
-    for domain in ROS_DOMAINS:
-        path = Path(tempfile.gettempdir()) / f"longarm_ros_domain_{os.getuid()}_{domain}.lock"
-        with path.open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            yield domain
-            return
-    raise RuntimeError("every ROS domain is taken by a running test")
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 from cli_shell import Shell
-from test_strict_files import arm_data
-from test_touch import ARM as TOUCHED
-from test_touch import DISTANCES, HIDDEN, touching
+from loaded_arm import arm_data
+from touching import ARM as TOUCHED
+from touching import DISTANCES, errors_of_the_drawing, touching
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission import admit
@@ -78,7 +78,7 @@ def test_a_known_distance_that_the_arm_did_not_touch(
     length: float, tolerance: float, words: str, shell: Shell
 ) -> None:
     known = ((*DISTANCES[0][:2], length, tolerance), *DISTANCES[1:])
-    rows = dataclasses.replace(touching(HIDDEN, 60), touch_distances=known)
+    rows = dataclasses.replace(touching(errors_of_the_drawing(), 60), touch_distances=known)
     data = TOUCHED.model_dump(mode="json", exclude_defaults=True)
     (shell.folder / "arm.yaml").write_text(yaml.safe_dump(data))
     write_csv(rows, shell.folder / "s.csv")

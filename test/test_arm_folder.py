@@ -16,7 +16,7 @@ import yaml
 from cli_shell import Shell
 from sight import seen_from
 from some_arms import COLUMN, HOBBY, NINE
-from test_urdf import example
+from urdf_robots import example
 
 from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.marker_sheet import PAPERS, sheet

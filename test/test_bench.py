@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from matplotlib import image
+from places import ROOT
 
 from bench import (
     arms,
@@ -216,7 +217,7 @@ def test_outside_of_a_checkout_the_command_says_where_it_runs(
     """No benchmarks beside the package: one line, whatever the folder holds it is run in."""
     monkeypatch.setattr(registry, "__file__", str(tmp_path / "a" / "b" / "c" / "registry.py"))
     monkeypatch.setattr(sys, "path", [*sys.path])
-    for folder in (tmp_path, Path(__file__).parents[1]):
+    for folder in (tmp_path, ROOT):
         monkeypatch.chdir(folder)
         assert run(["bench", "--list"]) == 3
         assert "run from a checkout of the project" in capsys.readouterr().err

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DEMO_ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -25,7 +26,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
 
-ARM = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+ARM = Arm.load(DEMO_ARM)
 assert ARM.payload is not None
 OWN_KG = ARM.payload.mass_kg
 Q = sobol(ARM, 8, 3).q

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from places import DEMO_ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -125,7 +124,7 @@ def test_a_known_posture_leads_to_that_of_a_similar_model(arm, name):
 
 def test_a_column_is_taken_about_the_twists_that_placed_the_arm() -> None:
     """Exact for a rigid arm whose base is turned far and whose seats are: by differences."""
-    arm = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+    arm = Arm.load(DEMO_ARM)
     model = Model(arm).plus(*BasePose.for_arm(arm), *DhError.for_arm(arm))
     values = 0.3 * np.random.default_rng(0).standard_normal(len(model.values))
     model = model.with_values(values)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
+from cylinder_boom import ANGLE, FAR, NEAR, boom
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
@@ -24,7 +24,6 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 
-NEAR, FAR, ANGLE = 0.12, 0.30, 40.0
 DRAWN = (NEAR, FAR, np.radians(ANGLE))
 
 
@@ -69,13 +68,6 @@ class TruePlay(TruePins):
             rows = came == side
             made[rows] = short.joints(q, state)[rows]
         return made
-
-
-def boom(**change: Any) -> Arm:
-    data = ARM.model_dump(mode="json", exclude_defaults=True)
-    cylinder = {"near_m": NEAR, "far_m": FAR, "angle_deg": ANGLE, **change}
-    data["joints"][1] |= {"drive": "hydraulic", "cylinder": cylinder, "name": "luff"}
-    return Arm.parse(data, "boom.yaml")
 
 
 @pytest.mark.parametrize("grows", [1, -1])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from discover_rows import DEMO
 from hidden_arm import SIGMA, at, session
+from rows_with_play import session_of
 from small_arm import ARM
 from telescope_arm import WEIGHTLESS, heavy
-from test_thresholds import session_of
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import CameraPlacement

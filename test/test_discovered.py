@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from every_circumstance import ENGINES, circumstances
 from small_arm import ARM as SMALL
-from test_circumstances import ENGINES, circumstances
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import importlib
-import re
 import shlex
 import shutil
 import subprocess
@@ -18,8 +17,10 @@ import numpy as np
 import pytest
 from cli_shell import ENTRIES, Shell, click_command
 from openpyxl import Workbook
+from page_lines import FENCE, lines
+from places import ROOT
 from scipy.spatial.transform import Rotation
-from test_urdf import example
+from urdf_robots import example
 
 import longarm_comp
 from longarm_comp.core.arm.arm import Arm
@@ -28,7 +29,6 @@ from longarm_comp.core.effects import catalogue
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.plant import hidden_effects
 
-ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 ORDER = ("README.md", "docs/start.md", "docs/your_own_arm.md", "docs/laser_tracker.md")
 PAGES = (*ORDER, *sorted({p.relative_to(ROOT).as_posix() for p in DOCS.rglob("*.md")} - {*ORDER}))
@@ -40,7 +40,6 @@ YOURS = (
     *("diagnosis_1", "diagnosis_2"),
 )
 """Files that a reader brings, or that stand for any file."""
-_FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -52,15 +51,6 @@ class Said:
 
     def __str__(self) -> str:
         return f"{self.page}: longarm {shlex.join(self.words)}"
-
-
-def lines(page: str) -> Iterator[list[str]]:
-    """The words of each line of a page's shell blocks, with its continuations."""
-    for language, block in _FENCE.findall((ROOT / page).read_text("utf-8")):
-        if language in ("", "bash", "console", "sh"):
-            for line in block.replace("\\\n", " ").splitlines():
-                if re.match(r"(\$ )?(\S*/)?(longarm|python) ", line):
-                    yield shlex.split(line.removeprefix("$ "), comments=True)
 
 
 def commands(page: str) -> Iterator[Said]:
@@ -137,7 +127,7 @@ def test_every_command_of_the_pages_parses_and_names_files_that_are_there(
 
 def test_python_of_the_pages_compiles_and_names_what_there_is() -> None:
     for page in PAGES:
-        for language, block in _FENCE.findall((ROOT / page).read_text("utf-8")):
+        for language, block in FENCE.findall((ROOT / page).read_text("utf-8")):
             if language != "python":
                 continue
             tree = ast.parse(block)

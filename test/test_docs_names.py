@@ -9,12 +9,12 @@ from pathlib import Path
 import click
 import pytest
 from cli_shell import ENTRIES, click_command
+from places import ROOT
 
 from longarm_comp.cli.registry import GROUPS
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.strict_yaml import parse_yaml
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in PAGES if "made" not in page.parts]
 FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)

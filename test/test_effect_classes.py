@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import pytest
 from hidden_arm import at, session
+from places import ROOT
 from small_arm import ARM
 
 import longarm_comp
@@ -22,7 +23,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.sim.hidden import drives
 
-ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "custom_effect.py"
 GAIN = (drives.JointGain(at(2, 0.02)),)
 

@@ -14,13 +14,14 @@ from unittest.mock import MagicMock
 import click
 import pytest
 from cli_shell import Shell
+from places import EXAMPLES
 from touching import ARM
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs import apply as apply_job
 from longarm_comp.jobs import touch as touch_job
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "panda_touch" / "arm.yaml"
+EXAMPLE = EXAMPLES / "panda_touch" / "arm.yaml"
 FULL = OSError(errno.ENOSPC, "No space left on device", "file")
 Keys = Callable[..., None]
 

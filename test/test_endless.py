@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_circle import TIMES, arm, follow, wrapped
-from test_urdf import CHAIN
+from cobot import TIMES, arm, follow, wrapped
+from urdf_robots import CHAIN
 
 from longarm_comp.arm_folder.make import narrow_limits
 from longarm_comp.core.arm.arm import Arm

@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-EXAMPLES = Path(__file__).parents[1] / "examples"
+from places import EXAMPLES
 
 
 def printed(name: str, folder: Path) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import unprivileged
+from unprivileged import unprivileged
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path, write_text

@@ -11,33 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from fleet_arms import arm_yaml, rows_of
 from report_pages import Page
-from small_arm import ARM, measured
+from small_arm import measured
 
 import longarm_comp as la
 from longarm_comp.cli.diagnose import fleet as command
-from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.model.model import Model
 from longarm_comp.report.pages import fleet_page
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.workflows.fleet import Diagnosed, FleetFinding, compare_arms, fleet, members
 from studies.fleet import command as study
-
-
-def rows_of(zero: float, seed: int, n: int = 60) -> Session:
-    """Rows of an arm whose second joint's zero is off by so much (rad)."""
-    session = measured(n, np.random.default_rng(seed))
-    tip = Model(ARM, (JointZero(joint=2, offset=zero),)).tip(session.q)
-    noise = 1e-4 * np.random.default_rng(seed + 1).standard_normal(tip.shape)
-    return dataclasses.replace(session, xyz=tip + noise)
-
-
-def arm_yaml(folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(ARM.model_dump(mode="json", exclude_defaults=True))
-    (folder / "arm.yaml").write_text(text, encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

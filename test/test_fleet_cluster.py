@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from test_fleet import arm_yaml, rows_of
+from fleet_arms import arm_yaml, rows_of
 
 from longarm_comp.cli.diagnose import fleet as command
 from longarm_comp.core.errors import InputError, JobError

@@ -24,6 +24,7 @@ from bag_robot import asked, command, robot, sighting, state
 from cli_shell import Shell
 from damage import damaged
 from openpyxl import Workbook
+from places import EXAMPLES
 from session_bag import write_bag
 from small_arm import ARM
 
@@ -45,7 +46,7 @@ PARTS = 10
 HANG_S = 120
 
 ARM_FILE, MODEL, PREDICTOR = "arm.yaml", "model.yaml", "predictor.npz"
-TOUCHED = Path(__file__).resolve().parents[1] / "examples" / "panda_touch"
+TOUCHED = EXAMPLES / "panda_touch"
 BENDING = {
     **ARM.model_dump(mode="json", exclude_defaults=True),
     "base": {"xyz_m": [0.0, 0.0, 0.0], "rpy_deg": [0.0, 0.0, 0.0]},

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from cli_shell import Shell
-from test_import_poses import POSE, line
+from pose_tables import POSE, line
 
 # ------------------------------------------------------------------ headers
 

@@ -12,6 +12,7 @@ import pytest
 from cli_shell import Shell
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pose_tables import POSE, line, split
 from scipy.spatial.transform import Rotation as Turn
 from small_arm import ARM
 
@@ -64,10 +65,6 @@ TURNS: tuple[tuple[str, Callable[[Turn], np.ndarray], str], ...] = (
     ("A B C", angles("ZYX"), "ZYX"),
     ("W P R", angles("xyz"), "xyz"),
 )
-
-
-def split(names: str) -> list[str]:
-    return names.split("|") if "|" in names else names.split()
 
 
 def rows(seed: int) -> tuple[Session, Turn]:
@@ -168,17 +165,6 @@ def test_any_mixture_is_read_to_the_same_numbers_or_refused(
     else:
         assert seen is not None
         assert (Turn.from_quat(seen).inv() * turns).magnitude().max() < 1e-7
-
-
-def line(names: str, values: np.ndarray) -> str:
-    joints = ["q1_deg", "q2_deg", "q3_m", "q4_deg"]
-    head = ",".join([*joints, *split(names)])
-    return head + "".join(
-        "\n1,20,0.05,3," + ",".join(repr(float(v)) for v in row) for row in values
-    )
-
-
-POSE = np.array([[0.1, 0.2, 0.3, 0.1, -0.5, 0.7, 0.5], [0.2, 0.2, 0.3, 0.0, 0.6, 0.0, 0.8]])
 
 
 @pytest.mark.parametrize("names", [t[0] for t in TURNS if t[2]])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from discover_rows import DEMO
 from hidden_arm import SIGMA, at, session
+from rows_with_play import session_of
 from small_arm import ARM
-from test_thresholds import session_of
 
 from longarm_comp.core.calibration.calibrate import declared_model, geometry
 from longarm_comp.core.calibration.candidates import Candidate

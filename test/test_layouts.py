@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from places import ROOT
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.nodes import interfaces as graph
 
-LAYOUTS = Path(__file__).resolve().parents[1] / "config" / "layouts"
+LAYOUTS = ROOT / "config" / "layouts"
 TYPES = {f"/{topic.name.lstrip('/')}": topic.type for topic in graph.TOPICS}
 
 

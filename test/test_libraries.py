@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).resolve().parents[1]
+from places import ROOT
 
 WITHOUT_METADATA = """
 import importlib.metadata as metadata, runpy, sys, types

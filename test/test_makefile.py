@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 from browser import NEEDED, browser
+from places import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 SAYS = 'echo "$(basename $0) $*" >> {log}'
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import unprivileged
 from small_arm import ARM as SMALL
+from unprivileged import unprivileged
 
 from longarm_comp.core import files
 from longarm_comp.core.arm.arm import Arm

@@ -9,14 +9,13 @@ import pytest
 import yaml
 from bag_robot import command, robot, sighting, state
 from cli_shell import Shell
+from places import DEMO_ARM as ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import REST_S, rest_s, ring_of_moves
-
-ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 
 
 @pytest.fixture

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import EXAMPLES
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: run make setup")
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
 sys.path.append(str(EXAMPLES))
 
 from mujoco_arm import JOINTS, RealArm

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_shell import Shell
+from places import ROOT
 from small_arm import ARM, measured
 
 from longarm_comp.core.arm.arm import Arm
@@ -208,7 +209,7 @@ def test_what_matplotlib_reads_of_the_folder(trap: Path) -> None:
 def test_a_graph_that_is_given_the_file_knows_its_effects(tmp_path: Path) -> None:
     """The words with which `longarm up --effects` starts its nodes."""
     pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
-    from nodes_bench import ROOT, bench, own_graph
+    from nodes_bench import bench, own_graph
     from std_srvs.srv import Trigger
 
     from longarm_comp.core.effects.catalogue import load_file

@@ -12,11 +12,12 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench
+from places import DEMO_ARM as ARM
+from played_driver import Driver
 from publishing import publishing
 from rclpy.clock import ClockType, ROSClock
 from rclpy.time import Time
-from test_nodes_driver_link import ARM, Driver
-from test_nodes_kinematics import pose, request
+from target_requests import pose, request
 from trajectory_msgs.msg import JointTrajectory
 
 from bench.slow_path import slow_path

@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from places import DEMO_ARM as ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench, own_graph
-from sensor_msgs.msg import JointState
-from test_nodes_kinematics import request
-from trajectory_msgs.msg import JointTrajectory
+from played_driver import Driver
+from target_requests import request
 from wind_up import there_and_back
 
 from longarm_comp.core.arm.arm import Arm
@@ -24,49 +23,12 @@ from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import joints_message, trajectory_message
+from longarm_comp.nodes.messages import trajectory_message
 from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
-ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 STATUS = Compensate.Response
-
-
-class Driver:
-    """Tells a state twice a second and answers trajectories as it is set to."""
-
-    def __init__(self, stage: Bench, arm: Arm) -> None:
-        self.stage, self.arm = stage, arm
-        self.state, self.event = DriverState.READY, Motion.ACCEPTED
-        self.instances: tuple[str, ...] = ()
-        self.answers = True
-        self.got: list[JointTrajectory] = []
-        self._states = graph.DRIVER_STATE.publisher(stage.node)
-        self._motions = graph.MOTION.publisher(stage.node)
-        self._joints = graph.JOINT_STATES.publisher(stage.node)
-        graph.JOINT_TRAJECTORY.subscription(stage.node, self._on_trajectory)
-        stage.node.create_timer(0.2, self._beat)
-
-    def _beat(self) -> None:
-        for instance in self.instances:
-            self._states.publish(DriverState(state=self.state, instance=instance, message="so"))
-        self._joints.publish(joints_message(self.arm, self.arm.mid))
-
-    def _on_trajectory(self, message: JointTrajectory) -> None:
-        self.got.append(message)
-        if self.answers:
-            self.tell(self.event, order_id(message), message)
-        else:
-            self.tell(Motion.REFUSED, "a trajectory of another one")
-
-    def tell(self, event: int, name: str, taken: JointTrajectory | None = None) -> None:
-        motion = Motion(id=name, event=event, message="the fake says so")
-        if event == Motion.ACCEPTED and taken is not None:
-            names = list(self.arm.joint_names)
-            motion.start = JointState(name=names, position=self.arm.mid.tolist())
-            motion.points = taken.points
-        self._motions.publish(motion)
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
+from places import ROOT
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
@@ -27,7 +28,6 @@ from longarm_comp.nodes.bringup import GUARD, SIMULATED, BringUp
 from longarm_comp.nodes.params import Param
 from longarm_comp.share import folder
 
-ROOT = Path(__file__).parents[1]
 GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "servos", "port", "hidden"}
 
 

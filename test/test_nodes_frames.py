@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import DEMO_ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 pytest.importorskip("tf2_msgs", reason="tf2_msgs is not installed: run make setup")
@@ -106,7 +107,7 @@ class Scene:
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
     folder = tmp_path_factory.mktemp("frames")
-    demo = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
+    demo = DEMO_ARM
     with own_graph(folder), bench() as stage:
         yield Scene(stage, demo, folder)
 

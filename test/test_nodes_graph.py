@@ -12,6 +12,7 @@ from typing import Any
 import click
 import numpy as np
 import pytest
+from places import DEMO_ARM as ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
@@ -33,7 +34,6 @@ from longarm_comp.nodes.messages import pose_message, sighting_of, trajectory_me
 from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 
-ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 SPEED = 8.0
 
 

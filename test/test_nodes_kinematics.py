@@ -10,19 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from places import ROOT
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from nodes_bench import ROOT, Bench, bench
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nodes_bench import Bench, bench
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, Temperature
 from std_srvs.srv import Trigger
+from target_requests import pose, request
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects import catalogue
@@ -47,15 +48,6 @@ def stage(ros_domain: int) -> Iterator[Bench]:
 @pytest.fixture
 def arm(demo_arm_path: Path) -> Arm:
     return Arm.load(demo_arm_path)
-
-
-def pose(matrix: np.ndarray, frame: str = "base") -> PoseStamped:
-    made = PoseStamped()
-    made.header.frame_id = frame
-    p, o = made.pose.position, made.pose.orientation
-    p.x, p.y, p.z = matrix[:3, 3].tolist()
-    o.x, o.y, o.z, o.w = quaternion.from_rotation(matrix[:3, :3]).tolist()
-    return made
 
 
 def test_target_pose_becomes_a_trajectory(stage: Bench, arm: Arm, demo_arm_path: Path) -> None:
@@ -85,11 +77,6 @@ def test_target_pose_becomes_a_trajectory(stage: Bench, arm: Arm, demo_arm_path:
     sent = np.array(trajectory.points[0].positions)
     np.testing.assert_allclose(model.pose(sent), target, atol=2e-6)
     assert list(story.executed.position) == sent.tolist()
-
-
-def request(matrix: np.ndarray, arm: Arm, **more: object) -> Compensate.Request:
-    seed = joints_message(arm, arm.mid)
-    return Compensate.Request(**{"target": pose(matrix), "seed": seed, **more})
 
 
 def test_an_effect_of_a_file_is_compensated(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import DEMO_ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
@@ -20,7 +21,7 @@ from nodes_bench import Bench, bench, own_graph
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64
-from test_nodes_ready import STATUS, Watched
+from watched_kinematics import Watched
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.online import JointTrust
@@ -29,11 +30,14 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.kinematics import Kinematics
 from longarm_comp.nodes.messages import efforts_of, joints_message
+from longarm_interfaces.srv import Compensate
+
+STATUS = Compensate.Response
 
 
 @pytest.fixture(scope="module")
 def arm() -> Arm:
-    return Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+    return Arm.load(DEMO_ARM)
 
 
 @pytest.fixture

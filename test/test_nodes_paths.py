@@ -16,15 +16,15 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Time
+from cobot import declared, through_pi, wrapped
 from control_msgs.msg import JointComponentTolerance
 from geometry_msgs.msg import PointStamped
 from nodes_bench import Bench, bench
+from places import DEMO_ARM as ARM
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from small_arm import ARM as SMALL
-from test_circle import declared, through_pi, wrapped
-from test_nodes_driver_link import ARM
-from test_target_frame import AWAY
+from small_arm import AWAY
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from walking import Walk
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DEMO_ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
@@ -43,7 +44,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 
 @pytest.fixture(scope="module")
 def arm() -> Arm:
-    return Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+    return Arm.load(DEMO_ARM)
 
 
 def trained(arm: Arm, bias: np.ndarray, **settings: object) -> Predictor:

@@ -8,30 +8,28 @@ from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
+from places import DEMO_ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 import rclpy
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench, bench, own_graph
 from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
-from std_msgs.msg import Header
+from watched_kinematics import Watched
 
 from bench.dummy_predictor import train_dummy
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes import compensator, predictor_client
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.compensator import Readiness
 from longarm_comp.nodes.kinematics import Kinematics
-from longarm_comp.nodes.messages import joints_message, pose_message
+from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
 from longarm_interfaces.srv import Compensate, PredictError
 
@@ -40,7 +38,7 @@ STATUS = Compensate.Response
 
 @pytest.fixture(scope="module")
 def arm() -> Arm:
-    return Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+    return Arm.load(DEMO_ARM)
 
 
 @pytest.fixture(scope="module")
@@ -54,45 +52,6 @@ def learned(arm: Arm, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def stage(tmp_path: Path) -> Iterator[Bench]:
     with own_graph(tmp_path), bench() as made:
         yield made
-
-
-class Watched:
-    """/diagnostics of `kinematics`, and its service."""
-
-    def __init__(self, stage: Bench, arm: Arm, space: str = "") -> None:
-        self.stage, self.arm = stage, arm
-        self.heard = stage.collect(graph.DIAGNOSTICS)
-        self.client = stage.node.create_client(Compensate, f"{space}/{graph.COMPENSATE.name}")
-        self.pose = pose_message(declared_model(arm).pose(arm.mid))
-
-    def part(self, name: str) -> Any:
-        """Wait for the next report of a part."""
-        del self.heard[:]
-        wanted = f"/kinematics: {name}"
-        told = lambda: [s for array in self.heard for s in array.status if s.name == wanted]  # noqa: E731
-        return self.stage.spin(told)[-1]
-
-    def says(self, name: str, message: str, level: bytes = b"\0") -> None:
-        """Wait until a part says that."""
-
-        def said() -> bool:
-            status = self.part(name)
-            return bool(status.message.startswith(message) and status.level == level)
-
-        self.stage.spin(said)
-
-    @property
-    def programs(self) -> int:
-        """How many programs are compiled."""
-        return next(int(v.value) for v in self.part("ready").values if "programs" in v.key)
-
-    def ask(self, **more: Any) -> Compensate.Response:
-        """The answer to one target."""
-        header = Header(frame_id="base", stamp=more.pop("stamp", Time()))
-        target = PoseStamped(header=header, pose=self.pose)
-        seed = joints_message(self.arm, self.arm.mid)
-        given = {"target": target, "position_only": True, "seed": seed, **more}
-        return self.stage.call(self.client, Compensate.Request(**given))
 
 
 def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(

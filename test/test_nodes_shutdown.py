@@ -7,10 +7,11 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from places import ROOT
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from nodes_bench import ROOT, Bench, bench, own_graph
+from nodes_bench import Bench, bench, own_graph
 from std_msgs.msg import String
 
 from longarm_comp.nodes import interfaces as graph

@@ -18,7 +18,7 @@ from cli_shell import Shell
 from driver_rig import Rig
 from lifecycle_msgs.msg import Transition
 from std_srvs.srv import SetBool, Trigger
-from test_nodes_kinematics import request
+from target_requests import request
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm.arm import Arm

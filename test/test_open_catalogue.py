@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from hidden_arm import at, session
+from places import ROOT
 
 from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
@@ -29,7 +30,6 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives
 from studies.many import compensate_arrays
 
-ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "custom_effect.py"
 GAIN = (drives.JointGain(at(2, 0.02)),)
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from places import ROOT
 
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
 
-ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "custom_protocol.py"
 
 

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 import torch
 from cli_shell import Shell
+from page_lines import lines
+from places import ROOT
 from quick_predictor import rows
-from test_docs_commands import lines
 
 from bench.smooth import rms_mm
 from longarm_comp.core.errors import InputError
@@ -24,7 +25,6 @@ from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import load, save
 
-ROOT = Path(__file__).resolve().parents[1]
 TWO_LAYERS = ROOT / "examples" / "two_layers.py"
 SMALL = """
 import torch

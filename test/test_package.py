@@ -16,9 +16,10 @@ from importlib.metadata import entry_points, packages_distributions
 from pathlib import Path
 
 import pytest
-import test_rooms
+import source_tree
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from places import ROOT
 from session_bag import write_bag
 from small_arm import ARM
 
@@ -26,8 +27,7 @@ import longarm_comp
 from longarm_comp import libraries
 from longarm_comp.sessions.csv import read_csv
 
-ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = "longarm_comp"
+PACKAGE = source_tree.PACKAGE
 
 # Programs that run in an environment of their own, because theirs and ours exclude each other.
 ELSEWHERE = {"mealpy", "pybotics"}
@@ -59,7 +59,7 @@ def ros_depends() -> set[str]:
 def outside_imports(folder: Path) -> dict[str, set[str]]:
     """Top-level names imported from outside this repository -> the files that import them."""
     found: dict[str, set[str]] = {}
-    scripts = ("test", "examples", "docs/made_by")
+    scripts = ("test/support", "examples", "docs/made_by")
     beside = (file.stem for name in scripts for file in (ROOT / name).glob("*.py"))
     own = {PACKAGE, "bench", "studies", "soak", *beside}
     for file in sorted(folder.rglob("*.py")):
@@ -161,12 +161,12 @@ def test_console_scripts_lead_somewhere() -> None:
     }
     mains = {
         f"{module.removesuffix('.__init__')}:main"
-        for module, file in test_rooms.sources().items()
-        if test_rooms.below(module, (f"{PACKAGE}.nodes", f"{PACKAGE}.cli"))
+        for module, file in source_tree.sources().items()
+        if source_tree.below(module, (f"{PACKAGE}.nodes", f"{PACKAGE}.cli"))
         and re.search(r"^(def main\(|main = )", file.read_text("utf-8"), re.MULTILINE)
     }
     assert scripts == mains | {f"{PACKAGE}.cli:main"}
-    assert f"{PACKAGE}.cli" in test_rooms.known()
+    assert f"{PACKAGE}.cli" in source_tree.known()
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +255,7 @@ def test_without_ros_files_are_worked_on_and_the_rest_says_what_it_lacks(
     prefix: Path, work: Path, tmp_path: Path
 ) -> None:
     """The installed wheel, where nothing of ROS can be imported."""
-    ros = " ".join(ros_depends() | set(test_rooms.ROS))
+    ros = " ".join(ros_depends() | set(source_tree.ROS))
 
     arm, session = work / "arm.yaml", work / "samples.csv"
     write_bag(read_csv(session, ARM), tmp_path / "bag", ARM)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_shell import Shell
+from places import DEMO_ARM as ARM
 from scipy.spatial.transform import Rotation
 from small_arm import ARM as SMALL
 
@@ -38,7 +39,6 @@ from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.math.cubic_path import CubicPath, monotone_slopes, smooth_slopes
 from studies.path import lagging
 
-ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 SECONDS = 4.0
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from every_circumstance import circumstances, models
 from scipy.spatial.transform import Rotation
 from small_arm import ARM as SMALL
-from test_circumstances import circumstances, models
 
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm

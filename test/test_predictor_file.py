@@ -6,16 +6,15 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 from quick_predictor import ORIGIN, quick_predictor, rows
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor_file import load, save
 
-ROOT = Path(__file__).resolve().parents[1]
 SAVED = """
 import sys
 from bench.smooth import smooth_set

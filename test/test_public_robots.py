@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_shell import Shell
-from test_urdf import compare, drawn, public_robots
+from places import ROOT
+from urdf_robots import compare, drawn, public_robots
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
@@ -32,7 +33,7 @@ REASONS = (
     " limit: ",
     r"(Left|Right)_\w+_q2 mimic: '\w+_q1'",  # no joint of the file
 )
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "your_own_arm.md"
+PAGE = ROOT / "docs" / "your_own_arm.md"
 MOST_STARTS = 256  # beside a singularity most searches end early
 each_robot = pytest.mark.parametrize("path", public_robots(), ids=lambda path: path.name)
 

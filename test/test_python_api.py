@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from cli_shell import Shell
 from hidden_arm import at, files_of_a_gain, session, tip
+from places import ROOT
 from small_arm import ARM
 
 import longarm_comp as la
@@ -113,7 +114,7 @@ def test_the_page_says_what_runs(
 ) -> None:
     """The program of docs/python.md, with small networks or none; every name has its row."""
     files_of_a_gain(tmp_path)
-    page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
+    page = (ROOT / "docs" / "python.md").read_text("utf-8")
     program = re.search(r"```python\n(.*?)```", page, re.DOTALL)
     assert program is not None
     monkeypatch.chdir(tmp_path)

@@ -8,12 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 tools = pytest.importorskip("catkin_pkg.changelog", reason="catkin_pkg: run make setup")
 
 from catkin_pkg.package import parse_package
 
-ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "docs" / "made_by"))
 
 import release

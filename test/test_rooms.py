@@ -7,21 +7,12 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import pytest
+from places import ROOT
+from source_tree import PACKAGE, ROS, Import, below, imports, known, sources
 
 from longarm_comp.core.effects.catalogue import LIBRARY
-
-PACKAGE = "longarm_comp"
-ROOT = Path(__file__).resolve().parents[1]
-
-ROS = (
-    *("rclpy", "launch", "launch_ros", "longarm_interfaces", "tf2_ros", "ament_index_python"),
-    *("builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_srvs", "std_msgs"),
-    *("diagnostic_msgs", "geometry_msgs", "lifecycle_msgs", "sensor_msgs", "trajectory_msgs"),
-    *("visualization_msgs", "nav_msgs", "action_msgs", "tf2_msgs", "control_msgs"),
-)
 
 IO = ("cv2", "serial", "click", "rich", "matplotlib")
 
@@ -87,47 +78,6 @@ MATHS = {
 }
 
 
-@dataclass(frozen=True)
-class Import:
-    """One import, for types alone too: where, of what, whether within a function."""
-
-    line: int
-    name: str
-
-
-def below(name: str, parents: tuple[str, ...]) -> bool:
-    """Whether a dotted name is one of the parents or lies inside one."""
-    return any(name == parent or name.startswith(f"{parent}.") for parent in parents)
-
-
-def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]:
-    """Every import of a source text, nested ones too, as full names.
-
-    ``from a import b`` gives ``a.b`` where that is a known module and ``a`` otherwise. ``module``
-    ends in ``.__init__`` for a package's own file, so that relative imports come out right.
-    """
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        names: list[str] = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                base = ".".join([*module.split(".")[: -node.level], *filter(None, [base])])
-            full = [f"{base}.{alias.name}" for alias in node.names]
-            names = sorted({name if name in known else base for name in full})
-        elif isinstance(node, ast.Call) and called(node.func) == "import_module":
-            names = [a.value for a in node.args if isinstance(a, ast.Constant)]
-        for name in names:
-            yield Import(node.lineno, name)
-
-
-def called(function: ast.expr) -> str:
-    """Last name of what is called."""
-    return str(getattr(function, "attr", getattr(function, "id", "")))
-
-
 def maths(source: str) -> Iterator[tuple[int, str]]:
     """Where a source text computes: linear algebra, trigonometry, matrix products."""
     for node in ast.walk(ast.parse(source)):
@@ -179,20 +129,6 @@ def reach(graph: dict[str, set[str]], start: str) -> set[str]:
         seen |= fresh
         ahead += fresh
     return seen
-
-
-@cache
-def sources() -> dict[str, Path]:
-    """Module name -> file; a package's own file under ``name.__init__``."""
-    files = [
-        file for folder in (PACKAGE, "bench", "studies") for file in (ROOT / folder).rglob("*.py")
-    ]
-    return {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in sorted(files)}
-
-
-@cache
-def known() -> frozenset[str]:
-    return frozenset(module.removesuffix(".__init__") for module in sources())
 
 
 @cache

@@ -27,7 +27,7 @@ from servo_bench import (
     two,
 )
 from servo_bench import bus as geared_bus
-from test_servo_setup import RIGHT, Terminal
+from servo_terminal import RIGHT, Terminal
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.servo_arm import ServoArm

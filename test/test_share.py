@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 from longarm_comp import share
 from longarm_comp.core.errors import InputError
@@ -31,7 +32,7 @@ def config(prefix: Path) -> Path:
 def test_the_checkout_comes_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     config(tmp_path)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    assert share.folder("config") == Path(__file__).parents[1] / "config"
+    assert share.folder("config") == ROOT / "config"
 
 
 def test_what_no_prefix_has_is_said(packages: Path, tmp_path: Path) -> None:
@@ -63,4 +64,4 @@ def test_interfaces_are_taken_as_they_are_installed(
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     places = share.interface_folders("longarm_interfaces", "msg")
     assert places[0] == tmp_path / "share" / "longarm_interfaces" / "msg"
-    assert places[-1] == Path(__file__).parents[1] / "longarm_interfaces" / "msg"
+    assert places[-1] == ROOT / "longarm_interfaces" / "msg"

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import DEMO_ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context as ModelContext
@@ -78,7 +79,7 @@ def _eccentric(e: Any) -> list[Any]:
 
 
 # name: (the model's terms for a hidden effect, rms difference allowed in mm at 3 mm of effect)
-TORQUE = typical_loads(Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")).torque
+TORQUE = typical_loads(Arm.load(DEMO_ARM)).torque
 
 SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     "joint_zero": (lambda e: _each(ALL, JointZero, offset=e.offset), 0.06),

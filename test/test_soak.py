@@ -12,6 +12,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
@@ -112,7 +113,7 @@ def test_half_a_minute_of_faults(ros_domain: int, tmp_path: Path) -> None:
     words = ["--hours", "0.008", "--fault-every", "2", "--seed", "2", "--json"]
     done = subprocess.run(
         [sys.executable, "-m", "soak", *words, "--out", str(tmp_path)],
-        cwd=Path(__file__).parent,
+        cwd=ROOT / "test",
         capture_output=True,
         text=True,
         timeout=400,

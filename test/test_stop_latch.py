@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import unprivileged
+from unprivileged import unprivileged
 
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.devices.state_folder import state_folder

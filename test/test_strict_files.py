@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_shell import Shell
+from loaded_arm import arm_data
 from openpyxl import Workbook
 from small_arm import ARM
 
@@ -79,17 +80,6 @@ def test_yaml_that_is_read() -> None:
     ]
     assert parse_yaml(nested, "f") == eval(nested)
     assert parse_yaml("", "f") is None
-
-
-def arm_data() -> dict[str, Any]:
-    data = ARM.model_dump(mode="json", exclude_defaults=True)
-    tube = {"type": "tube", "od_m": 0.05, "id_m": 0.04}
-    data["links"] = [
-        {"name": "boom", "row": 3, "role": "d", "length_m": "rest", "E_pa": 70e9, "poisson": 0.3,
-         "section": tube, "mass_kg": 0.5, "body_length_m": 0.4}
-    ]  # fmt: skip
-    data["payload"] = {"frame": 4, "mass_kg": 0.1}
-    return data
 
 
 @pytest.mark.parametrize(

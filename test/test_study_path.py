@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_shell import Shell
+from places import DEMO_ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.model import Model
@@ -14,7 +15,7 @@ from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.sim.arm_truth import TrueArm
 from studies import path
 
-ARM = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+ARM = Arm.load(DEMO_ARM)
 
 
 def test_an_arc_runs_through_three_points_on_one_circle() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_shell import Shell
-from small_arm import ARM, measured
+from small_arm import ARM, AWAY, measured
 
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
@@ -24,7 +24,6 @@ from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.targets import Targets
 
-AWAY = BasePose(x=2.0, y=-1.0, z=0.5, rx=0.1, ry=0.2, rz=1.1)
 NEAR = BasePose(x=0.004, rz=0.005)
 
 

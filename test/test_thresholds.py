@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rows_with_play import session_of
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry
@@ -29,17 +30,6 @@ SIGMA = np.full(3, 4e-4)
 @pytest.fixture(scope="module")
 def arm(demo_arm_path: Path) -> Arm:
     return Arm.load(demo_arm_path)
-
-
-def session_of(arm: Arm, seed: int, play: Backlash) -> Session:
-    """Poses that the joints reach from either side, of an arm with play; 0.4 mm of noise."""
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(arm.lower, arm.upper, (120, arm.n))
-    side = rng.choice([-1, 1], q.shape)
-    truth = Model(arm, (LinkDeflection(), play))
-    known = Session.record(q, np.zeros((120, 3)), approach=side).context()
-    xyz = truth.tip(q, known) + 4e-4 * rng.standard_normal((120, 3))
-    return Session.record(q, xyz, approach=side)
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-from small_arm import ARM
-from test_target_frame import AWAY
+from small_arm import ARM, AWAY
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History

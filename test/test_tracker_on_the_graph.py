@@ -17,7 +17,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovariance, PoseWithCovarianc
 from nodes_bench import Bench, bench, own_graph
 from quick_arm import QuickArm, quick_arm
 from small_arm import ARM as SMALL
-from test_target_frame import AWAY
+from small_arm import AWAY
 from visualization_msgs.msg import MarkerArray
 
 from longarm_comp.core.effects.drive_errors import GearEccentricity

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from follower_rig import CONFIG, DT, LIMITS, TURN, Rig, kinds
+from places import ROOT
 
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.devices.servo_follower import EventKind, Step, TrajectoryFollower
@@ -18,7 +19,7 @@ from studies.readings import SaggingArm
 Reading = Callable[[float], float]
 DROOP = 18.0
 DRIVER_S = 0.05
-CONFIGS = Path(__file__).parent.parent / "config"
+CONFIGS = ROOT / "config"
 
 
 class Sagging(Rig):

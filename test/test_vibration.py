@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from finite_elements import fe_frequencies
+from places import ROOT
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -30,7 +31,7 @@ from longarm_comp.sim.servo_emulator.joints import read_arm
 from studies.random_arms import random_arm
 from studies.ringing import after
 
-CONFIG = Path(__file__).parents[1] / "config"
+CONFIG = ROOT / "config"
 ARM = Arm.load(CONFIG / "arm_demo.yaml")
 SOFT = np.array([4e-3, 3e-3, 0.0, 2e-3, 5e-3, 2e-3, 0.0])
 SOFT_ARM = declared_model(ARM).plus(

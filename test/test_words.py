@@ -11,11 +11,11 @@ from pathlib import Path
 import click
 import pytest
 from cli_shell import ENTRIES, click_command
+from places import ROOT
 
 import longarm_comp
 from longarm_comp.core.effects.catalogue import BUILT_IN
 
-ROOT = Path(__file__).resolve().parents[1]
 GLOSSARY = ROOT / "docs" / "glossary.md"
 ENTRY = re.compile(r"^- \*\*(.+?)\*\*:? (.+?)(?:\(not: (.+)\))?$", re.MULTILINE)
 

@@ -11,11 +11,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from places import ROOT
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import ROOT, Bench, bench
+from nodes_bench import Bench, bench
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.nodes import interfaces as graph

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from hidden_arm import at, session, white
+from places import EXAMPLES
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
@@ -25,7 +26,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives, loads
 from studies import real_sessions
 
-TOUCHED = Path(__file__).resolve().parents[1] / "examples" / "panda_touch"
+TOUCHED = EXAMPLES / "panda_touch"
 CALLED = ("slew", "luff", "extend", "knuckle")
 
 

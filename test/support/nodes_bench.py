@@ -17,14 +17,13 @@ from uuid import uuid4
 
 import pytest
 import rclpy
-from conftest import claimed_domain
+from own_domain import claimed_domain
+from places import ROOT
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-
-ROOT = Path(__file__).resolve().parents[1]
 
 _ASK_AGAIN_S, _MATCHED_S, _TOLD_S = 8.0, 0.1, 2.0
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.model.model import Model
 
 ARM = Arm.parse(
@@ -22,6 +23,9 @@ ARM = Arm.parse(
     },
     "small arm",
 )
+
+AWAY = BasePose(x=2.0, y=-1.0, z=0.5, rx=0.1, ry=0.2, rz=1.1)
+"""Far from where its base is declared."""
 
 
 def measured(n: int, rng: np.random.Generator, **more: object) -> Session:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
+from places import EXAMPLES
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
@@ -16,7 +16,7 @@ from longarm_comp.sim.hidden import geometry
 from longarm_comp.sim.hidden.base import HiddenEffect
 from studies.measurements import joints_at
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "panda_touch"
+EXAMPLE = EXAMPLES / "panda_touch"
 ARM = Arm.load(EXAMPLE / "arm.yaml")
 SIGMA = 1e-4
 GAP = 0.05

@@ -1,0 +1,28 @@
+"""ROS domains for tests that run side by side."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+# Above 101 the ports of a domain fall among those that Linux hands out to other programs.
+ROS_DOMAINS = range(1, 102)
+
+
+@contextmanager
+def claimed_domain() -> Iterator[int]:
+    """A ROS domain that no other test on this machine uses, across processes and sessions."""
+    for domain in ROS_DOMAINS:
+        path = Path(tempfile.gettempdir()) / f"longarm_ros_domain_{os.getuid()}_{domain}.lock"
+        with path.open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain
+            return
+    raise RuntimeError("every ROS domain is taken by a running test")
