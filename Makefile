@@ -90,7 +90,7 @@ long: setup browser
 
 # Damaged files given to every command that reads one; `make test` runs a few.
 fuzz: setup
-	LONGARM_FUZZ_RUNS=3000 $(BIN)/python -m pytest $(PYTEST_ARGS) test/test_fuzz.py
+	LONGARM_FUZZ_RUNS=3000 $(BIN)/python -m pytest $(PYTEST_ARGS) test/cli/test_fuzz.py
 
 # Hours of targets on a simulated arm, with random faults: SOAK_ARGS='--hours 8'.
 SOAK_ARGS ?=

@@ -30,16 +30,16 @@ NOT_SHIPPED = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data
 LONGEST = (
     *("test_readings_on_the_graph", "test_explain", "test_loop_graph", "test_hidden_effect"),
     "test_mujoco_arm",
-    *("test_nodes_servo_driver", "test_nodes_stops", "test_functions", "test_package"),
+    *("test_servo_driver", "test_stops", "test_functions", "test_package"),
     *("test_diagnosed", "test_collect", "test_fuzz", "test_arm_folder_graph"),
     *("test_open_catalogue", "test_view", "test_python_api", "test_tip_on_the_graph"),
-    *("test_fleet", "test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
+    *("test_fleet", "test_error_predictor", "test_readings", "test_away", "test_study_real"),
     *("test_fleet_cluster", "test_servo_written_back", "test_servo_memory"),
     *("test_touch_graph", "test_diagnose", "test_at_work_graph", "test_belonging"),
-    *("test_nodes_kinematics", "test_bench", "test_servo_setup", "test_realisable_arm"),
-    *("test_nodes_driver_link", "test_study_touch", "test_demo", "test_study_table1"),
-    *("test_collect_run", "test_slides", "test_nodes_ready", "test_report_sentences"),
-    *("test_nodes_paths", "test_strict_files", "test_nodes_graph", "test_report_browser"),
+    *("test_kinematics", "test_bench", "test_servo_setup", "test_realisable_arm"),
+    *("test_driver_link", "test_study_touch", "test_demo", "test_study_table1"),
+    *("test_collect_run", "test_slides", "test_ready", "test_sentences"),
+    *("test_paths", "test_strict_files", "test_graph", "test_browser"),
 )
 """Files that take longest, those that wait for nodes between those that compute. They begin first:
 no worker is left alone with one."""

@@ -155,7 +155,7 @@ class View:
         corners = board.points(np.arange(board.n_corners)).reshape(-1, 4, 3)
         middle = corners.mean(axis=1, keepdims=True)
         # White around a tag that must be in the picture, as a share of the tag. These three are
-        # from rendered images: `pytest test/test_collect_preview.py` compares
+        # from rendered images: `pytest test/arm_folder/test_collect_preview.py` compares
         wide = middle + (1.0 + 2.0 * 0.1) * (corners - middle)
         on_tip = mounting(simulated["marker.mounting"])[:3, :3]
         pair = CameraPair(

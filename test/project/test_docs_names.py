@@ -87,7 +87,9 @@ def test_targets_tests_pages_and_sections(page: Path) -> None:
     text = " ".join(page.read_text("utf-8").split())
     made = re.findall(r"^([\w]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
     assert set(re.findall(r"`make (\w+)", text)) <= set(made)
-    for test, chosen in re.findall(r"pytest (test/\w+\.py)(?: -k (\w+))?", text):
+    for test in re.findall(r"\btest/[\w/]+\.py", text):
+        assert (ROOT / test).is_file(), test
+    for test, chosen in re.findall(r"pytest (test/[\w/]+\.py)(?: -k (\w+))?", text):
         source = (ROOT / test).read_text("utf-8")
         names = re.findall(r"def test_(\w+)|id=\"(\w+)\"", source)
         assert any(chosen in "".join(pair) for pair in names) or chosen in source, (test, chosen)
