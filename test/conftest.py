@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from cli_shell import Shell, made_by_commands
-from own_domain import claimed_domain
+from own_graph import own_graph
 from places import DATA, DEMO_ARM, ROOT
 
 from longarm_comp.core.arm.arm import Arm
 
 if TYPE_CHECKING:
     from driver_rig import Rig
+    from nodes_bench import Bench
 
 NOT_SHIPPED = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data")) / "real"
 
@@ -99,6 +100,18 @@ def demo(demo_arm_path: Path) -> Arm:
     return Arm.load(demo_arm_path)
 
 
+@pytest.fixture(scope="session")
+def arm(demo: Arm) -> Arm:
+    """The arm of the demonstration too, in a file that has no other one."""
+    return demo
+
+
+@pytest.fixture(scope="session")
+def twin(data_dir: Path) -> Arm:
+    """The declared arm of the shared twin cases."""
+    return Arm.load(data_dir / "twin" / "arm.yaml")
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A generator with a fixed seed, new for every test."""
@@ -172,10 +185,16 @@ def rig(running_driver: Rig) -> Rig:
 
 
 @pytest.fixture
-def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
+def ros_domain(tmp_path: Path) -> Iterator[int]:
     """A ROS graph of this test's own: set in the environment, so child processes share it."""
-    with claimed_domain() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+    with own_graph(tmp_path) as domain:
         yield domain
+
+
+@pytest.fixture
+def stage(ros_domain: int) -> Iterator[Bench]:
+    """Processes of nodes on this test's own graph."""
+    from nodes_bench import bench
+
+    with bench() as made:
+        yield made

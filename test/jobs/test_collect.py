@@ -41,11 +41,6 @@ POSES = 8
 TEXT = "std_msgs/msg/String"
 
 
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
-
-
 def word(text: str) -> bytes:
     types = message_types()
     return bytes(types.serialize_cdr(types.types[TEXT](data=text), TEXT))

@@ -17,7 +17,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
 from hidden_arm import at
-from nodes_bench import PATIENCE_S, bench, own_graph
+from nodes_bench import PATIENCE_S, bench
+from own_graph import own_graph
 from quick_arm import QuickArm, quick_arm
 from small_arm import ARM
 

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from at_work_arm import JOINT, NOISE, fitted, true_tip
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import Bench, bench
+from nodes_bench import Bench
 from quick_arm import quick_arm
 from small_arm import ARM
 from std_srvs.srv import SetBool, Trigger
@@ -29,12 +29,6 @@ from longarm_comp.sessions.day import read_day
 from longarm_interfaces.srv import Compensate
 
 GROWTH = 2e-3
-
-
-@pytest.fixture
-def stage(ros_domain: int) -> Iterator[Bench]:
-    with bench() as made:
-        yield made
 
 
 class WornArm:

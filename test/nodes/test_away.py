@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from nodes_bench import Bench, bench
+from nodes_bench import Bench
 from places import DEMO_ARM as ARM
 from played_driver import Driver
 from publishing import publishing
@@ -34,17 +33,6 @@ from longarm_interfaces.srv import Compensate
 STATUS = Compensate.Response
 MAX_AGE_S = 1.0
 FLOOD = 3_000
-
-
-@pytest.fixture
-def arm() -> Arm:
-    return Arm.load(ARM)
-
-
-@pytest.fixture
-def stage(ros_domain: int) -> Iterator[Bench]:
-    with bench() as made:
-        yield made
 
 
 class Stand:

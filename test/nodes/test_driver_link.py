@@ -13,7 +13,8 @@ from places import DEMO_ARM as ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench, bench
+from own_graph import own_graph
 from played_driver import Driver
 from target_requests import request
 from wind_up import there_and_back
@@ -29,11 +30,6 @@ from longarm_interfaces.msg import DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
 STATUS = Compensate.Response
-
-
-@pytest.fixture(scope="module")
-def arm() -> Arm:
-    return Arm.load(ARM)
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import DEMO_ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench, bench
+from own_graph import own_graph
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from std_srvs.srv import Trigger
@@ -40,11 +40,6 @@ BIAS = np.array([0.002, -0.001, 0.004])
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     with own_graph(tmp_path_factory.mktemp("predictor")), bench() as made:
         yield made
-
-
-@pytest.fixture(scope="module")
-def arm() -> Arm:
-    return Arm.load(DEMO_ARM)
 
 
 def trained(arm: Arm, bias: np.ndarray, **settings: object) -> Predictor:

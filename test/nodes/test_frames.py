@@ -14,7 +14,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 pytest.importorskip("tf2_msgs", reason="tf2_msgs is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench, bench
+from own_graph import own_graph
 from rclpy.time import Time
 from scipy.spatial.transform import Rotation
 
@@ -107,9 +108,8 @@ class Scene:
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
     folder = tmp_path_factory.mktemp("frames")
-    demo = DEMO_ARM
     with own_graph(folder), bench() as stage:
-        yield Scene(stage, demo, folder)
+        yield Scene(stage, DEMO_ARM, folder)
 
 
 def test_tf_tells_links_and_tips_as_the_urdf_names_them(scene: Scene) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import Bench, bench, children, gone, own_graph
+from nodes_bench import Bench, children, gone
 from visualization_msgs.msg import Marker
 
 from longarm_comp.cli.run import root
@@ -35,11 +34,6 @@ from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 
 SPEED = 8.0
-
-
-@pytest.fixture(scope="module")
-def arm() -> Arm:
-    return Arm.load(ARM)
 
 
 class Station:
@@ -102,12 +96,6 @@ def bring_up(namespace: str, **more: Any) -> BringUp:
         "kinematics": quick | more.pop("kinematics", {}),
     }
     return BringUp(arm=ARM, sim=True, speed=SPEED, namespace=namespace, set=parameters, **more)
-
-
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Bench]:
-    with own_graph(tmp_path), bench() as made:
-        yield made
 
 
 @pytest.mark.long

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from places import ROOT
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nodes_bench import Bench, bench
+from nodes_bench import Bench
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -37,17 +36,6 @@ from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import Compensation
 from longarm_interfaces.srv import Compensate
-
-
-@pytest.fixture
-def stage(ros_domain: int) -> Iterator[Bench]:
-    with bench() as made:
-        yield made
-
-
-@pytest.fixture
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 def test_target_pose_becomes_a_trajectory(stage: Bench, arm: Arm, demo_arm_path: Path) -> None:

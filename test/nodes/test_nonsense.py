@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import DEMO_ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64
@@ -33,17 +32,6 @@ from longarm_comp.nodes.messages import efforts_of, joints_message
 from longarm_interfaces.srv import Compensate
 
 STATUS = Compensate.Response
-
-
-@pytest.fixture(scope="module")
-def arm() -> Arm:
-    return Arm.load(DEMO_ARM)
-
-
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Bench]:
-    with own_graph(tmp_path), bench() as made:
-        yield made
 
 
 @pytest.fixture

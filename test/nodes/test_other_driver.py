@@ -4,7 +4,6 @@ way without a driver that says what was reached."""
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
-from nodes_bench import Bench, bench
+from nodes_bench import Bench
 from small_arm import ARM
 
 from longarm_comp.core.errors import InputError, JobError
@@ -21,12 +20,6 @@ from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.nodes.messages import joints_message
-
-
-@pytest.fixture
-def stage(ros_domain: int) -> Iterator[Bench]:
-    with bench() as made:
-        yield made
 
 
 def arm_file(folder: Path) -> Path:

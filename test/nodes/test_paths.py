@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +18,7 @@ from builtin_interfaces.msg import Time
 from cobot import declared, through_pi, wrapped
 from control_msgs.msg import JointComponentTolerance
 from geometry_msgs.msg import PointStamped
-from nodes_bench import Bench, bench
+from nodes_bench import Bench
 from places import DEMO_ARM as ARM
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -42,17 +41,6 @@ from longarm_comp.nodes.messages import duration, joints_message
 pytestmark = pytest.mark.skipif(not graph.HAS_FOLLOW, reason="control_msgs is not installed")
 TYPE = graph.FOLLOW_PLANNED.type
 THEIRS = "arm_controller/follow_joint_trajectory"
-
-
-@pytest.fixture(scope="module")
-def arm() -> Arm:
-    return Arm.load(ARM)
-
-
-@pytest.fixture
-def stage(ros_domain: int) -> Iterator[Bench]:
-    with bench() as made:
-        yield made
 
 
 class Controller:

@@ -10,13 +10,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from places import DEMO_ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 import rclpy
 from builtin_interfaces.msg import Time
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench
 from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
@@ -37,21 +36,10 @@ STATUS = Compensate.Response
 
 
 @pytest.fixture(scope="module")
-def arm() -> Arm:
-    return Arm.load(DEMO_ARM)
-
-
-@pytest.fixture(scope="module")
 def learned(arm: Arm, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("learned") / "predictor.npz"
     train_dummy(arm, path)
     return path
-
-
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Bench]:
-    with own_graph(tmp_path), bench() as made:
-        yield made
 
 
 def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(

@@ -11,7 +11,8 @@ from places import ROOT
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench, bench
+from own_graph import own_graph
 from std_msgs.msg import String
 
 from longarm_comp.nodes import interfaces as graph

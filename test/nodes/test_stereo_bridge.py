@@ -16,7 +16,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench, bench
+from own_graph import own_graph
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage
 

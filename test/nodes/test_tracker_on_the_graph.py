@@ -14,7 +14,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
 from geometry_msgs.msg import PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench, bench
+from own_graph import own_graph
 from quick_arm import QuickArm, quick_arm
 from small_arm import ARM as SMALL
 from small_arm import AWAY

@@ -16,7 +16,7 @@ from places import ROOT
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import Bench, bench
+from nodes_bench import Bench
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.nodes import interfaces as graph
@@ -57,12 +57,6 @@ def _inside(path: Path) -> Iterator[ast.AST]:
             yield node
         if isinstance(node, ast.Attribute) and node.attr == "handle":
             yield node
-
-
-@pytest.fixture
-def stage(ros_domain: int) -> Iterator[Bench]:
-    with bench() as made:
-        yield made
 
 
 def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:

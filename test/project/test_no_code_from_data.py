@@ -209,7 +209,8 @@ def test_what_matplotlib_reads_of_the_folder(trap: Path) -> None:
 def test_a_graph_that_is_given_the_file_knows_its_effects(tmp_path: Path) -> None:
     """The words with which `longarm up --effects` starts its nodes."""
     pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
-    from nodes_bench import bench, own_graph
+    from nodes_bench import bench
+    from own_graph import own_graph
     from std_srvs.srv import Trigger
 
     from longarm_comp.core.effects.catalogue import load_file

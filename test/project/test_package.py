@@ -339,7 +339,8 @@ def test_an_installation_below_any_prefix_finds_its_own_files(prefix: Path) -> N
 
 def test_an_installed_graph_comes_up_and_ends_as_it_is_told(prefix: Path, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
-    from nodes_bench import bench, children, gone, own_graph
+    from nodes_bench import bench, children, gone
+    from own_graph import own_graph
 
     from longarm_comp.nodes import interfaces as graph
 

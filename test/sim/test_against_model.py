@@ -8,7 +8,6 @@ deadband without load keeps the side it came from.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -149,12 +148,6 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     "camera_scale": (lambda e: [CameraScale(scale=e.scale)], 0.01),
     "camera_radial": (lambda e: [CameraRadial(k1=e.k1)], 0.01),
 }
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    """The declared arm of the demonstration."""
-    return Arm.load(demo_arm_path)
 
 
 @pytest.mark.parametrize("name", SAME)

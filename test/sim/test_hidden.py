@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -70,12 +69,6 @@ def lever(**more: Any) -> Arm:
         | more,
         "test",
     )
-
-
-@pytest.fixture(scope="module")
-def twin(data_dir: Path) -> Arm:
-    """The declared arm of the shared twin cases."""
-    return Arm.load(data_dir / "twin" / "arm.yaml")
 
 
 def angle(arm: Arm, effect: Any, q: float = 0.0, **context: Any) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,12 +14,6 @@ from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import drives, loads
 from studies.simulated import SimulatedSession, arrival, measure_session
 from studies.true_camera import CameraScale, Noise, TrueCamera
-
-
-@pytest.fixture(scope="module")
-def twin(data_dir: Path) -> Arm:
-    """The declared arm of the shared twin cases."""
-    return Arm.load(data_dir / "twin" / "arm.yaml")
 
 
 def measured(arm: Arm, rows: int = 60, hidden: Any = (), **options: Any) -> SimulatedSession:

@@ -43,12 +43,6 @@ def one_beam(length: float = 1.0, mass: float = 0.0, tip_mass: float = 0.0, **mo
     )
 
 
-@pytest.fixture(scope="module")
-def twin(data_dir: Path) -> Arm:
-    """The declared arm of the shared twin cases."""
-    return Arm.load(data_dir / "twin" / "arm.yaml")
-
-
 def test_small_tip_load_is_the_cantilever_formula() -> None:
     mass = 1e-4
     pose = TrueArm(one_beam(0.8, tip_mass=mass)).pose(np.zeros(1))

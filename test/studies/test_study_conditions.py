@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -21,11 +19,6 @@ SHORT = (
     as_printed(NETWORK, Method.NETWORK, (12.66, 214.37), FEW),
     as_printed(TOGETHER, Method.BOTH, (9.98, 180.81), FEW),
 )
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 @pytest.mark.long

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from longarm_comp.cli.run import run as command_line
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
 from longarm_comp.workflows import cluster
@@ -20,11 +19,6 @@ from studies.loop_setting import set_up
 from studies.loop_table import by_effect, failures, reliability, share, summary, wilson
 from studies.loop_truth import at_one_place, places, values
 from studies.true_camera import hidden
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 def case(group: str = "single", effects: tuple[str, ...] = ("backlash",), **other) -> Case:

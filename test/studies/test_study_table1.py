@@ -27,12 +27,6 @@ SHORT = (
 
 
 @pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    """The declared arm whose variants are built."""
-    return Arm.load(demo_arm_path)
-
-
-@pytest.fixture(scope="module")
 def drawn(arm: Arm) -> table1_bench.Bench:
     """One arm with few rows."""
     return table1_bench.Bench.draw(arm, 3, 0, 5)

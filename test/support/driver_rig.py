@@ -14,7 +14,8 @@ import pytest
 from builtin_interfaces.msg import Duration, Time
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench, bench
+from own_graph import own_graph
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph

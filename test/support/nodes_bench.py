@@ -15,9 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 from uuid import uuid4
 
-import pytest
 import rclpy
-from own_domain import claimed_domain
 from places import ROOT
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
@@ -216,16 +214,6 @@ def gone(pid: int) -> bool:
     except ProcessLookupError:
         return True
     return False
-
-
-@contextlib.contextmanager
-def own_graph(folder: Path) -> Iterator[None]:
-    """A ROS graph for a whole file of tests, in the environment that processes inherit."""
-    with claimed_domain() as domain, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(domain))
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        patch.setenv("ROS_LOG_DIR", str(folder / "ros_log"))
-        yield
 
 
 @contextlib.contextmanager

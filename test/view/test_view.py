@@ -26,7 +26,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from browser import browser
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from nodes_bench import PATIENCE_S, Bench, bench, own_graph
+from nodes_bench import PATIENCE_S, Bench, bench
+from own_graph import own_graph
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger

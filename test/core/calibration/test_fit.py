@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,11 +38,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
 SIGMA = 4e-4
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 def box(arm: Arm, n: int, rng: np.random.Generator) -> np.ndarray:

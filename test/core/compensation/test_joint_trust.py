@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from walking import Walk
@@ -14,11 +12,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.nodes.worker import SequenceWatch
 
 DT = 0.02
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 def test_joints_that_move_as_joints_do_are_believed(arm: Arm) -> None:

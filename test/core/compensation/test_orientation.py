@@ -7,7 +7,6 @@ imports nothing of the truth.
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,11 +25,6 @@ from studies.many import compensate_arrays
 ZEROS = {1: 0.03, 4: -0.04, 5: 0.05, 6: -0.03}  # rad, by row
 TILT = 0.02  # rad, twist of row 5
 COMPLIANCE = {2: 0.006, 5: 0.02}  # rad/(N m), by row
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 @pytest.fixture(scope="module")

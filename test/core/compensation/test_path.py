@@ -43,11 +43,6 @@ SECONDS = 4.0
 
 
 @pytest.fixture(scope="module")
-def arm() -> Arm:
-    return Arm.load(ARM)
-
-
-@pytest.fixture(scope="module")
 def model(arm: Arm) -> Model:
     """Sag, and play in two joints that the path turns."""
     return declared_model(arm).plus(Backlash(joint=1, width=4e-3), Backlash(joint=3, width=1e-3))

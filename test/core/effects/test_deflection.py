@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -156,11 +155,6 @@ def test_elements_are_second_order() -> None:
         left.append(elastica(1.0)[0] + model.tip(np.zeros(1))[2] / LENGTH)
     assert left[0] / left[1] == pytest.approx(4, rel=0.1)
     assert left[1] / left[2] == pytest.approx(4, rel=0.05)
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 def postures(arm: Arm, n: int, seed: int = 6) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -293,11 +292,6 @@ def test_no_second_effect_takes_a_place_that_is_held(across: np.ndarray) -> None
 
 
 # ------------------------------------------------------------------ planted on the small arm
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ServoDroop)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,11 +24,6 @@ from longarm_comp.core.model.model import Model
 
 PLAY = Backlash(6, gate=0.1, blend=0.01, width=0.03)
 SIGMA = np.full(3, 4e-4)
-
-
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
 
 
 @pytest.fixture(scope="module")

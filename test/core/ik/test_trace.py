@@ -32,11 +32,6 @@ from longarm_comp.core.model.model import Model
 N = 12
 
 
-@pytest.fixture(scope="module")
-def arm(demo_arm_path) -> Arm:
-    return Arm.load(demo_arm_path)
-
-
 def situation(arm: Arm) -> tuple[np.ndarray, Context]:
     rng = np.random.default_rng(11)
     q = arm.lower + (arm.upper - arm.lower) * rng.random((N, arm.n))

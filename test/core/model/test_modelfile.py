@@ -32,11 +32,6 @@ from longarm_comp.core.model.model_file import (
 from longarm_comp.workflows.inputs import physics
 
 
-@pytest.fixture(scope="module")
-def arm(demo_arm_path: Path) -> Arm:
-    return Arm.load(demo_arm_path)
-
-
 @pytest.fixture
 def simple(arm: Arm) -> Model:
     return Model(arm, (JointZero(1, offset=0.01), JointCompliance(2, compliance=1e-3)))

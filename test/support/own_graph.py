@@ -1,4 +1,4 @@
-"""ROS domains for tests that run side by side."""
+"""A ROS graph of a test's own, also while others run."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+import pytest
 
 # Above 101 the ports of a domain fall among those that Linux hands out to other programs.
 ROS_DOMAINS = range(1, 102)
@@ -26,3 +28,13 @@ def claimed_domain() -> Iterator[int]:
             yield domain
             return
     raise RuntimeError("every ROS domain is taken by a running test")
+
+
+@contextmanager
+def own_graph(folder: Path) -> Iterator[int]:
+    """Its domain, in the environment that processes inherit; logs in the folder."""
+    with claimed_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("ROS_LOG_DIR", str(folder / "ros_log"))
+        yield domain
