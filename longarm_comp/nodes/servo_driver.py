@@ -16,7 +16,6 @@ from typing import Any
 from lifecycle_msgs.srv import ChangeState
 from pydantic import BaseModel
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -106,7 +105,7 @@ def _refusing(change: Change) -> Change:
     def answer(request: ChangeState.Request, response: ChangeState.Response) -> Any:
         try:
             return change(request, response)
-        except rclpy_implementation.RCLError:
+        except RuntimeError:  # its RCLError
             response.success = False
             return response
 
