@@ -17,7 +17,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
-from longarm_comp.core.data.belonging import MOST_STRAYS, believe, mistakes
+from longarm_comp.core.data.belonging import believe, mistakes
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import check_touches
@@ -350,8 +350,8 @@ def _check_belonging(session: Session, model: Model, judge: bool) -> Iterator[Ad
     field, value = "rows", f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
     if belief.mistake:
         value = f"{belief.mistake}: {belief.fall}"
-    elif belief.stray >= MOST_STRAYS:
-        field, value = "x, y, z", f"{belief.stray:.0%} of the rows are far off the others"
+    elif belief.torn:
+        field, value = "x, y, z", f"{belief.strays.share:.0%} of the rows are far off the others"
     else:
         value += ", as if shuffled"
     if not judge:

@@ -20,6 +20,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import matrices
 from longarm_comp.core.data.registration import Registration, Sightings, median_spread, register
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.sites import near
 from longarm_comp.core.model.model import Model
 
@@ -51,7 +52,7 @@ class _Belief:
     """misfit, spread: median distance (m) of the rows as they are; of the sightings from their
     middle."""
     spread: float
-    stray: float  # share of the rows far beyond where the closest quarter is
+    strays: SetAside  # rows far beyond where the closest quarter is
     mistake: str = ""  # what explains much more of them, if anything does
     fall: str = ""  # mean error with and without that mistake, in words
     signs: tuple[tuple[int, float], ...] = ()
@@ -62,7 +63,13 @@ class _Belief:
     def belong(self) -> bool:
         """True if the rows may be this arm's."""
         near = self.misfit < _STRANGE_SHARE * self.spread
-        return not self.mistake and near and self.stray < MOST_STRAYS
+        return not self.mistake and near and not self.torn
+
+    @property
+    def torn(self) -> bool:
+        """True if many rows stray and share nothing: what they share is a cause that a fit finds,
+        as friction has rows on either side."""
+        return self.strays.share >= MOST_STRAYS and not self.strays.shared_by
 
 
 def believe(model: Model, session: Session) -> _Belief | None:
@@ -76,7 +83,7 @@ def believe(model: Model, session: Session) -> _Belief | None:
     found = register(Sightings.of(model, session))
     spread = median_spread(seen.xyz)
     least = max(_STRAY_RATIO * float(np.quantile(found.distance, 0.25)), _SUSPECT_SHARE * spread)
-    belief = _Belief(found.misfit, spread, float((found.distance > least).mean()))
+    belief = _Belief(found.misfit, spread, SetAside.of(seen, found.distance > least))
     if _mean_distance(found, spread) < _SUSPECT_SHARE * spread:
         axes = _find_mistake_of_axes(model, session)
         if axes is not None:

@@ -24,6 +24,7 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
+from studies import real_sets
 from studies.real_sessions import laser_tracked
 
 Spoil = Callable[[Session], Session]
@@ -132,6 +133,14 @@ def test_a_mistake_is_named_wherever_the_arm_stands(demo: Arm, session: Session,
     arm = wide(demo)
     with pytest.raises(InputError, match=text):
         admit(WRONG[text](session), arm)
+
+
+def test_rows_on_two_sides_of_friction_are_explained_not_refused(demo: Arm) -> None:
+    """Half of them stray from the rigid arm; they share how their joints came."""
+    *_, friction = real_sets.simulate_sets(demo, 1 + real_sets.NAMES.index("friction_hysteresis"))
+    rows = friction.train.take(np.arange(len(friction.train) // 2))
+    found = la.diagnose(friction.arm, rows).diagnosis
+    assert [f.names for f in found.findings] == [("friction_hysteresis",)]
 
 
 def test_nothing_is_written_for_rows_that_do_not_belong(
