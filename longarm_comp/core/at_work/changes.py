@@ -1,4 +1,4 @@
-"""The possible changes of an arm at work: every effect at every place, and its numbers."""
+"""The possible changes of an arm at work: every effect at every place, and its parameters."""
 
 from __future__ import annotations
 

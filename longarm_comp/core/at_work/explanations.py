@@ -30,7 +30,7 @@ as its jump is then known four times better than by one."""
 
 @dataclass(frozen=True)
 class _PastChange:
-    """An effect that changed, by one explanation."""
+    """A change of an effect that one explanation takes for certain."""
 
     key: Key
     where: str
@@ -48,7 +48,8 @@ class Branch:
     changes: tuple[_PastChange, ...] = ()
 
     def split(self) -> Iterator[Branch]:
-        """Give one for each effect that may have changed; itself where that is not clear yet."""
+        """Yield one branch for each effect that may have changed, or only this one while the
+        sightings do not tell yet."""
         known = self.known
         chance = known.probability.sum(axis=0)
         some = float(chance.sum())

@@ -40,7 +40,7 @@ class PoseRequest:
 
     @property
     def text(self) -> str:
-        """In one line: ``backlash or servo_droop? measure q = 0.1 -0.3, from + -``."""
+        """The request in one line: ``backlash or servo_droop? measure q = 0.1 -0.3, from + -``."""
         q = " ".join(f"{value:.3f}" for value in self.q)
         side = " ".join("+" if value > 0 else "-" for value in self.side)
         return f"{' or '.join(self.between)}? measure q = {q}, from {side}"

@@ -76,7 +76,10 @@ class RecursivePosterior:
     def begin(
         cls, space: Parameters, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
     ) -> RecursivePosterior:
-        """Begin without a sighting, from a mean and a covariance as of the attributes."""
+        """Begin without a sighting, from a mean, the active parameters and a covariance.
+
+        The arguments are the attributes of the same names.
+        """
         c, k = space.places.shape
         return cls(
             space=space,

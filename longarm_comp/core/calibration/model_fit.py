@@ -80,7 +80,8 @@ class ModelFit:
 
     @cached_property
     def pointed(self) -> np.ndarray:
-        """The (N,) rows that tell the tip in three channels: a position, a touched point."""
+        """The (N,) rows that hold all three coordinates of the tip: a position or a touched
+        point."""
         if self.session.blocks[0].kind not in ("position", "touch"):
             return np.zeros(len(self.session), dtype=bool)
         return np.asarray(self.session.measured[:, :3].all(axis=1))

@@ -112,7 +112,11 @@ def _instead(model: Model, old: Effect, new: Effect) -> Model:
 
 
 def _misfit(model: Model, rows: Session) -> float:
-    """Median error of the rows (m); of axes alone, how the body turns on the tip (rad)."""
+    """Return the median error of the rows (m).
+
+    Where only orientations are measured, it is the median angle (rad) by which the marker's turn on
+    the tip differs from its mean.
+    """
     if rows.placed.any():
         return median_distance(errors(model, rows))
     axes = model.pose(rows.q, rows.context())[:, :3, :3]

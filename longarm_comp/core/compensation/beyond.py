@@ -1,7 +1,7 @@
-"""Commands in circumstances that no row of the session had: what is not known there.
+"""Commands in circumstances that no row of the session had: how much the expected error grows.
 
-A session at one payload tells the product of weights and what yields under them, and no more of
-what a heavier load does than the physics does.  So beyond the session's range a promise grows.
+A session at one payload determines only the product of a load and the compliance under it. What a
+heavier load does follows from the physics alone, so `sigma` grows outside the session's range.
 """
 
 from __future__ import annotations
@@ -109,11 +109,11 @@ def _feels_change(effect: Discovered, there: Posture, here: Posture) -> bool:
 
 
 def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
-    """List k parameters of what the model lacks and no row could tell, and (k,) their sizes.
+    """List k parameters of effects that the model lacks and no row could show, and their sizes
+    (k,).
 
-    They are those of every effect of the library that reads a circumstance, and all that yields
-    where the model holds nothing that does: a calibration puts the sag of its rows into its
-    geometry.
+    They belong to every effect that reads a known circumstance. If the model holds no elastic
+    effect, all elastic ones are added: a calibration puts the sag of its rows into its geometry.
     """
     held = {effect.key for effect in model.effects}
     stiff = not any(effect.elastic for effect in model.effects)

@@ -64,11 +64,11 @@ class Monitor:
         return math.log(len(_TESTS) * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
-        """Take one independent sample into account.
+        """Return the monitor after one more independent sample.
 
         Args:
             residual: (3,) m, measured - predicted.
-            sigma: (3,) m, what model and measurement promise together.
+            sigma: (3,) m, expected standard deviation of the residual: of model and measurement.
         """
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():

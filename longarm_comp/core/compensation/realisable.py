@@ -248,10 +248,11 @@ class _Problem:
         return np.column_stack([made, *(self.search.length_m * v for v in turn)])
 
     def find_near(self, at: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, int]:
-        """Find candidates (M, n) by the model linearised at joints (n,), and the nodes it took.
+        """Find candidates (M, n) by the model linearised at joints (n,), and count the nodes
+        visited.
 
-        Of joints ``rounded + size x`` the tip's error and the price are ``A x + b``; with the free
-        joints before the stepped ones the triangular factor of (A b) parts them.
+        For joints ``rounded + size x`` the tip's error and the price are ``A x + b``. The free
+        joints come before the stepped ones, so the triangular factor of (A b) separates the two.
 
         Args:
             local: errors at the joints that `step_aside` gives.

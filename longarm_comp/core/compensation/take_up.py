@@ -123,9 +123,13 @@ class TakeUp:
 
 
 class Turn(NamedTuple):
-    """A turn of a joint, which stands near it from the ``first`` to the ``last`` way-point.
+    """A turn of a joint on a path, where the joint takes up its play.
 
-    All are numbers from 0.  Its command crosses so much play (rad, m) there.
+    Attributes:
+        joint: its number, 0-based.
+        first, last: numbers of the way-points between which the joint stands near the turn,
+            0-based.
+        crossed: play that its command crosses there, rad or m.
     """
 
     joint: int

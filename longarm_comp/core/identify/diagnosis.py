@@ -169,7 +169,7 @@ class Diagnosis:
 
     @property
     def seen_gain(self) -> Gain:
-        """The gain between the stages compared, as seen."""
+        """The gain between the two stages compared, in errors as the instrument sees them."""
         return Gain.of(*(self.proof.errors[stage] for stage in self.compared))
 
     @property

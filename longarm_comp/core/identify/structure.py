@@ -223,7 +223,8 @@ def _standard(features: np.ndarray) -> np.ndarray:
 
 
 def _of_channels(features: np.ndarray, fit: ModelFit) -> np.ndarray:
-    """(N, m) features -> (N, d, dm) of one noise standard deviation in each channel."""
+    """Expand features (N, m) to (N, d, dm): each feature moves each channel by one standard
+    deviation of its noise."""
     noise = np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.session.measured
     each = features[:, None, None, :] * (noise[..., None] * np.eye(fit.width))[..., None]
     return each.reshape(len(features), fit.width, -1)

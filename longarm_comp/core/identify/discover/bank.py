@@ -1,8 +1,8 @@
-"""Every component times every function: which of these explain most on top of a fit.
+"""Searches all products of a component and a function for those that explain most of a residual.
 
 A candidate's column is the motion of the channels by a unit of a component, row by row times a
 function of the inputs.  Its products with the geometry's columns and with the residual are
-therefore matrix products, and some hundred thousand candidates are looked at in a second, on some
+therefore matrix products, and some hundred thousand candidates are tried in a second, on a part
 of the rows.  The best of every kind are then weighed on all rows.
 """
 
@@ -263,13 +263,14 @@ def _together(each: np.ndarray) -> np.ndarray:
 
 
 def weight(fit: ModelFit) -> np.ndarray:
-    """(N, d) one over the noise where a row counts and holds a channel, else 0."""
+    """Return (N, d) the root of the row's weight over the noise; 0 where a row lacks the
+    channel."""
     held = np.isfinite(fit.sigma) & fit.session.measured
     return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
 
 
 def whitened_design(fit: ModelFit) -> np.ndarray:
-    """(N, d, p) columns of a fit, prior-scaled and over the noise."""
+    """Return the design (N, d, p) of a fit, scaled by the priors and divided by the noise."""
     return fit.columns * priors(fit.slots) * weight(fit)[..., None]
 
 

@@ -86,10 +86,10 @@ class Argument:
 
 @dataclass(frozen=True)
 class Arguments:
-    """Arguments that differ from each other, at the rows of a session.
+    """The quantities that a discovered function may depend on; no two of them agree at every row.
 
     Attributes:
-        all: the inputs.
+        all: the quantities.
         shared: names of those that act on every joint alike (loads in all, time, columns).
         joints: number of commanded joints.
     """

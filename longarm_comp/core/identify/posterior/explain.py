@@ -335,7 +335,10 @@ class _Search:
         others: bool = True,
         near: ModelFit | None = None,
     ) -> list[OfferedEffects]:
-        """By tolerance; forms count where something is in the model."""
+        """Offer effects on top of a fit, once for each model tolerance that applies.
+
+        Tolerances with another form than the first are tried only if something was found.
+        """
         tried = [
             tolerance
             for tolerance in TOLERANCES

@@ -26,9 +26,12 @@ from longarm_comp.core.identify.posterior.offers import evidence_of_each
 def better_forms(
     fit: ModelFit, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> dict[tuple[str, str], Term]:
-    """The terms (as they were offered) that are better in another form, by place.
+    """Find the terms that fit better in another form.
 
-    One after the other: a form is judged beside those that moved before it.
+    Each form is judged beside those that have moved before it.
+
+    Returns:
+        Such terms in their better form, by effect and place.
     """
     fitted = {t.key: t for t in fit.model.terms}
     moved: dict[tuple[str, str], Term] = {}

@@ -98,7 +98,8 @@ class FoundEffect:
 
     @property
     def names(self) -> dict[str, float]:
-        """Probability of every name, given that it is there; its own first."""
+        """Probability of every name, given that the effect is there; the effect's own name
+        first."""
         return {self.name: self.chance} | {r.name: r.probability for r in self.rivals}
 
     @property

@@ -43,7 +43,7 @@ class Offer:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """All of its columns."""
+        """The numbers of all its columns."""
         return tuple(k for own in self.columns for k in own)
 
     def beside(self, held: frozenset[Hashable]) -> Offer | None:

@@ -75,7 +75,11 @@ class OfferedEffects:
     tolerance: ModelTolerance
 
     def explained(self, begun: Explained | None = None) -> Explained:
-        """The posterior over the offers; from what explains them by another tolerance."""
+        """Compute the posterior over the offers.
+
+        Args:
+            begun: what another tolerance explained, as the start of the search.
+        """
         best = explain(self.bank, self.known, None if begun is None else begun.effects)
         offers = self._located(best.chosen)
         evidence, values = self.bank.joint(offers)
@@ -315,7 +319,7 @@ class OfferedEffects:
 
     @cached_property
     def _first(self) -> dict[str, int]:
-        """The first offer of every name."""
+        """The number of the first candidate of every name."""
         return {c.name: n for n, c in reversed(list(enumerate(self.things)))}
 
     @cached_property

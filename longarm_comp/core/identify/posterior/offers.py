@@ -249,7 +249,10 @@ def _undecided(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
 
 
 def _ends(term: Term, tolerance: float) -> list[tuple[Term, Term]]:
-    """A term with each of its scales larger, and smaller, by a tolerance, within its limits."""
+    """Return a term with each of its scales larger, and smaller, by a relative tolerance.
+
+    Scales stay within their limits.
+    """
     made = []
     for field, (low, high) in term.scales().items():
         value = getattr(term, field)

@@ -64,7 +64,8 @@ class Resampling:
         return bank.single_effects()
 
     def averaged(self, seed: int) -> tuple[FoundEffect, ...]:
-        """What was found, each effect and name with its probability over samples of the rows."""
+        """Return the found effects; the probability of each, and of its names, is a mean over
+        samples of the rows."""
         if not self.found:
             return ()
         whole = self.explained(np.ones(len(self.fit.session)))

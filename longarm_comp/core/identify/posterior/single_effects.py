@@ -159,7 +159,11 @@ class OfferBank:
         return self._joint(sets)[0]
 
     def worth_their_price(self, chosen: Sequence[Offer]) -> list[int]:
-        """Which of some offers (numbers) stay, where the least goes while the others do better."""
+        """Return the numbers of the offers that are worth their price.
+
+        The offer that contributes least is dropped as long as the evidence of the others is no
+        lower.
+        """
         kept, best = list(range(len(chosen))), self.evidence(chosen)
         while kept:
             fewer = [[n for n in kept if n != gone] for gone in kept]
