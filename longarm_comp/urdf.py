@@ -118,7 +118,12 @@ def _along_own_axes(before: np.ndarray) -> tuple[np.ndarray | None, dict[str, fl
 def _row(
     joint: UrdfJoint, number: int, mimic: dict[str, Any] | None, geared: bool
 ) -> dict[str, Any]:
-    """Keys of a joint's row but its lengths; `geared`: a row that mimics it is."""
+    """Return the row of `joints` in arm.yaml for a joint, without its lengths.
+
+    Args:
+        mimic: the joint that it follows, if any.
+        geared: whether another joint follows this one; then it is never endless.
+    """
     row: dict[str, Any] = {"id": number, "name": joint.name, "type": MOVING[joint.type]}
     if mimic is not None:
         return {**row, "mimic": mimic}

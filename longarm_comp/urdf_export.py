@@ -217,7 +217,7 @@ def _ends(node: ET.Element, origin: np.ndarray, parent: str, child: str) -> None
 
 
 def _inertial(node: ET.Element, points: Sequence[tuple[float, np.ndarray]]) -> None:
-    """Point masses (kg, (3,) m) as one inertia about their common centre."""
+    """Write point masses (kg, (3,) m) as one inertia about their common centre."""
     if not points:
         return
     masses, at = (np.array(values) for values in zip(*points, strict=True))

@@ -61,10 +61,10 @@ Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
 
 
 class _Row(Closed):
-    """A row of the modified DH table; deg and m.
+    """A row of the modified DH table, in degrees and m.
 
     `tube_a`, `tube_d`: outer and inner diameter (m) of a tube along a or d; 0: rigid. `servo_kg`:
-    of the servo at this joint's frame. `mimic`: the joint that drives it, and the factor.
+    mass of the servo at this joint's frame. `mimic`: the joint that drives it, and the factor.
     """
 
     type: Literal["revolute", "prismatic", "fixed"] = "revolute"

@@ -92,7 +92,7 @@ def _find_servos(
 
 
 def _show(found: Scan) -> None:
-    """Print the servos; refuse ids that are not clear."""
+    """Print the servos found; raise `JobError` where two answer with the same id."""
     rows = []
     for s in found.servos:
         clash = "two servos with this id, or a bad line" if s.clash else ""

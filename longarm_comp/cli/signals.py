@@ -1,6 +1,7 @@
 """Questions to the user, signals, and a client on the running graph.
 
-Questions are also flags: what is not given is asked, where there is somebody to ask.
+Every question can also be answered by a flag. It is asked only where the flag is missing and
+somebody is at the terminal.
 """
 
 from __future__ import annotations

@@ -91,7 +91,10 @@ def followed(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def atomic_paths(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
-    """As `atomic_path` for files that belong together: none is replaced before all are written."""
+    """Do the same as `atomic_path` for files that belong together.
+
+    None of them is replaced before all are written.
+    """
     with ExitStack() as held:
         partials = [held.enter_context(atomic_path(path)) for path in paths]
         yield partials

@@ -215,7 +215,11 @@ class TrajectoryFollower:
         return {name: joints[name].to_ticks(value) for name, value in self.set_points.items()}
 
     def _trimmed(self, states: Mapping[str, ServoState]) -> str | None:
-        """Trim a resting arm: None while it goes on, then what it could not do, or nothing."""
+        """Trim a resting arm by one step.
+
+        Returns:
+            None while trimming goes on; then what could not be corrected, or "".
+        """
         if not self._trims:
             return self._untrimmed
         if self._still_s < self._config.follower.trim_pause_s:

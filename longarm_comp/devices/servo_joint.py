@@ -166,7 +166,7 @@ class JointConfig(ServoSettings):
         return self.bounded(self._exact_ticks(value))
 
     def to_si(self, ticks: float) -> float:
-        """Joint value (rad or m) of an encoder reading."""
+        """Return the joint value (rad or m) of an encoder reading in ticks."""
         return self.direction * (ticks - self.zero_ticks) * self.si_per_tick
 
     def speed_to_si(self, ticks_s: float) -> float:

@@ -59,7 +59,7 @@ class StopLatch:
 
     @property
     def words(self) -> str:
-        """Why the arm is stopped, in a sentence; empty where it is not."""
+        """The reason why the arm is stopped, in a sentence; empty where it is not."""
         if not self.standing:
             return ""
         said = [

@@ -1,9 +1,9 @@
-"""Trim: a resting arm's goals are moved by what its readings lack, in a few bounded steps.
+"""Trim: corrects the goals of a resting arm, in a few bounded steps, by what its readings lack.
 
 A proportional servo rests where its effort carries the load, short of its goal.  Each step moves
-the goal by what is missing; friction may take a step without a motion, so there are several.  What
-was found is kept as the start of the next move.  An encoder that is frozen, has slipped or jumped
-asks for more than a servo gives way: at the bound trimming stops, is undone and says so.
+the goal by what is missing; friction may absorb a step without a motion, so there are several.
+The corrections found are the start of the next move.  An encoder that is frozen, has slipped or
+jumped asks for more than a servo yields: at that bound trimming stops, is undone and reports it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Trim:
             self.offset = np.zeros(len(self._joints))
 
     def applied(self, dt: float) -> Array:
-        """(n,) correction of the goals now; it changes no faster than a joint may move."""
+        """Return the (n,) corrections after `dt` (s); they change no faster than a joint may
+        move."""
         step = np.clip(self.offset - self._applied, -self._rate * dt, self._rate * dt)
         self._applied = self._applied + step
         return self._applied

@@ -28,10 +28,10 @@ class Pace:
     """The time that a visit may take, and what counts as rest.
 
     Attributes:
-        sightings: averaged at each pose.
-        dwell_s: the joints must rest so long before the first sighting counts.
-        move_s: asked of the driver for each way-point; it keeps its own limits.
-        arrive_s, look_s: patience with a move, and with the sightings.
+        sightings: number of sightings that are averaged at each pose.
+        dwell_s: how long the joints must rest before the first sighting counts.
+        move_s: time that the driver is asked to take for each way-point; it keeps its own limits.
+        arrive_s, look_s: longest wait for the end of a move, and for the sightings.
         tolerance: rad or m between commanded and reported joints at rest, one for all or (n,).
     """
 
@@ -138,7 +138,9 @@ class ArmClient(GraphClient):
             self._refused = message.message if message.event == Motion.REFUSED else ""
 
     def driver_takes(self, *, held: bool = False) -> bool:
-        """Return whether the driver takes trajectories; true of one that never tells.
+        """Return whether the driver accepts trajectories.
+
+        A driver that publishes no state counts as accepting them.
 
         Raises:
             DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.

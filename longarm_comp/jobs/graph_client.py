@@ -160,7 +160,8 @@ class GraphClient:
             self.node.destroy_client(made)
 
     def parameters(self, node: str, *names: str, within_s: float = _ANSWER_S) -> list[Any]:
-        """Values of a node's parameters, in the order of the names; None where it has none."""
+        """Read a node's parameters, in the order of the names; None where the node has no such
+        one."""
         asked = GetParameters.Request(names=list(names))
         answer = self.ask(node, _GET, asked, within_s)
         return [parameter_value_to_python(value) for value in answer.values]

@@ -104,7 +104,8 @@ class LoopSettings:
         return self.out / (what if k == 1 else f"{name}_{k}{dot}{ending}")
 
     def facts(self) -> dict[str, Any]:
-        """Return what must be the same where an interrupted loop goes on; ``rounds`` may grow."""
+        """Return the settings that an interrupted loop must keep; the folder and ``rounds`` may
+        change."""
         return {k: v for k, v in asdict(self).items() if k not in ("out", "rounds")}
 
 
@@ -174,7 +175,7 @@ class Loop:
         self._begun = time.monotonic()
 
     def run(self, ready_s: float = 30.0) -> tuple[list[Trial], dict[str, Any]]:
-        """Go round, while `RULE` holds; write loop.json and loop.html.
+        """Run rounds of the loop while `RULE` holds; write loop.json and loop.html.
 
         Returns:
             All runs over the targets, the first not compensated; and what loop.json holds.

@@ -80,7 +80,7 @@ class Trial:
         return sum(not Status(int(status)).success for status in self.status)
 
     def against(self, before: Trial, seed: int = 0) -> Verification:
-        """Compare with another run over the same targets, paired."""
+        """Compare this run, target by target, with another run over the same targets."""
         return verification((before.name, self.name), before.off, self.off, seed)
 
 
@@ -170,7 +170,12 @@ class TargetRunner:
         return ask() if stale else answer
 
     def _drive(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """Drive one target (3,), m; the tip (3,) as the cameras and the witness see it, status."""
+        """Drive to one target (3,), m.
+
+        Returns:
+            The tip (3,), m, as the cameras and as the witness see it, NaN if not seen; and the
+                status.
+        """
         client = self._client
         start = client.joints
         answer = self.ask(target, execute=True)

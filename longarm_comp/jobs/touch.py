@@ -31,7 +31,10 @@ ENOUGH = 8
 
 @dataclass
 class TouchLog:
-    """Touches of one arm, as they are taken: joints (n,), the text column and the name of each."""
+    """The touches of one arm, in the order in which they were taken.
+
+    Each row holds the joints (n,), the column (``touch`` or ``plane``) and the name in it.
+    """
 
     arm: Arm
     distances: tuple[KnownDistance, ...] = ()
@@ -101,7 +104,10 @@ def _is_seated(client: ArmClient) -> bool:
 
 @contextmanager
 def limp(client: GraphClient) -> Iterator[str]:
-    """Torque is off meanwhile, so that a hand can guide the arm. Yields what the driver said."""
+    """Switch the servos' torque off within the block, so that a hand can guide the arm.
+
+    Yields what the driver answered.
+    """
     attendant = Attendant(client)
     try:
         yield attendant.stop()

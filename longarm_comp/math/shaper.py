@@ -27,7 +27,7 @@ class Shaper:
 
     @property
     def duration(self) -> float:
-        """By how much a motion takes longer, s."""
+        """The time by which a motion takes longer, s."""
         return float(self.ends.max(initial=0.0))
 
     def since(self, times: np.ndarray, seconds: float) -> np.ndarray:

@@ -33,7 +33,7 @@ class Twins:
 
     @property
     def refusal(self) -> str:
-        """The reason not to move the arm; empty where no other is on the graph."""
+        """The reason not to move the arm, or "" where no second `kinematics` commands it."""
         if self._alone >= _ALONE:
             return ""
         return "two kinematics command this arm: end one of them"
@@ -100,7 +100,7 @@ class Tally:
         self._dropped = "", -_WARNED_S
 
     def count(self, what: str, why: str) -> None:
-        """Count one more, with its reason; empty where there is none."""
+        """Count one more of a kind and log the reason, unless it is empty."""
         self.counts[what] = self.counts.get(what, 0) + 1
         if why:
             self.last = why

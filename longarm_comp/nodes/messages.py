@@ -56,7 +56,7 @@ def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
 
 
 def joints_message(arm: Arm, q: np.ndarray, stamp: Time | None = None) -> JointState:
-    """Joints (n,) by name."""
+    """Make a message of joints (n,), rad or m, with their names."""
     header = Header() if stamp is None else Header(stamp=stamp)
     return JointState(header=header, name=list(arm.joint_names), position=[float(v) for v in q])
 
@@ -135,7 +135,8 @@ def trajectory_message(
     stamp: Time,
     velocities: np.ndarray | None = None,
 ) -> JointTrajectory:
-    """Way-points (k, n) that are due at times (k,), s, or so long after each other.
+    """Make a message of way-points (k, n) that are due at times (k,), s, or at a constant interval
+    (s).
 
     ``velocities``: (k, n) rad/s and m/s; None: left to the driver.
     """

@@ -323,7 +323,7 @@ class RingTeller:
             self._said = self._last.said()
 
     def report(self) -> Report:
-        """Report the last ring; one that is due is begun again."""
+        """Return a report on the last ring; first begin the work on a ring that is due."""
         self._begin()
         ring = None if self._shaped else self._last
         facts: dict[str, object] = {} if ring is None else {

@@ -56,7 +56,7 @@ class Stamps:
 
 
 def untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
-    """Say why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
+    """Say why a message with the time stamp `stamp` (ns) is too old or from the future, else ""."""
     age = 1e-9 * (clock.now().nanoseconds - stamp)
     if abs(age) <= max_age_s:
         return ""

@@ -72,7 +72,10 @@ PARAMS = (
 
 
 class _StereoBridge(ArmNode):
-    """Measures pairs on a worker thread. A pair that arrives during a measurement is dropped."""
+    """The node that measures pairs of images, on a worker thread.
+
+    A pair that arrives during a measurement is dropped.
+    """
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "stereo_bridge", PARAMS)

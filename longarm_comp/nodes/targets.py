@@ -1,4 +1,5 @@
-"""The targets of `kinematics`, however they come: in their order, each with exactly one story."""
+"""Answers the targets that `kinematics` receives, in the order of their arrival, each exactly
+once."""
 
 from __future__ import annotations
 

@@ -44,13 +44,13 @@ class Input(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SeenRows:
-    """Held-out rows of a session whose marker was seen.
+    """The held-out rows of a session whose marker was seen.
 
     Attributes:
         index: (N,) row numbers in the session.
-        measured_m: (N, 3) tip.
+        measured_m: (N, 3) measured tip.
         errors_m: (N, 3) measured - predicted by stage (`style.LOOKS`).
-        inputs: joints first.
+        inputs: the inputs that errors are plotted over, joints first.
         arms_m: centre-lines (K, 3), base to tip, at a few of these rows.
     """
 

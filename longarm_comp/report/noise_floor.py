@@ -84,7 +84,8 @@ def excess(rms_mm: float, floor: _NoiseFloor | None) -> float:
 
 
 def normal_length(share: ArrayLike) -> np.ndarray:
-    """Length that a share of vectors of three unit normal components stays below."""
+    """Return the length that a share of all vectors (x, y, z) of unit normal components stays
+    below."""
     return np.asarray(np.sqrt(2.0 * gammaincinv(1.5, share)))
 
 

@@ -184,7 +184,7 @@ class ReportSetAside(ReportPart):
 
 
 class ReportProvenance(ReportPart):
-    """The data needed to repeat the diagnosis to the byte.
+    """The data needed to repeat the diagnosis byte for byte.
 
     `holdout_uses` says how often each row was held out.
     """

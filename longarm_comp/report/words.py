@@ -46,7 +46,8 @@ def to_three_places(value: float | None) -> str:
 
 
 def odds(log_bayes_factor: float) -> str:
-    """Odds for reading, ``20 : 1``; above a power of ten only as a bound."""
+    """Write a Bayes factor as odds, ``20 : 1``; very large ones only as "more than" a power of
+    ten."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
@@ -62,7 +63,7 @@ def _ten(power: int) -> str:
 
 
 def change(pair: tuple[float, float]) -> str:
-    """``7.72 → 0.49 mm``."""
+    """Write how a length (m) changed: ``7.72 → 0.49 mm``."""
     return f"{millimetres(pair[0]).removesuffix(' mm')} → {millimetres(pair[1])}"
 
 
@@ -92,7 +93,7 @@ def headline(report: DiagnosisReport) -> str:
 
 
 def plausible(parameter: FindingParameter) -> str:
-    """A value compared with its prior scale."""
+    """Say how the value of a parameter compares with its prior scale."""
     if parameter.prior_scale is None:
         return "no prior scale"
     times = abs(parameter.value) / parameter.prior_scale
@@ -196,7 +197,7 @@ def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
 
 
 def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, tuple[str, ...]]]:
-    """List what these data cannot tell, and the effects that it is about."""
+    """List the questions that these data leave open, each with its details."""
     made: list[tuple[str, tuple[str, ...]]] = []
     for split in detail.splits:
         said = f"Whether it is {join_names(split.members)}"

@@ -51,7 +51,7 @@ class _Row(NamedTuple):
 
 
 class Rows:
-    """The rows of a recording, command by command, taken off a buffer.
+    """The rows of a recording, made command by command from a message buffer.
 
     Each row is made as soon as nothing that is read later can change it.
     """

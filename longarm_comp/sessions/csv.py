@@ -261,7 +261,7 @@ def read_touches(session: Path) -> tuple[KnownDistance, ...]:
 
 
 def write_touches(distances: tuple[KnownDistance, ...], folder: Path) -> None:
-    """Write the file, where there are distances."""
+    """Write the file of known distances, if there are any."""
     path = folder / _TOUCHES
     if not distances:
         return

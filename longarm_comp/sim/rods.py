@@ -86,7 +86,8 @@ class Walker:
         self.mass = self.mass + mass
 
     def push(self, force: Array, at: Sequence[float] | Array) -> None:
-        """Apply a force (3, N) N at a position (m), in these axes."""
+        """Apply a force (3, N) N at a position (m); both are given along the walker's present
+        axes."""
         if self._pushed is None:
             self._pushed = self.mark((0.0, 0.0, 0.0), point=False)
         applied = _column(force)

@@ -76,7 +76,10 @@ class PlainPage:
 
 @dataclass(frozen=True)
 class Gate:
-    """Refuses whoever has no token, which is the cookie's value. Every start has a new one."""
+    """The gate of the server, which refuses everyone without the token.
+
+    The token is the cookie's value. Every start of the server makes a new one.
+    """
 
     token: str = field(default_factory=secrets.token_urlsafe, repr=False)
     plain: Callable[[str], str | None] = lambda path: None  # `PlainPage.answer`

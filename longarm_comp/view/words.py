@@ -119,7 +119,7 @@ class PageState:
         return _silence(self.read, now, _SILENT_S)
 
     def old(self, now: float) -> bool:
-        """Return whether the picture of the arm is not of now."""
+        """Return whether the picture of the arm is out of date at `now` (s)."""
         at = None if self.picture is None else self.picture.at
         return bool(self.unread_s(now) or _silence(at, now, 5.0))
 

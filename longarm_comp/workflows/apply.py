@@ -1,9 +1,9 @@
-"""A diagnosis put to work: model and predictor at work are changed together, and taken back.
+"""Puts a diagnosis to work: replaces model and predictor together, and takes this back.
 
 A predictor belongs to one version of the model. Beside `predictor.npz`, which is at work, others
 are kept under the model that they were trained with, `predictor.of_<hash>.npz`. What is new is
-written first, what no longer fits is set aside last: a change that was broken off leaves a model
-and a predictor that fit, or the model alone, and the next change finishes it.
+written first, what no longer fits is set aside last. So a change that was interrupted leaves a
+model and a predictor that fit, or the model alone, and the next change finishes it.
 """
 
 from __future__ import annotations

@@ -75,9 +75,10 @@ class Evaluation(ErrorTable):
     `network` (with a predictor).
 
     Attributes:
-        placed: whether the declared arm was placed by the rows first: they see it somewhere else.
-        elsewhere: whether they do, but tell too little to place it and to judge it.
-        outside: number of poses outside the network's training data, where physics is used alone.
+        placed: whether the declared arm was first placed by the rows, because they show it at
+            another place than declared.
+        elsewhere: whether the rows show it at another place, but are too few to place and judge it.
+        outside: number of poses outside the network's domain, where physics is used alone.
         refused: number of further poses at which the network promises no gain over the physics.
         fitted: ``model``, ``predictor`` where it was fitted to this session (known for files).
     """

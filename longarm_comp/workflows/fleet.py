@@ -108,7 +108,8 @@ _ROWS = TypeAdapter(tuple[Diagnosed, ...])
 
 
 def members(folder: Path) -> list[_Member]:
-    """The arms of a folder: a subfolder each with arm.yaml, or one arm.yaml and a session each."""
+    """List the arms of a folder: one per subfolder with arm.yaml, or one per session beside one
+    arm.yaml."""
     if (folder / ARM).is_file():
         found = [_Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
     else:
@@ -208,7 +209,8 @@ def _table(path: Path) -> object:
 
 
 def _read_known(path: Path) -> dict[str, Diagnosed]:
-    """The arms of a fleet.json by name; none where it is not there or not of this version."""
+    """Read the arms of a fleet.json by name; none where the file is missing or of another
+    version."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["arms"]
         return {arm.name: arm for arm in _ROWS.validate_python(rows)}

@@ -143,7 +143,7 @@ def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model
 
 
 def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, object]:
-    """Identification of the physics that a predictor was trained with."""
+    """Return the record by which a predictor names the physics that it was trained with."""
     if isinstance(given, Model):
         return {DIGEST: _digest(given), "deflection": deflection}
     digest = "" if given is None else file_hash(given)

@@ -204,8 +204,8 @@ class Arm(Declared):
         return np.where(endless, -np.inf, self.lower), np.where(endless, np.inf, self.upper)
 
     def box_about(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return limits (..., n) for what begins at joints q (..., n): half a turn to either side
-        of an endless one."""
+        """Return the limits (..., n) of a search that starts at joints q (..., n): those of the
+        arm, and half a turn to either side of q for an endless joint."""
         endless = np.isinf(self.bounds[1])
         low = np.where(endless, q - np.pi, self.lower)
         return low, np.where(endless, q + np.pi, self.upper)

@@ -134,7 +134,8 @@ def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def carried(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Places of a frame, (..., 3) or (..., 4, 4), seen from where its pose (4, 4) is given."""
+    """Express points (..., 3) or poses (..., 4, 4) of a frame in the frame in which its pose (4, 4)
+    is given."""
     if target.shape[-2:] == (4, 4):
         return np.asarray(pose @ target)
     return np.asarray(target @ pose[:3, :3].T + pose[:3, 3])

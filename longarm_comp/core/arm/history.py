@@ -24,9 +24,10 @@ SLIDE = 0.1
 
 
 def onward(legs: Sequence[float], way: float) -> list[float]:
-    """Legs of a joint after a further signed way (rad, m); the latest first, without zeros.
+    """Return the legs of a joint after a further signed way (rad, m).
 
-    With more of them nested than there are places, the oldest are forgotten.
+    Legs have the latest first and hold no zero. A way that is as long as the leg before it cancels
+    that one, as in hysteresis. Only the latest ``LEGS - 1`` are kept.
     """
     if abs(way) < SAME_POSE:
         return list(legs)
@@ -200,7 +201,8 @@ def recorded(
 
 
 def sides_told(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
-    """(N, n) of +-1 where a side of arrival was recorded without a run-up, else 0."""
+    """Return the recorded side of arrival, (N, n) of -1, 0, +1; 0 after a run-up or if not
+    recorded."""
     if approach is None:
         return np.zeros(q.shape)
     marks = np.sign(np.nan_to_num(np.asarray(approach, dtype=float)))

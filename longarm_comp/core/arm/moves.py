@@ -72,7 +72,10 @@ def wanted_sides(
     known: np.ndarray,
     sure: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """(n,) side to arrive from: that the data know, has room, is sure, and needs least extra way.
+    """Choose the (n,) side, -1 or +1, from which each joint shall arrive.
+
+    It is the side at which the effects are surest, else that of the direct way. The other side is
+    taken where this one has no room, or where the data know the other one three times better.
 
     Args:
         start, q: as in `plan_move`.

@@ -222,7 +222,10 @@ class Cylinder(Declared):
         return spatial.sqrt(squares - 2 * self.near_m * self.far_m * spatial.cos(self.angle(q)))
 
     def lever(self, q: Scalar) -> Scalar:
-        """Return lengthening per turn, m/rad: distance from the axis, with the sign of `grows`."""
+        """Return the change of the length per turn of the joint, m/rad, at joint value `q` (rad).
+
+        Its size is the distance of the cylinder from the axis; its sign is that of `grows`.
+        """
         area = self.grows * self.near_m * self.far_m * spatial.sin(self.angle(q))
         return area / self.length(q)
 

@@ -59,7 +59,7 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
 
 
 def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """Homogeneous matrix (4, 4) of a position (m) and x, y, z, w."""
+    """Return the homogeneous matrix (4, 4) of a position (m) and a unit quaternion (x, y, z, w)."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation(quaternion), position
     return matrix

@@ -143,7 +143,10 @@ def _exact_cos_sin(angle: float) -> tuple[float, float]:
 
 
 def exp(twist: Twist) -> Frame:
-    """Return the finite motion exp(twist) of a small twist: a series, below 1e-12 up to 0.3 rad."""
+    """Return the finite motion exp(twist) of a small twist.
+
+    It is a series, whose error is below 1e-12 up to rotations of 0.3 rad.
+    """
     d, w = twist[:3], twist[3:]
     t = dot(w, w)
     a = 1.0 - t * (1 / 6 - t * (1 / 120 - t * (1 / 5040 - t / 362880)))

@@ -1,4 +1,4 @@
-"""The possible changes of an arm at work: every effect at every place, and its numbers."""
+"""The possible changes of an arm at work: every effect at every place, and its parameters."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """The numbers of a model and of all effects that may come to it, in one order.
+    """The parameters of a model and of all effects that may be added to it, in one order.
 
     Attributes:
-        absent: effects that it does not hold, at none.
-        slots: of the model, then of these.
+        absent: effects that the model does not hold, with all values 0.
+        slots: the slots of the model, then of these.
         keys: (C,) effect and place of every possible change.
-        places: (C, k) positions of its numbers; -1 where it has fewer than k.
-        log_prior: (C,) of it, given that something changes: what the model holds wears as often as
-            something new appears; of each, every name is as likely as any other, and every place.
+        places: (C, k) positions of its parameters; -1 where it has fewer than k.
+        log_prior: (C,) log probability of it, given that something changes. What the model holds
+            wears as often as something new appears; of each, every name is as likely as any other,
+            and so is every place of a name.
     """
 
     model: Model
@@ -40,10 +41,10 @@ class Parameters:
 
     @classmethod
     def of(cls, model: Model, context: Context) -> Parameters:
-        """List those of a model, with every effect whose inputs the circumstances hold.
+        """List the parameters of a model, and of every effect whose inputs the circumstances hold.
 
         An absent effect is in the form that is tried first.  Of names that no sighting tells apart
-        there is one.
+        one is listed.
         """
         present = {term.key for term in model.terms}
         possible: dict[Key, Effect | Bias] = {}
@@ -72,33 +73,35 @@ class Parameters:
         return len(self.slots)
 
     def own(self, c: int) -> list[int]:
-        """List the positions of the numbers of a possible change."""
+        """List the positions of the parameters of a possible change."""
         return [int(k) for k in self.places[c] if k >= 0]
 
     @cached_property
     def position(self) -> Mapping[tuple[object, ...], int]:
-        """The place of a slot's number, by its identity."""
+        """The position of a slot's parameter, by the slot's identity."""
         return {slot.identity: k for k, slot in enumerate(self.slots)}
 
     def values(self, model: Model) -> np.ndarray:
-        """Give the numbers (q,) as a model has them; 0 of what it does not hold."""
+        """Return the values (q,) that a model gives the parameters; 0 for effects that it does not
+        hold."""
         made = np.zeros(len(self))
         made[[self.position[slot.identity] for slot in model.slots]] = model.values
         return made
 
     @cached_property
     def widths(self) -> np.ndarray:
-        """Ordinary sizes of the numbers, (q,)."""
+        """Prior standard deviations of the parameters, (q,)."""
         return np.array([s.parameter.prior for s in self.slots], dtype=float)
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of the numbers, (q,) each."""
+        """Lower and upper bounds of the parameters, (q,) each."""
         lower = np.array([s.parameter.lower for s in self.slots], dtype=float)
         return lower, np.array([s.parameter.upper for s in self.slots], dtype=float)
 
     def at(self, values: np.ndarray) -> Model:
-        """Build the model with values (q,), and those absent effects that are not at none."""
+        """Build the model with values (q,); absent effects whose values are all 0 stay out of
+        it."""
         values = np.clip(values, *self.bounds)
         count = len(self.model.slots)
         model = self.model.with_values(values[:count])
@@ -109,7 +112,8 @@ class Parameters:
         return model.plus(*(self.absent[k].with_values(v) for k, v in given.items()))
 
     def columns(self, at: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
-        """Predict a sighting (3,) m at joints (n,), and its derivative by every number, (3, q)."""
+        """Predict a sighting (3,) m at joints (n,), and its derivatives by all parameters, (3,
+        q)."""
         present = {term.key for term in at.terms}
         rest = [t for t in self.absent if t.key not in present and _has_inputs(t, context)]
         slots = (*at.slots, *slots_of(at.arm, rest))

@@ -1,8 +1,8 @@
 """Posteriors side by side, one for each explanation of what has changed so far.
 
-Where something changed, the posterior parts into one for each effect that may have (generalised
-pseudo-Bayes; Tugnait 1982, Automatica 18): each goes on as a Kalman filter of its own, in which
-further changes begin anew.  Their weights follow from what each predicts.
+Where something changed, the posterior splits into one for each effect that may have changed
+(generalised pseudo-Bayes; Tugnait 1982, Automatica 18). Each goes on as a Kalman filter of its own,
+in which further changes can begin.  Their weights follow from how well each predicts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ as its jump is then known four times better than by one."""
 
 @dataclass(frozen=True)
 class _PastChange:
-    """An effect that changed, by one explanation."""
+    """A change of an effect that one explanation takes for certain."""
 
     key: Key
     where: str
@@ -41,14 +41,16 @@ class _PastChange:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One explanation: its weight, what it knows, and what has changed by it, in order."""
+    """One explanation: its weight, its posterior, and the changes that it takes for certain, in
+    order."""
 
     weight: float
     known: RecursivePosterior
     changes: tuple[_PastChange, ...] = ()
 
     def split(self) -> Iterator[Branch]:
-        """Give one for each effect that may have changed; itself where that is not clear yet."""
+        """Yield one branch for each effect that may have changed, or only this one while the
+        sightings do not tell yet."""
         known = self.known
         chance = known.probability.sum(axis=0)
         some = float(chance.sum())
@@ -80,18 +82,18 @@ class Branch:
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """All explanations; weights sum to 1."""
+    """All explanations, with weights that sum to 1."""
 
     branches: tuple[Branch, ...]  # the most probable first
     log_likelihood: float = 0.0  # of the last sighting
 
     @property
     def space(self) -> Parameters:
-        """The numbers of the model and of all possible changes."""
+        """The parameters of the model and of all possible changes."""
         return self.branches[0].known.space
 
     def update(self, row: Row) -> Explanations:
-        """Weigh all explanations anew by a further sighting."""
+        """Return the explanations weighed again with one more sighting."""
         each = [(b, b.known.update(row)) for b in self.branches]
         logs = np.array([math.log(b.weight) + known.log_likelihood for b, known in each])
         top = float(logs.max())
@@ -118,11 +120,12 @@ class Explanations:
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """The mean over all explanations, (q,)."""
+        """The mean of the parameters over all explanations, (q,)."""
         return np.sum([b.weight * b.known.expected for b in self.branches], axis=0)
 
     def covariance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the positions (p,) of what is not known exactly, and its covariance (p, p)."""
+        """Compute the positions (p,) of the parameters that are uncertain, and their covariance (p,
+        p)."""
         active = np.unique(np.concatenate([b.known.active for b in self.branches]))
         made = np.zeros((len(active), len(active)))
         for b in self.branches:

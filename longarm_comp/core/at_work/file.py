@@ -1,4 +1,4 @@
-"""The file of what was learned at work: a restart goes on from it.
+"""The file of what was learned at work, from which a restart continues.
 
 Rivals that were not yet told apart are merged: the model served, and how well it is known, stay.
 """
@@ -20,7 +20,7 @@ from longarm_comp.core.yaml_file import Declared, parse_declared
 
 
 class _StoredVersion(Declared):
-    """A model that was served, and since when; the first is the model as it was given."""
+    """A model that was served, and since when; the first is the model before any learning."""
 
     at_s: float | None
     model: StoredModel
@@ -38,7 +38,7 @@ class _StoredLearner(Declared):
 
 
 def save(path: str | Path, learner: Learner, given: str) -> None:
-    """Write what was learned since a model.yaml of a hash was given."""
+    """Write what was learned since the model.yaml with the hash `given` was put to work."""
     stored = _StoredLearner(
         schema="longarm/at_work/1",
         given=given,
@@ -57,7 +57,10 @@ def save(path: str | Path, learner: Learner, given: str) -> None:
 
 
 def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> Learner:
-    """Read what a file holds for a model; its beginning, where there is none, or of another one."""
+    """Read what a file holds for a model.
+
+    Without a file, or with one of another model, the learner begins from the model.
+    """
     begun = Learner.of(model, step_m)
     if not Path(path).exists():
         return begun

@@ -1,8 +1,8 @@
-"""The model at work learns from sightings of ordinary moves.
+"""The learner: the model at work learns from sightings of ordinary moves.
 
 Each sighting is an equation of the model's parameters and of all that may have changed
-(`posterior.py`).  The mean over all explanations is served, and what is sure is said.  Where the
-moves of the work do not tell two explanations apart, it asks for the pose that would.
+(`posterior.py`).  The mean over all explanations is served, and certain changes are reported.
+Where the ordinary moves do not tell two explanations apart, it asks for the pose that would.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PoseRequest:
 
     @property
     def text(self) -> str:
-        """In one line: ``backlash or servo_droop? measure q = 0.1 -0.3, from + -``."""
+        """The request in one line: ``backlash or servo_droop? measure q = 0.1 -0.3, from + -``."""
         q = " ".join(f"{value:.3f}" for value in self.q)
         side = " ".join("+" if value > 0 else "-" for value in self.side)
         return f"{' or '.join(self.between)}? measure q = {q}, from {side}"
@@ -54,14 +54,14 @@ lost in what scatters."""
 
 
 class Named(Declared):
-    """A change: its place, and the effect there that is the most probable.
+    """A change: its place, and the most probable effect there.
 
     Attributes:
         since_s: time of the first sighting that shows it.
-        by: (parameter, unit, how much), of those that moved.
-        probability: of the effect, given that something changed there.
-        rivals: other effects there that may have, with theirs.
-        sightings: that it took.
+        by: (parameter, unit, change) of those parameters that moved.
+        probability: probability of the effect, given that something changed there.
+        rivals: other effects there that may have changed, with their probabilities.
+        sightings: number of sightings that it took to find it.
     """
 
     effect: str
@@ -74,7 +74,8 @@ class Named(Declared):
 
     @property
     def text(self) -> str:
-        """In one line: ``backlash (61 %) or servo_droop (39 %), joint 2: width +0.0031 rad``."""
+        """The change in one line: ``backlash (61 %) or servo_droop (39 %), joint 2: width +0.0031
+        rad``."""
         each = ((self.effect, self.probability), *self.rivals)
         names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
         by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
@@ -83,7 +84,7 @@ class Named(Declared):
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """The model as it was served once a change was sure."""
+    """The model as it was served once a change was certain."""
 
     at_s: float
     model: Model  # with the record of how good it is
@@ -105,27 +106,28 @@ class Learner:
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
-        """Begin with a fitted model, which says how well it is known."""
+        """Begin with a fitted model that has a record of how well it is known."""
         if model.uncertainty is None:
             raise InputError("model", "uncertainty", "missing", "a model that a diagnosis wrote")
         return cls(model, versions=(Version(-math.inf, model, None),), step_m=step_m)
 
     @property
     def record(self) -> ModelUncertainty:
-        """The record of how good the model is that is served."""
+        """The record of how good the served model is."""
         assert self.model.uncertainty is not None
         return self.model.uncertainty
 
     def learn(
         self, q: np.ndarray, context: Context, tip: np.ndarray, variance: np.ndarray, t_s: float
     ) -> Learner:
-        """Take a sighting of an arm at rest.
+        """Return the learner after a sighting of an arm at rest.
 
         Args:
             q: (n,) commanded joints.
             context: circumstances, with the history of the joints.
-            tip: (3,) m, and its variance (3,) m^2.
-            t_s: when, on a clock of the caller's.
+            tip: (3,) m, measured.
+            variance: (3,) m^2, its variance.
+            t_s: time of the sighting, on a clock of the caller's.
         """
         if self.frozen:
             return self
@@ -172,8 +174,8 @@ class Learner:
     def request_pose(self, context: Context) -> PoseRequest | None:
         """Find the pose where the likeliest explanation and a rival disagree most.
 
-        It is sought among poses even over the ranges of the joints, in circumstances.  None where
-        there is no rival, or none that a single sighting would decide against.
+        Poses are drawn evenly over the ranges of the joints, in the given circumstances.  None
+        where there is no rival, or none that a single sighting would decide against.
         """
         if self.known is None or self.frozen:
             return None
@@ -206,12 +208,12 @@ class Learner:
 
     @property
     def named(self) -> tuple[Named, ...]:
-        """The changes, in the order in which they were sure."""
+        """The changes, in the order in which they became certain."""
         return tuple(v.named for v in self.versions if v.named is not None)
 
     @property
     def now(self) -> tuple[Named, ...]:
-        """The same, by what is known now."""
+        """The same changes, named by what is known now."""
         known = self.known
         if known is None:
             return self.named
@@ -221,19 +223,20 @@ class Learner:
 
     @property
     def unexplained(self) -> bool:
-        """True if something changed that no known effect explains: a matter of a diagnosis."""
+        """True if something changed that no known effect explains, so that a diagnosis is
+        needed."""
         return self.known is not None and self.known.unexplained >= CREDIBLE
 
     def freeze(self) -> Learner:
-        """Serve what is served now, whatever is seen."""
+        """Keep serving the present model, whatever is seen."""
         return dataclasses.replace(self, frozen=True)
 
     def thaw(self) -> Learner:
-        """Learn on, from what is served."""
+        """Learn again, from the model that is served."""
         return dataclasses.replace(self, frozen=False, known=None, pending=None)
 
     def undo(self) -> Learner:
-        """Serve the version before the last, and learn no more until told."""
+        """Serve the version before the last, and stop learning until `thaw`."""
         kept = self.versions[:-1] or self.versions
         return dataclasses.replace(
             self, model=kept[-1].model, versions=kept, known=None, pending=None, frozen=True
@@ -247,7 +250,7 @@ def _new_effect(branch: Branch, other: Branch) -> str:
 
 
 def _name_change(known: Explanations, where: str) -> Named:
-    """Name the most probable effect of those that may have changed at a place."""
+    """Name the most probable effect among those that may have changed at a place."""
     here = [(b, c) for b in known.branches for c in b.changes if c.where == where]
     whole = sum(b.weight for b, _ in here)
     chances: dict[str, float] = {}
@@ -273,7 +276,7 @@ def _name_change(known: Explanations, where: str) -> Named:
 
 
 def _begin(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
-    """Begin with what a fitted model's record says."""
+    """Begin with the uncertainty in a fitted model's record."""
     space = Parameters.of(model, context)
     fitted = [name for name in space.position if name in record.row]
     factor = record.factor[[record.row[name] for name in fitted]]
@@ -285,11 +288,12 @@ def _begin(model: Model, record: ModelUncertainty, context: Context) -> Explanat
 def _take_in(
     known: Explanations, row: Row, pending: tuple[Explanations, Row, float] | None
 ) -> tuple[Explanations, tuple[Explanations, Row, float] | None, bool]:
-    """Take a row in, unless it is doubtful; the one before, if that was doubtful, with it.
+    """Take a row in, unless it is doubtful. A doubtful row before it is taken in with it if both
+    agree.
 
     Returns:
-        What is known; a doubtful row with what was known before it, and its log likelihood as one
-        of anything around; whether the row before is left out for good.
+        What is known; a doubtful row that still waits, with what was known before it and its log
+        likelihood as one that may be anywhere; and whether the row before is dropped for good.
     """
     after = known.update(row)
     off = row.value - row.columns @ known.expected

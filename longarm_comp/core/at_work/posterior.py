@@ -1,9 +1,9 @@
 """The recursive posterior: a Kalman filter, and beside it what follows if an effect has changed.
 
 "Nothing changed" is one Kalman filter over the model's parameters, without process noise.  "Effect
-c changed before sighting t" differs from it by a known linear response to the unknown jump, which
-a recursion carries along (Willsky and Jones 1976, IEEE Trans. Automatic Control 21), so that
-hundreds of such changes cost one filter.  Each has its evidence.  A drift is a row of jumps.
+c changed before sighting t" differs from it by a known linear response to the unknown jump. A
+recursion carries that response along (Willsky and Jones 1976, IEEE Trans. Automatic Control 21), so
+that hundreds of such changes cost one filter.  Each has its evidence.  A drift is a row of jumps.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ NEGLIGIBLE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One sighting, as an equation of all numbers."""
+    """One sighting, as an equation of all parameters."""
 
     t_s: float
     columns: np.ndarray  # (3, q) m per unit
@@ -47,7 +47,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class _PossibleChanges:
-    """The changes of every effect at every onset."""
+    """The possible changes: of every effect at every onset."""
 
     log_weight: np.ndarray  # (T, C) against "nothing changed"
     mean: np.ndarray  # (T, C, k) jump in ordinary sizes
@@ -76,7 +76,10 @@ class RecursivePosterior:
     def begin(
         cls, space: Parameters, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
     ) -> RecursivePosterior:
-        """Begin without a sighting, from a mean and a covariance as of the attributes."""
+        """Begin without a sighting, from a mean, the active parameters and a covariance.
+
+        The arguments are the attributes of the same names.
+        """
         c, k = space.places.shape
         return cls(
             space=space,
@@ -93,7 +96,7 @@ class RecursivePosterior:
         )
 
     def update(self, row: Row) -> RecursivePosterior:
-        """Take a sighting in: of "nothing changed", and of every change at every onset."""
+        """Update "nothing changed", and every change at every onset, with a sighting."""
         a = row.columns[:, self.active]
         carried = self.covariance @ a.T
         spread = a @ carried + row.noise
@@ -136,7 +139,8 @@ class RecursivePosterior:
 
     @cached_property
     def possible(self) -> _PossibleChanges:
-        """The changes of every effect at every onset, each over all `SIZES` and inside bounds."""
+        """The possible changes of every effect at every onset, each over all `SIZES` and inside
+        bounds."""
         values, turn = np.linalg.eigh(self.gram)
         z = np.einsum("tcik,tci->tck", turn, self.along)[:, :, None, :]
         square = SIZES[:, None] ** 2
@@ -171,7 +175,7 @@ class RecursivePosterior:
 
     @property
     def total(self) -> float:
-        """The log of the sum of all weights; that of "nothing changed" is 1."""
+        """The log of the sum of all weights, where "nothing changed" has weight 1."""
         h = self.possible
         top = max(float(h.log_weight.max(initial=0.0)), float(h.unnamed.max(initial=0.0)))
         whole = math.exp(-top) + np.exp(h.log_weight - top).sum() + np.exp(h.unnamed - top).sum()
@@ -188,7 +192,8 @@ class RecursivePosterior:
         return float(np.exp(self.possible.unnamed - self.total).sum())
 
     def _jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Give positions of a change, its mean jump (k,), how all numbers follow it, (q, k)."""
+        """Return the positions of a change, its mean jump (k,), and how all parameters follow it,
+        (q, k)."""
         places = np.array(self.space.own(c))
         jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
         follows = np.zeros((len(self.space), len(places)))
@@ -198,7 +203,7 @@ class RecursivePosterior:
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """The mean over all possible changes and none, (q,)."""
+        """The mean of the parameters over all possible changes and none, (q,)."""
         made = self.mean.copy()
         for t, c in np.argwhere(self.probability > NEGLIGIBLE):
             _, jump, follows = self._jump(t, c)
@@ -206,7 +211,8 @@ class RecursivePosterior:
         return made
 
     def given_change(self, c: int) -> RecursivePosterior:
-        """Give what is known if an effect has changed: its onsets merged, other changes anew."""
+        """Return the posterior if an effect has changed: its onsets are merged, other changes begin
+        again."""
         weight = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
         likely = [t for t in range(len(weight)) if weight[t] > NEGLIGIBLE]
         moved = {t: self._jump(t, c) for t in likely}

@@ -1,1 +1,1 @@
-"""Fits a model to rows: placement, geometry, noise, and what stays uncertain."""
+"""Fits a model to rows: placement, geometry, noise, and the uncertainty that stays."""

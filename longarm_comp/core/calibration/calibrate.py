@@ -1,4 +1,5 @@
-"""Calibration: what is always fitted, and a ladder of ever fuller fits judged on held-out poses."""
+"""Calibration: the geometry that is always fitted, and a ladder of ever fuller fits, compared on
+held-out poses."""
 
 from __future__ import annotations
 
@@ -129,14 +130,15 @@ def stages(
     progress: Callable[[str], None] | None = None,
     kind: KindOfArm | None = None,
 ) -> Iterator[tuple[str, ModelFit]]:
-    """Fit frames only, joint zeros, full geometry on top of a model, each started from the last.
+    """Fit frames only, joint zeros, and full geometry on top of a model, each started from the
+    last.
 
     The frames are placed in closed form first.  The last fit is what every command calls
     calibrated.  Errors are those of `fit`.
 
     Args:
         progress: called with each name before it is fitted.
-        kind: what other arms of the kind say of the full geometry.
+        kind: what other arms of the kind tell about the full geometry.
     """
     base = frames(model.arm, session)
     start = placed = place_frames(model, session)
@@ -164,9 +166,9 @@ def stages(
 def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
     """Return `Model.beyond` by the model's values: the parts beyond what their drawing allows.
 
-    What lies far beyond pays for that once.  Else any effect that moves the tip as the part does
-    would be worth what the part's prior costs.  Tolerances are judged by what is fitted with them,
-    until they come again.
+    A part far beyond its tolerance pays for that only once.  Otherwise any effect that moves the
+    tip as the part does would be worth what the part's prior costs.  Tolerances are judged by what
+    is fitted with them, until they come again.
     """
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]

@@ -1,4 +1,5 @@
-"""The candidates of a diagnosis: every effect of the library, alone and as a family, any form."""
+"""The candidates of a diagnosis: every effect of the library, alone and as a family, in every
+form."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ class Candidate:
     """A possible cause: some terms of one effect, in one form.
 
     Attributes:
-        scanned: its form was found by looking at the residual, not listed by its class.
+        scanned: whether its form was found in the residual, not listed by its class.
     """
 
     name: str
@@ -52,11 +53,11 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Library:
-    """The candidates that the data can speak of, and those that they cannot.
+    """The candidates that the data can test, and those that they cannot.
 
     Attributes:
         testable: candidates whose inputs were recorded and varied.
-        not_testable: (effect, why).
+        not_testable: (effect, reason).
         stepped: effects whose steps may be scanned.
     """
 
@@ -120,7 +121,7 @@ def library(
 def distinct(
     candidates: Iterable[Candidate], but: Container[tuple[str, str]] = ()
 ) -> tuple[Term, ...]:
-    """Return each instance once, those at some places left out."""
+    """Return each term of the candidates once, without those at some places."""
     made: dict[tuple[object, ...], Term] = {}
     for candidate in candidates:
         for term in candidate.terms:
@@ -130,7 +131,8 @@ def distinct(
 
 
 def _families(singles: list[Candidate]) -> list[Candidate]:
-    """Return, for each form, all places together (where an effect has several places)."""
+    """Return one candidate per form with all places together, where an effect has several
+    places."""
     by_form: dict[tuple[tuple[str, object], ...], list[Term]] = {}
     for c in singles:
         if len(c.terms) == 1:

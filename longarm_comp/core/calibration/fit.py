@@ -1,12 +1,12 @@
 """Robust joint fit of a model to a session: geometry and effects together.
 
-Gauss-Newton on the posterior mode.  A step that would raise the cost is shortened along the
-parabola that the model bends it to: of loads and what yields under them the rows tell little but
-the product (geodesic acceleration; Transtrum and Sethna 2012, arXiv 1201.5885).  Every parameter
-has a prior (a tolerance), which is what holds the gauge freedoms of a redundant geometry; that of
-an unknown placement lies around its start, so that what the rows do not determine stays there.
-Sign bounds are kept exactly; rows that no model of this kind explains get weight 0, anew at every
-step but the first, in which all rows are in.
+Gauss-Newton on the posterior mode.  A step that would raise the cost is shortened along a parabola
+that follows the curvature of the model: of a load and the compliance under it the rows tell hardly
+more than the product (geodesic acceleration; Transtrum and Sethna 2012, arXiv 1201.5885).  Every
+parameter has a prior (a tolerance), which holds the gauge freedoms of a redundant geometry. The
+prior of an unknown placement lies around its start, so that what the rows do not determine stays
+there. Sign bounds are kept exactly. Rows that no model of this kind explains get weight 0, decided
+anew at every step but the first, in which all rows count.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def fit(
         rho: correlation of the noise from one row to the next (in the order of the rows).
         robust: give outliers weight 0, anew at every step.
         weights: (N of seen rows,) fixed weights instead.
-        close: the last step must be below so many standard errors. The design is that of the
-            values before it, where this is more than `CLOSE`.
+        close: size of the last step, in standard errors, below which the fit ends. If this is more
+            than `CLOSE`, the design is that of the values before the last step.
         begun: a fit of the same model to the same session, if there is one: residual and design
             are taken from it.
         near: a fit of a similar model to the same session; its loads save a load pass.
@@ -78,7 +78,7 @@ def fit(
 
 
 def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
-    """Compare a model with a session as it is: residual and design; `near` as in `fit`."""
+    """Compute residual and design of a model as it is at a session; `near` as in `fit`."""
     part = SessionProblem(model, session, robust=False, near=near)
     part.weigh(1)
     return part.finish(np.diag(priors(model.slots) ** 2))
@@ -154,8 +154,9 @@ class _JointProblem:
     """Sessions that are fitted together, and their p parameters.
 
     Attributes:
-        start, scale, centre: (p,) values to begin with, and mean and width of their priors.
-        limits: (2, p) of the values. Rounding leaves them, and no file holds such a value.
+        start, scale, centre: (p,) values to begin with, and width and mean of their priors.
+        limits: (2, p) bounds of the values. Values are clipped to them, because rounding may pass
+            them and no file holds such a value.
         bounds: the same in units of the priors.
     """
 
@@ -180,7 +181,8 @@ class _JointProblem:
         self.bounds = (self.limits - self.centre) / self.scale
 
     def normal_equations(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return (p, p) and (p,) in units of the priors, and the data's square."""
+        """Return matrix (p, p) and right side (p,) in units of the priors, and the square of the
+        data."""
         p = len(self.scale)
         gram, moment, square = np.zeros((p, p)), np.zeros(p), 0.0
         for part in self.parts:
@@ -201,13 +203,16 @@ class _JointProblem:
     def step_towards(
         self, goal: np.ndarray, now: np.ndarray, gram: np.ndarray, moment: np.ndarray, near: bool
     ) -> tuple[np.ndarray, float]:
-        """Go towards a goal (p,) as far as does not raise the cost: values (p,) and their cost.
+        """Go towards a goal (p,) as far as this does not raise the cost.
 
-        Straight all the way, or along the parabola that the model bends the way to.  Near goals
-        need fewer load passes.
+        The way is straight, or else the parabola that follows the model's curvature.
 
         Args:
             gram, moment: the normal equations that the goal solves.
+            near: whether the goal is near; then fewer load passes are needed.
+
+        Returns:
+            The values (p,) reached, and their cost.
 
         Raises:
             JobError: the fit is not finite however short the step.

@@ -1,4 +1,4 @@
-"""The columns of candidates at a fit, and the evidence on top of it or of a part of it."""
+"""The columns of candidates at a fit, and the evidence on top of the fit or of a part of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from longarm_comp.core.model.model import slots_of
 class FitColumns:
     """The columns of any candidate at the rows and the solution of a fit, each computed once.
 
-    They are kept with the fit and go with it.
+    They are stored with the fit.
     """
 
     def __init__(self, fitted: ModelFit) -> None:
@@ -37,7 +37,7 @@ class FitColumns:
         return np.stack([self._known[key] for key in keys], axis=-1)
 
     def shift(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return (N, d) what terms without parameters add together, m or rad."""
+        """Return the (N, d) sum of the shifts by terms without parameters, m or rad."""
         keys = [t.variant for t in terms]
         new = {k: t for k, t in zip(keys, terms, strict=True) if k not in self._shifts}
         if new:
@@ -47,13 +47,14 @@ class FitColumns:
         return np.sum([self._shifts[key] for key in keys], axis=0)
 
     def without(self, places: Container[tuple[str, str]], instead: Sequence[Term] = ()) -> Marginal:
-        """Return the evidence on top of the fit, the terms at some places taken out of it.
+        """Return the evidence on top of the fit, with the terms at some places removed from it.
 
         A term with parameters leaves with its columns; one without gives its shift back to the
-        data.  One that acts through others stays as it is: what these are not says nothing of it.
+        data.  A term that acts through others stays at its value, because the removed terms tell
+        nothing about it.
 
         Args:
-            places: keys of the terms that are taken out.
+            places: keys of the terms that are removed.
             instead: terms with parameters that are put in.
         """
         fitted = self._fitted
@@ -77,7 +78,7 @@ class FitColumns:
 
 
 def shift_of(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np.ndarray:
-    """Return (N, d) what fitted terms add to the rows, m or rad."""
+    """Return the (N, d) shift of the rows by fitted terms, m or rad."""
     slots = slots_of(fitted.model.arm, terms)
     values = np.array([s.value for s in slots]) / priors(slots)
     moved = columns.of(terms) @ values

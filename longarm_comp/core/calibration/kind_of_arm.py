@@ -1,8 +1,8 @@
 """The prior that calibrated arms of one kind give a further one, before it is measured.
 
-Errors of arms of one kind come together: parts are made on the same machines and zeros are set by
-the same hands.  Their second moment, shrunk towards the drawing's tolerances as Ledoit and Wolf
-(2004, J. Multivariate Anal. 88) have it, is the prior of the next arm: some directions, each with a
+The errors of arms of one kind are related: parts are made on the same machines and zeros are set by
+the same hands.  Their second moment, shrunk towards the drawing's tolerances after Ledoit and Wolf
+(2004, J. Multivariate Anal. 88), is the prior of the next arm: some directions, each with a
 free amount, and a share of the tolerances for the rest.
 """
 
@@ -29,12 +29,12 @@ _TABLE = ("type", "a_m", "alpha_deg", "d_m", "theta_offset_deg", "pose")
 
 @dataclass(frozen=True)
 class KindOfArm:
-    """The prior of a further arm.
+    """The prior of a further arm of a kind.
 
     Attributes:
-        directions: what the arms share.
+        directions: directions of errors that the arms share.
         rest: share of the tolerances by which every single error may be off besides.
-        noise: what the arms' measurements scattered by, by kind of measurement, m or rad.
+        noise: scatter of the arms' measurements, by kind of measurement, m or rad.
     """
 
     directions: tuple[KindDirection, ...]
@@ -52,12 +52,12 @@ class KindOfArm:
         """Find the prior from calibrated models of arms of the kind.
 
         Args:
-            arm: the further one, as declared.
-            models, sources: of the others, and their files, for messages.
+            arm: the further arm, as declared.
+            models, sources: models of the others, and their files, for messages.
             noise: as the attribute, where it is known.
 
         Raises:
-            InputError: too few, or one has another table of rows.
+            InputError: there are too few models, or one has another table of rows.
         """
         if len(models) < LEAST:
             raise InputError("kind of arm", "models", len(models), f"at least {LEAST}, of one kind")
@@ -93,7 +93,8 @@ class KindOfArm:
 
 
 def fold_directions(fit: ModelFit) -> ModelFit:
-    """Return a fit whose shared directions are part of the errors that they are made of."""
+    """Return a fit whose shared directions are replaced by the single errors that they consist
+    of."""
     kept = tuple(e for e in fit.model.effects if not isinstance(e, KindDirection))
     if kept == fit.model.effects:
         return fit
@@ -124,7 +125,7 @@ def table(arm: Arm) -> tuple[tuple[object, ...], ...]:
 
 
 def _check_table(arm: Arm, other: Arm, source: str) -> None:
-    """Refuse an arm of another table: its errors are not errors of this one."""
+    """Refuse an arm with another table, because its errors are not errors of this one."""
     if len(arm.joints) != len(other.joints):
         rows = f"{len(arm.joints)} rows, as {arm.name}"
         raise InputError(source, "joints", f"{len(other.joints)} rows", rows)
@@ -138,10 +139,13 @@ def _check_table(arm: Arm, other: Arm, source: str) -> None:
 
 
 def _shrink(values: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return directions (k, p) and standard deviation of the rest, of (n, p) errors in tolerances.
+    """Shrink the second moment of (n, p) errors, in tolerances, of n arms.
 
-    The second moment S of the arms is shrunk to ``(1 - w) S + w m I``, with m the mean of its
-    diagonal and w the share that is expected to be closest to the truth.
+    The second moment S becomes ``(1 - w) S + w m I``, with m the mean of its diagonal and w the
+    share that is expected to be closest to the truth.
+
+    Returns:
+        Directions (k, p), and the standard deviation of the rest.
     """
     n, p = values.shape
     moment = values.T @ values / n

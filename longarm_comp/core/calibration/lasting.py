@@ -1,7 +1,8 @@
 """Checks that the arm and its markers stayed where they were while the rows were recorded.
 
-Behind every row in turn a base, or a marker, may stand elsewhere: how much of the residual that
-takes is computed from the design, with everything fitted anew (no fit is repeated).
+From each row on in turn, a base or a marker is supposed to stand elsewhere. How much of the
+residual that would explain is computed from the design, with everything fitted anew (no fit is
+repeated).
 """
 
 from __future__ import annotations
@@ -71,10 +72,10 @@ def check_lasting(fit: ModelFit) -> None:
 
 
 def _falls_by_row(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Return (M,) fall of the squared residual where some parameters are others from a row on.
+    """Return (M,) by how much the squared residual falls if some parameters change at each row.
 
     Args:
-        fitted: (M, d, p) orthonormal: what the parameters of the fit take.
+        fitted: (M, d, p) orthonormal basis of what the parameters of the fit explain.
         moving: (M, d, k) columns of the parameters that change, scaled by their priors.
         residual: (M, d, 1).
     """

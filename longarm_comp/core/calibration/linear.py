@@ -82,7 +82,7 @@ class Marginal:
 
     @property
     def evidence(self) -> float:
-        """The log evidence of the columns already there, up to what all of the same data share."""
+        """The log evidence of the columns already there, up to a constant of the data."""
         return float(-0.5 * self.y @ self.py - np.log(np.diag(self._factor[0])).sum())
 
     @cached_property
@@ -91,7 +91,7 @@ class Marginal:
         return self.y - self.a @ self._coefficients
 
     def project(self, b: np.ndarray) -> np.ndarray:
-        """Return P b: what the columns already there cannot (cheaply) take up."""
+        """Return P b: the part of b that the columns already there cannot (cheaply) explain."""
         return b - self.a @ self._solved(self.a.T @ b)
 
     def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +114,8 @@ def marginalised(
         sizes: (k,) prior standard deviations of the first k coefficients; 0 leaves a column out.
 
     Returns:
-        Log Bayes factor of the first against none; products of the others beside them.
+        Log Bayes factor of the first k against none; the two products of the other columns after
+            it.
     """
     rest, on = slice(len(sizes), None), np.flatnonzero(sizes)
     size = sizes[on]
@@ -136,16 +137,19 @@ def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 
 
 def root_of(like: np.ndarray) -> np.ndarray:
-    """Return (..., k, k) R of coefficients R w, w unit normal, of those of one number `ALIKE`.
+    """Return a root R (..., k, k) of the prior covariance: coefficients are R w, w unit normal.
+
+    Coefficients of one group are correlated by `ALIKE`.
 
     Args:
-        like: (..., k) numbers that coefficients share that are like each other.
+        like: (..., k) group numbers; coefficients of one group are like each other.
     """
     return np.linalg.cholesky(np.where(np.eye(like.shape[-1]) > 0, 1.0, ALIKE * _same(like)))
 
 
 def log_prior_mass(lower: np.ndarray, upper: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Return (...) log of the mass between bounds (..., k) of coefficients as in `root_of`."""
+    """Return (...) the log of the prior mass between bounds (..., k); the prior is that of
+    `root_of`."""
     same = _same(like)
     mates = same.sum(-1)
     alone = log_mass(lower, upper)
@@ -172,15 +176,16 @@ CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
 def sized(
     mean: np.ndarray, sizes: np.ndarray, chances: np.ndarray, like: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (..., k) most probable sizes of (..., k) coefficients, (...) the log chance of these.
+    """Return (..., k) most probable prior sizes of (..., k) coefficients, and their log chance
+    (...).
 
-    One place may be far worse than the next, and a base that sinks need not tilt, so each
-    coefficient has a size of its own, but for those that are like each other: they share one.
+    One place may be far worse than the next, and a base that sinks need not tilt. So each
+    coefficient has a size of its own, but those that are like each other share one.
 
     Args:
         mean: the coefficients.
         sizes, chances: (..., k, s) prior standard deviations, and their log probabilities.
-        like: as of `root_of`; all alone where None.
+        like: as in `root_of`; no two are alike where None.
     """
     if like is None:
         like = np.arange(mean.shape[-1])
@@ -230,10 +235,10 @@ def whiten(
 
 
 def weigh_rows(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return (N,) how much each row counts: by the noise that it states, or all alike.
+    """Return (N,) how much each row counts: by the noise that it states, or all the same.
 
-    What rows state counts where it makes the residual more probable: by Laplace's law, whose scale
-    in each channel is estimated, so that outliers, and a factor that all share, do not matter.
+    Stated noise counts if it makes the residual more probable. That is judged by Laplace's law,
+    whose scale in each channel is estimated, so that outliers, and a common factor, do not matter.
 
     Args:
         residual: (N, d).
@@ -252,9 +257,10 @@ def weigh_rows(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -
 def inliers(
     residual: np.ndarray, measured: np.ndarray, sigma: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return (N,) 1, or 0 beyond `OUTLIER` robust standard deviations, of (N, d) residuals.
+    """Return (N,) 1, or 0 for rows beyond `OUTLIER` robust standard deviations, of (N, d)
+    residuals.
 
-    A row is out by its largest channel, scaled by the larger of the robust spread and the
+    A row is judged by its largest channel, scaled by the larger of the robust spread and the
     known noise; only channels that were measured count.
     """
     held = np.where(measured, residual, np.nan)
@@ -271,7 +277,7 @@ def spread(
 ) -> np.ndarray:
     """Return (d,) noise per channel from weighted residuals; all share the degrees of freedom.
 
-    Infinite where no row that counts holds a channel.
+    It is infinite for a channel that no inlier holds.
     """
     count = freedom(weights, effective, measured)
     sigma = np.maximum(np.sqrt((weights[:, None] * residual**2).sum(0) / count), 1e-7)
@@ -281,7 +287,7 @@ def spread(
 def freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.ndarray:
     """Return (d,) degrees of freedom: a channel's inliers less its share of fitted parameters.
 
-    At least 1, where there are so many rows.
+    It is at least 1, if the channel has any inlier.
 
     Args:
         weights: (N,).
@@ -294,7 +300,7 @@ def freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.n
 
 
 def median(values: np.ndarray) -> np.ndarray:
-    """Return (d,) medians of (N, d) over what is not NaN; 0 of nothing."""
+    """Return (d,) medians of (N, d) over what is not NaN; 0 for an empty column."""
     if not np.isnan(values).any():
         return np.asarray(np.median(values, axis=0))
     columns = (column[~np.isnan(column)] for column in values.T)
@@ -302,6 +308,6 @@ def median(values: np.ndarray) -> np.ndarray:
 
 
 def mean(values: np.ndarray) -> np.ndarray:
-    """Return (d,) means of (N, d) over what is not NaN; 0 of nothing."""
+    """Return (d,) means of (N, d) over what is not NaN; 0 for an empty column."""
     held = np.isfinite(values)
     return np.asarray(np.where(held, values, 0.0).sum(0) / np.maximum(held.sum(0), 1))

@@ -22,7 +22,7 @@ class ModelFit:
     """A model fitted to a session's seen rows.
 
     Attributes:
-        model: at the posterior mode.
+        model: the model at the posterior mode.
         session: the seen rows that were fitted.
         posture: the arm at the rows.
         residual: (N, d) measured - predicted in the d channels of the session, m or rad; 0 where
@@ -33,7 +33,8 @@ class ModelFit:
         sigma: (d,) noise per channel, m or rad; infinite where nothing was measured. Where the
             weights of inliers differ, that of a weight of 1.
         effective: number of parameters that the data determine.
-        iterations: of Gauss-Newton.
+        iterations: number of Gauss-Newton steps.
+        converged: whether the last step was small enough.
         rho: correlation of the noise from one row to the next.
     """
 
@@ -61,7 +62,7 @@ class ModelFit:
 
     @property
     def judged(self) -> dict[str, Any]:
-        """The noise and weights of the rows, as arguments of another `fit` of them."""
+        """The noise and weights of the rows, as arguments for another `fit` of the same rows."""
         return {"sigma": self.sigma, "rho": self.rho, "weights": self.weights}
 
     @property
@@ -80,7 +81,8 @@ class ModelFit:
 
     @cached_property
     def pointed(self) -> np.ndarray:
-        """The (N,) rows that tell the tip in three channels: a position, a touched point."""
+        """The (N,) rows that hold all three coordinates of the tip: a position or a touched
+        point."""
         if self.session.blocks[0].kind not in ("position", "touch"):
             return np.zeros(len(self.session), dtype=bool)
         return np.asarray(self.session.measured[:, :3].all(axis=1))
@@ -92,21 +94,24 @@ class ModelFit:
 
     @cached_property
     def known_columns(self) -> tuple[Columns, Columns, Columns]:
-        """The columns of candidates at the rows, their shifts and white columns so far."""
+        """A store for `FitColumns`: columns of candidates, shifts, and white columns computed so
+        far."""
         return {}, {}, {}
 
     @cached_property
     def metres(self) -> np.ndarray:
-        """The (d,) length (m) that a unit of each channel stands for; 0 where it is none."""
+        """The (d,) length (m) that a unit of each channel stands for; 0 where it stands for
+        none."""
         return metres(self.model, self.session)
 
     @cached_property
     def noise_m(self) -> np.ndarray:
-        """The (d,) noise of the channels as lengths at the tip, m; 0 where one is none."""
+        """The (d,) noise of the channels as lengths at the tip, m; 0 where a channel is no
+        length."""
         return np.where(np.isfinite(self.sigma), self.sigma, 0.0) * self.metres
 
     def lengths(self, white: np.ndarray) -> np.ndarray:
-        """Map (dM,) of the M inliers in units of the noise to (M, d) lengths at the tip, m."""
+        """Map whitened data (dM,) of the M inliers to lengths at the tip (M, d), m."""
         count = self.weights[self.weights > 0][:, None]
         return white.reshape(-1, self.width) * self.noise_m / np.sqrt(count)
 

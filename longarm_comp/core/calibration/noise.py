@@ -45,7 +45,7 @@ class NoiseEstimate:
 def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
     """Estimate the noise from repeats of a pose that was reached from the same side, if enough.
 
-    What a model predicts for a pose is taken off, which leaves the same scatter whatever the model.
+    The model's prediction for a pose is subtracted, so that the scatter is the same by any model.
     Repeats from different sides differ by hysteresis too, so each side is a group of its own, as
     is each anchor, marker and base.  Deviations beyond 4.2 robust standard deviations are left out.
 
@@ -94,7 +94,7 @@ def sightings(rows: Session) -> np.ndarray:
 def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, d) deviations from the middle of their group, and each one's degrees of freedom.
 
-    NaN where a channel was not measured, or once only.
+    They are NaN where a channel was not measured, or only once in the group.
     """
     scatter, share = np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     for g in np.unique(group):
@@ -113,14 +113,14 @@ def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.n
 def from_residual(
     fit: ModelFit, extra: np.ndarray, steps: int = 12
 ) -> tuple[NoiseEstimate, np.ndarray]:
-    """Estimate the noise as what is left when everything in the library is fitted at once.
+    """Estimate the noise as the residual when everything in the library is fitted at once.
 
-    It is where the evidence is highest: each channel counts its rows less what the fit takes of
-    them (trace of the hat matrix; MacKay 1992, Neural Comput. 4).  Channels of one sensor are held
-    together, or one of them could be fitted exactly and count for ever more.  With more columns
-    than equations all of them could, so the size of the library's effects is estimated too; and
-    with more columns than rows the noise is no smaller than the sightings' own standard deviation,
-    where the session has one.
+    It is the noise of highest evidence: each channel counts its rows less the part that the fit
+    explains (trace of the hat matrix; MacKay 1992, Neural Comput. 4).  Channels of one sensor share
+    their noise, or one of them could be fitted exactly and then outweigh all.  With more columns
+    than equations all could be, so the size of the library's effects is estimated too. And with
+    more columns than rows the noise is no smaller than the sightings' own standard deviation, where
+    the session has one.
 
     Args:
         fit: the model so far.
@@ -178,12 +178,12 @@ def from_residual(
 
 
 def limit_by_repeats(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
-    """Return the residual's figure, but no more than the repeats allow.
+    """Return the noise from the residual, but no more than the repeats allow.
 
-    A few dozen repeats give sigma to a factor of 1.5 only, too rough to weigh evidence with;
-    the rich fit knows it to a few percent, unless it lacks something: then it is more than the
+    A few dozen repeats tell sigma only to a factor of 1.5, too rough to weigh evidence with. The
+    rich fit tells it to a few percent, unless it lacks something: then its noise is more than the
     repeats allow (F distribution, `ALLOWED`), and the most that they allow is taken.  Repeats that
-    scatter more (temperature, time) count for nothing.
+    scatter more (temperature, time) do not count.
     """
     limit = np.sqrt(fdtri(repeats.degrees, max(residual.degrees, 1.0), ALLOWED))
     most = repeats.sigma / limit

@@ -1,7 +1,7 @@
-"""The placement: where bases, markers, sensors, anchors and points are, solved from the sightings.
+"""The placement: solves from the sightings where bases, markers, sensors, anchors and points are.
 
-A placement is never a finding.  It is started in closed form here, and fitted jointly with all
-else by `fit`, with priors that do not pull (`Parameter.unknown`).
+A placement is never a finding.  Its start is computed here in closed form, and it is fitted jointly
+with all else by `fit`, with priors that do not pull (`Parameter.unknown`).
 """
 
 from __future__ import annotations
@@ -112,7 +112,11 @@ def _instead(model: Model, old: Effect, new: Effect) -> Model:
 
 
 def _misfit(model: Model, rows: Session) -> float:
-    """Median error of the rows (m); of axes alone, how the body turns on the tip (rad)."""
+    """Return the median error of the rows (m).
+
+    Where only orientations are measured, it is the median angle (rad) by which the marker's turn on
+    the tip differs from its mean.
+    """
     if rows.placed.any():
         return median_distance(errors(model, rows))
     axes = model.pose(rows.q, rows.context())[:, :3, :3]
@@ -125,7 +129,7 @@ def _unknown(model: Model, effect: Effect) -> bool:
 
 
 def _at(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) -> Effect:
-    """Return the base that takes what stands at the declared one there."""
+    """Return the base that has been moved from the declared one by a rotation and an offset."""
     home = model.arm.base.frame().matrix()
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = rotation, offset
@@ -146,7 +150,7 @@ def _twist(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
 
 
 def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
-    """Return the terms that a session's measurements need besides base and tip."""
+    """Return the placement terms that a session's measurements need besides base and tip."""
     nothing = np.full(len(session), "")
     several = len({b.sensor for b in session.blocks if b.kind == "orientation"}) > 1
     marker = session.labels.get("marker", nothing) if arm.markers else nothing
@@ -164,13 +168,13 @@ def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
 
 
 def reference_rows(session: Session) -> Session:
-    """Return the rows in whose frame the base is placed: the first sensor's of positions."""
+    """Return the rows in whose frame the base is placed: those of the first sensor of positions."""
     names = _sensors(session)
     return session if len(names) < 2 else session.where("sensor", names[0])
 
 
 def _sensors(session: Session) -> list[str]:
-    """List the sensors of positions and poses, the one of most whole positions first."""
+    """List the sensors of positions and poses, the one with most complete positions first."""
     framed = {b.sensor for b in session.blocks if b.kind in ("position", "orientation")}
     names = sorted(name for name in framed if name is not None)
     labels = session.labels.get("sensor", np.array([]))
@@ -198,7 +202,7 @@ def place_sensors(model: Model, session: Session) -> Model:
 
 
 def _place_sensor(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
-    """Register the predicted tips rigidly to what the sensor sees."""
+    """Place a sensor by a rigid registration of the predicted tips to what it sees."""
     rows = session.take(session.located & (session.labels["sensor"] == term.sensor))
     if len(rows) < 4:
         return term

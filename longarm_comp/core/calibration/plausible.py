@@ -1,4 +1,4 @@
-"""Refuses a finished fit that may not be believed; its model is never written."""
+"""Refuses a finished fit that may not be believed, so that its model is never written."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ def refuse(
 ) -> SetAside:
     """Refuse a model that may not be believed, for `calibrate` and `diagnose`.
 
-    Errors are of the rows that `believed_rows` leaves of each, for gross errors that come alone are
-    no fault of a model.
+    The errors are those of the rows that `believed_rows` keeps, because single gross errors are no
+    fault of a model.
 
     Args:
         final: the model that would be written, fitted to all rows.
         fitted: (N, 3) its errors on rows that it was fitted to, m or rad; None where every row is
-            held out, so that the error that is stated is one that carries over.
+            held out, so that the stated error already holds for other rows.
         held_out: (M, 3) errors of rows that were not fitted.
         plainer: errors of plainer models at the same held-out rows, by what they are called.
-        unit: of a thousandth of these errors.
+        unit: unit of a thousandth of these errors.
 
     Returns:
         The rows that the final fit set aside.
@@ -107,7 +107,7 @@ def refuse(
 
 
 def believed_rows(final: ModelFit, rows: Session) -> np.ndarray:
-    """Return (M,) whether the fit did not set aside each of any rows of its session."""
+    """Return (M,) whether each row is not among those that the fit set as outliers."""
 
     def contents(some: Session) -> list[bytes]:
         return [row.tobytes() for row in np.column_stack([some.index, some.q, some.xyz])]
@@ -117,12 +117,12 @@ def believed_rows(final: ModelFit, rows: Session) -> np.ndarray:
 
 
 def find_rise(before: np.ndarray, held_out: np.ndarray, most: float, *shares: float) -> str:
-    """Return by how much errors rise from those before to those at held-out rows, in words.
+    """Say by how much errors rise from those before to those at held-out rows.
 
     Args:
         before, held_out: (N, 3) and (M, 3) errors, m or rad.
-        most: times that the mean length may rise.
-        shares: of the rows, the worst, whose mean may not rise by more either.
+        most: factor by which the mean length may rise.
+        shares: shares of the rows, the worst ones, whose mean may not rise by more either.
 
     Returns:
         Both means in thousandths; empty where no mean rises so, or too few rows are held out.
@@ -150,7 +150,7 @@ def find_offset(model: Model, session: Session) -> float:
 
 
 def describe_offset(model: Model, session: Session) -> str:
-    """Say how far the arm is from where a model puts it; nothing where it is there."""
+    """Say how far the arm is from where a model puts it; "" if it is there."""
     if off := find_offset(model, session):
         return (
             f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
@@ -160,7 +160,8 @@ def describe_offset(model: Model, session: Session) -> str:
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:
-    """Raise `JobError` where no instrument has such a noise (d,) in its positions (m)."""
+    """Raise `JobError` if the fitted noise (d,) of the positions (m) is more than an instrument
+    has."""
     if session.blocks[0].kind != "position" or not np.isfinite(sigma[:3]).all():
         return
     axis, ratio = int(np.argmax(sigma[:3])), float((sigma[:3].max() / np.median(sigma[:3])) ** 2)

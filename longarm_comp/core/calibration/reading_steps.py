@@ -1,7 +1,8 @@
-"""Encoders tell nothing of a fit that is within half a step of what they read.
+"""Finds encoder readings that a fit meets to within half a step; these tell nothing more of the
+fit.
 
-Over poses that are spaced regularly the rest of a rounded reading repeats, and looks like a
-function of the joint.
+At poses that are spaced regularly, the error of a rounded reading repeats and looks like a function
+of the joint.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ SMALLEST = 1e-6
 def step_of(readings: np.ndarray) -> float:
     """Return the largest step of which readings (M,) differ by whole numbers; 0 without one.
 
-    It is the common divisor of the differences (Euclid); the whole span tells it closest.
+    It is the common divisor of the differences (Euclid), refined by the whole span.
     """
     apart = np.diff(np.unique(readings))
     step = 0.0

@@ -1,4 +1,4 @@
-"""The session of a fit on its way through the Gauss-Newton steps."""
+"""The session of a fit during its Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ adds a tenth of itself, and rounding nothing."""
 
 
 class SessionProblem:
-    """A session on its way through the Gauss-Newton steps; arguments and errors are those of `fit`.
+    """A session during the Gauss-Newton steps; arguments and errors are those of `fit`.
 
     `mine` are the places of its parameters among those of all sessions that are fitted together.
     """
@@ -78,7 +78,8 @@ class SessionProblem:
         self._check_finite(self.residual)
 
     def differentiate(self) -> None:
-        """Compute the design of the model as it is now; where it is next is taken to be near."""
+        """Compute the design of the model as it is now; later postures are computed from this
+        one."""
         self.columns = equations(self.model, self.seen, self.posture).columns
         self._check_finite(self.columns)
         self.near = self.posture
@@ -90,7 +91,7 @@ class SessionProblem:
     def finish(
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
     ) -> ModelFit:
-        """Return the model as it is now."""
+        """Return the fit with the model as it is now."""
         model = self.model
         if any(not b.geometry for b in model.biases):
             model = with_frame_shift(model, self.seen)
@@ -112,7 +113,7 @@ class SessionProblem:
     def move(self, values: np.ndarray, close: bool) -> None:
         """Compute the residual at other parameter values; the design stays.
 
-        `close`: whether they are close to those that the design is of.
+        `close`: whether the values are close to those at which the design was computed.
         """
         self.model = self.model.with_values(values)
         self._predict(self.model.posture_near(self.near, close))
@@ -131,10 +132,10 @@ class SessionProblem:
         return float((self._white(self.residual[..., None]) ** 2).sum())
 
     def weigh(self, step: int) -> None:
-        """Find outliers and noise in the residual as it is now, at a step of the fit from 1.
+        """Find outliers and noise in the residual as it is now, at step `step` of the fit, from 1.
 
-        All rows are in at first, so that no start decides which of them are believed; with them in,
-        a row is judged by what the whole session says.
+        At the first step all rows count, so that the start does not decide which of them are
+        believed; with all of them in, a row is judged by what the whole session tells.
         """
         if self.robust and self.fixed is None:
             self.weights = weigh_rows(self.residual, self.uneven, self.seen.measured)
@@ -150,7 +151,7 @@ class SessionProblem:
         return spread(self.residual, self.weights, self.effective, self.seen.measured)
 
     def _pool_noise(self, sigma: np.ndarray) -> np.ndarray:
-        """Return (d,) one figure for all channels of a kind and sensor.
+        """Return (d,) the noise, the same for all channels of a kind and sensor.
 
         Where the usual noise of the kind is known it counts as `BEFOREHAND` further equations.
         """

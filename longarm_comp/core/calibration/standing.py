@@ -1,7 +1,7 @@
-"""Places an arm before anything is fitted, and tells what its rows can never say of its place.
+"""Places an arm before anything is fitted, and tells what its rows cannot tell about its place.
 
 A tip that only ever touched unknown points looks the same on an arm twice as large.  The size is
-then that of the drawing.  It takes a known distance between two points, or a slide's travel.
+then that of the drawing. To know it takes a known distance between two points, or a slide's travel.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ STEP = 1e-4
 
 
 def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
-    """Return base placements, markers and what sensors leave open: what any measurement needs."""
+    """Return the placement terms of any measurement: bases, markers and what sensors leave open."""
     groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
     placed = bases if session.framed(arm) else ()
@@ -60,15 +60,16 @@ def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
 
 
 def place_frames(model: Model, session: Session) -> Model:
-    """Return the model with bases, markers and sensors where the rows say, in closed form."""
+    """Return the model with bases, markers and sensors placed by the rows, in closed form."""
     whole = model.with_missing(frames(model.arm, session))
     return place_sensors(place_bases(whole, reference_rows(session)), session)
 
 
 class SeenModel(NamedTuple):
-    """A model as its errors may be shown.
+    """A model whose errors can be shown.
 
-    `elsewhere`: the rows see it somewhere else; `placed`: they placed it, because they tell more.
+    `elsewhere`: whether the rows show the arm at another place. `placed`: whether they placed it,
+    because they tell more than a place.
     """
 
     model: Model
@@ -77,12 +78,12 @@ class SeenModel(NamedTuple):
 
 
 def place_as_seen(model: Model, session: Session) -> SeenModel:
-    """Place a model by the rows if they see it somewhere else, and tell more than a place.
+    """Place a model by the rows if they show it at another place, and tell more than a place.
 
-    The axes of a tracked body are never declared, so how they sit on the tip is always solved.
-    Rows tell more if they hold `TWICE` the numbers that place the model, each sighting counted
-    once: with few more it fits them whatever the arm does.  What solves touched points is taken off
-    both.
+    The axes of a tracked body are never declared, so how they sit on the tip is always solved. Rows
+    tell more if they hold `TWICE` the numbers that place the model, each sighting counted once:
+    with hardly more numbers the placement would fit them whatever the arm does.  The numbers that
+    solve touched points are subtracted from both.
     """
     bodies = [t for t in frames(model.arm, session) if isinstance(t, TipOrientation)]
     whole = model.with_missing(bodies)
@@ -102,10 +103,10 @@ def place_as_seen(model: Model, session: Session) -> SeenModel:
 
 
 def is_misplaced(model: Model, session: Session) -> bool:
-    """Ask whether the rows see the arm somewhere else than a model puts it.
+    """Tell whether the rows show the arm at another place than a model puts it.
 
-    The median error is then `ELSEWHERE` of the way that its frames travel (or in rad).  A tip that
-    touches a point does not travel; the arm behind it does.
+    Then the median error exceeds `ELSEWHERE` of the way that its frames travel (or in rad).  A tip
+    that touches a point does not travel; the arm behind it does.
     """
     if not session.placed.any():
         return bool(session.turned.any()) and median_distance(turns(model, session)) > ELSEWHERE
@@ -117,10 +118,10 @@ def is_misplaced(model: Model, session: Session) -> bool:
 
 
 def list_undetermined(fit: ModelFit) -> tuple[str, ...]:
-    """Name what of bases, markers and sensors the rows do not tell: ``base: x, y, turn about z``.
+    """Name what the rows do not tell of bases, markers and sensors: ``base: x, y, turn about z``.
 
-    The size of the arm may be among it.  It was left where it was declared.  A base's directions
-    are those of the measurements' frame.
+    The size of the arm may be among it; it stays as declared.  A base's directions are those of the
+    measurements' frame.
     """
     found = []
     for k, term in enumerate(fit.model.terms):
@@ -159,7 +160,7 @@ class Place:
 
 
 def places(fit: ModelFit) -> tuple[Place, ...]:
-    """Return where a fit puts bases, further sensors and a camera that is fitted."""
+    """Return where a fit puts bases, further sensors and a fitted camera."""
     made = []
     for k, term in enumerate(fit.model.terms):
         if not isinstance(term, RigidMotion):
@@ -175,17 +176,18 @@ def places(fit: ModelFit) -> tuple[Place, ...]:
 
 
 def _motion(term: RigidMotion, at: Frame) -> np.ndarray:
-    """Return (6, 6) shift (m) and turn (rad) of a pose in its outer frame, by its term's values."""
+    """Return the derivative (6, 6) of a pose's shift (m) and turn (rad) in its outer frame by its
+    term's values."""
     turns, shifts = (np.array(each).T for each in tangent(term.twist, ZERO, large=True))
     axes = at.matrix()[:3, :3]
     return np.block([[axes @ turns, axes @ shifts], [np.zeros((3, 3)), axes @ turns]])
 
 
 def is_size_determined(fit: ModelFit) -> bool:
-    """Ask whether the rows say more of the arm's size than the tolerances of its drawing do.
+    """Tell whether the rows tell more of the arm's size than the tolerances of its drawing do.
 
-    Both are informations (inverse variances) about the size: of the rows with touched points
-    solved anew, and of the drawing the sum of (length / tolerance)^2.
+    Both are informations (inverse variances) about the size: that of the rows, with touched points
+    solved anew, and that of the drawing, the sum of (length / tolerance)^2.
     """
     larger = _enlarge(fit.model, 1.0 + STEP)
     seen = equations(larger, fit.session, posture(larger, fit.session), ()).residual
@@ -204,7 +206,7 @@ def is_size_determined(fit: ModelFit) -> bool:
 
 
 def _enlarge(model: Model, times: float) -> Model:
-    """Return the model with every length of its geometry multiplied; known distances are not."""
+    """Return the model with every length of its geometry multiplied, except known distances."""
     values = model.values.copy()
     for k, slot in enumerate(model.slots):
         if slot.owner.geometry and slot.parameter.unit == "m" and slot.parameter.name != "stretch":

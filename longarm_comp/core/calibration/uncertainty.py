@@ -2,16 +2,16 @@
 
 The posterior of a fit is too sure where the model's form is not quite right: what it lacks is
 alike from row to row, so many rows count as few.  Therefore rows are left out, a part of one
-joint's range at a time and in small random parts, and what the fit would then have missed them by
-is computed from the design (no fit is repeated).  What no parameter explains is chosen so that
-90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann. Math.
-Artif. Intell. 74).
+joint's range at a time and in small random parts, and the error that the fit would then make at
+them is computed from the design (no fit is repeated).  An error that no parameter explains is added
+so that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann.
+Math. Artif. Intell. 74).
 
-Not all that a fit leaves is noise.  At poses that are alike the arm does alike, so what it does and
-the model lacks looks as if the parameters changed with the joints.  The residual is white noise and
-such a Gaussian process; their shares are weighed by the evidence of the rows, what the fit took off
-them projected out (restricted likelihood; Patterson and Thompson 1971, Biometrika 58), and by
-repeats, however few.
+Not all of a fit's residual is noise.  At similar poses the arm behaves alike, so a fault that the
+model lacks looks as if the parameters changed with the joints.  The residual is white noise and
+such a Gaussian process; their shares are weighed by the evidence of the rows, with the part that
+the fit explains projected out (restricted likelihood; Patterson and Thompson 1971, Biometrika 58),
+and by repeats, however few.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ HALVINGS = 30
 
 
 def with_uncertainty(fit: ModelFit) -> Model:
-    """Return the fitted model with the record of how good it is, and when its session ended."""
+    """Return the fitted model with the record of how good it is, and the end of its session."""
     record = uncertainty(fit)
     return dataclasses.replace(fit.model, uncertainty=record, ended_s=fit.session.ended_s)
 
 
 def uncertainty(fit: ModelFit) -> ModelUncertainty:
-    """Judge what a fit does not know at rows that are left out of it."""
+    """Make the record of a fit from its errors at rows that are left out of it."""
     kept = fit.weights > 0
     left_out = LeftOut.of(fit)
     if left_out is None:
@@ -102,7 +102,7 @@ class LeftOut:
 
     Attributes:
         error: (M, 3) m, measured - predicted without them.
-        covariance: (M, 3, 3) m^2, what the parameters fitted without them bring.
+        covariance: (M, 3, 3) m^2 by the parameters fitted without them.
         count: (M,) weight of each; one row's weights sum to 1.
     """
 
@@ -114,7 +114,7 @@ class LeftOut:
     def of(cls, fit: ModelFit) -> LeftOut | None:
         """Leave rows out of a fit to positions or touches; None where too few rows hold one.
 
-        A touched point is not known: rows of it are judged against their mean.
+        A touched point is not known, so its rows are judged against their mean.
         """
         kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
         if len(kept) < SMALL:
@@ -153,9 +153,9 @@ class LeftOut:
         return cls(*(np.concatenate(each) for each in (errors, covariances, counts)))
 
     def structure(self, noise: np.ndarray) -> np.ndarray:
-        """Find what the arm does besides: the least (3, 3) m^2 that brings 90 % of the rows inside.
+        """Find the least further covariance (3, 3) m^2 that brings 90 % of the rows inside.
 
-        It is shaped as the errors are.
+        Its shape is that of the errors.
 
         Args:
             noise: (3, 3) m^2, of the measurement.
@@ -173,12 +173,12 @@ class LeftOut:
 
 
 def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Take from rows (N, ...) the mean of those that touched the same point.
+    """Subtract from rows (N, ...) the mean of those that touched the same point.
 
     They are scaled so that independent noise keeps its variance.
 
     Returns:
-        The rows; (N,) which of them touched a point alone.
+        The rows; (N,) whether a row is the only one that touched its point.
     """
     _, which, count = np.unique(touched, return_inverse=True, return_counts=True)
     sums = np.zeros((len(count), *rows.shape[1:]))
@@ -191,9 +191,10 @@ def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, n
 def _divisions(
     q: np.ndarray, places: np.ndarray | None = None
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield parts (N,) that the rows are left out in, and the weight of a row in each division.
+    """Yield divisions of the rows into parts (N,) to leave out, and a row's weight in each
+    division.
 
-    Half of the weight is with places, half with rows amid the others, as targets are.  Where
+    Half of the weight is with new places, half with rows amid the others, as targets are.  Where
     points were touched, these are the places.
     """
     if places is not None and len(np.unique(places)) > 1:
@@ -219,7 +220,7 @@ _NOTHING = 1e-8  # of the largest: rounding
 def arm_share(fit: ModelFit) -> float:
     """Return the expected share of the arm in the residual's variance, 0 to 1.
 
-    All shares are alike beforehand.
+    All shares are equally likely beforehand.
     """
     kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
     kept = kept[np.unique(np.linspace(0, len(kept) - 1, ROWS).round().astype(int))]

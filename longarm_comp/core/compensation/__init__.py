@@ -1,1 +1,2 @@
-"""Targets become joints: pseudo-targets, results, the running arm, drift."""
+"""Compensation: targets become joints, by pseudo-targets; the running arm, and the test for
+drift."""

@@ -1,4 +1,4 @@
-"""One target as a move: joints, and the side that they arrive from, found together."""
+"""One target as a move: the joints, and the sides that they arrive from, are found together."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from longarm_comp.core.model.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A compensated target, the move that it holds for, and what effects and predictor saw."""
+    """A compensated target, the move that it holds for, and the circumstances and history
+    assumed."""
 
     outcome: Compensation
     move: Move

@@ -1,7 +1,7 @@
-"""Commands in circumstances that no row of the session had: what is not known there.
+"""Commands in circumstances that no row of the session had: how much the expected error grows.
 
-A session at one payload tells the product of weights and what yields under them, and no more of
-what a heavier load does than the physics does.  So beyond the session's range a promise grows.
+A session at one payload determines only the product of a load and the compliance under it. What a
+heavier load does follows from the physics alone, so `sigma` grows outside the session's range.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
 def _sd_of_change(
     model: Model, q: np.ndarray, context: Context, edge: Context, one_load: bool
 ) -> np.ndarray:
-    """Estimate the sd of what the tip does from the session's edge to the circumstances, (M, 3) m.
+    """Estimate the sd of the tip's change from the session's edge to the circumstances, (M, 3) m.
 
-    The model's own word on it is known to `KNOWN_TO`, and no better than it explains what it saw:
-    where causes without a name that feel the change move the tip by half of what the named ones
-    do, to a half.  Rows of one payload (``one_load``) do not tell which of these causes feel it, so
-    all count.  What the library holds and no row could show is as large as it may be.
+    The model predicts this change to a share of `KNOWN_TO`. The share grows where causes without a
+    name feel the change: if they move the tip by half of what the named effects do, it is a half.
+    Rows of one payload (``one_load``) do not tell which of these causes feel it, so all of them
+    count.  Effects that no row could show are assumed to be as large as they may be.
     """
     there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]
@@ -82,7 +82,7 @@ def _sd_of_change(
     share = np.hypot(KNOWN_TO, np.minimum(ratio, 1.0))
 
     def moves(slots: Sequence[Slot], sizes: np.ndarray) -> np.ndarray:
-        """Compute by how much parameters of such sizes may move the tip from edge to there, m^2."""
+        """Compute the variance (M, 3), m^2, by which parameters of these sizes may move the tip."""
         columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
@@ -109,11 +109,11 @@ def _feels_change(effect: Discovered, there: Posture, here: Posture) -> bool:
 
 
 def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
-    """List k parameters of what the model lacks and no row could tell, and (k,) their sizes.
+    """List k parameters of effects that the model lacks and no row could show, and their sizes
+    (k,).
 
-    They are those of every effect of the library that reads a circumstance, and all that yields
-    where the model holds nothing that does: a calibration puts the sag of its rows into its
-    geometry.
+    They belong to every effect that reads a known circumstance. If the model holds no elastic
+    effect, all elastic ones are added: a calibration puts the sag of its rows into its geometry.
     """
     held = {effect.key for effect in model.effects}
     stiff = not any(effect.elastic for effect in model.effects)

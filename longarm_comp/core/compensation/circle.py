@@ -1,4 +1,4 @@
-"""Angles on a circle: a planner may write an angle that goes on through pi a whole turn off."""
+"""Angles on a circle: a plan may jump by a whole turn where an angle passes through pi."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _REMEDY = "allowed: at most half a turn from one way-point to the next"
 
 
 def unwrap(arm: Arm, joints: np.ndarray, start: np.ndarray | None) -> np.ndarray:
-    """Write planned joints (k, n) so that they go on where the plan does.
+    """Rewrite planned joints (k, n) so that no angle jumps by a whole turn.
 
     A joint that stands the same after a whole turn is written at most half a turn from the
     way-point before, or from ``start`` (n,).
 
     Raises:
-        PathRefused: its limits do not let it go on there.
+        PathRefused: the limits of a joint do not let it go on there.
     """
     steps = _steps(joints, start)
     turns = np.where(arm.circular, -np.round(steps / math.tau), 0.0)
@@ -50,5 +50,5 @@ def check_no_turn(arm: Arm, joints: np.ndarray) -> None:
 
 
 def _steps(joints: np.ndarray, start: np.ndarray | None) -> np.ndarray:
-    """(k, n) from way-point to way-point, the first from ``start``."""
+    """Return the steps (k, n) from way-point to way-point, the first from ``start``."""
     return np.diff(joints, axis=0, prepend=(joints[0] if start is None else start)[None])

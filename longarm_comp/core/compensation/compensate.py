@@ -67,13 +67,13 @@ def compensate(
         context: circumstances in which the arm will stand, of all or of each.
         seed: (n,) or (N, n) current joints; default mid-range.
         doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
-        context_at: of one target only, the circumstances at joints (M, n), in which the choice
-            among the steps judges each command. Default: ``context``.
-        options: of `CompensationOptions`.
+        context_at: for a single target: returns the circumstances at joints (M, n), in which the
+            choice among the servos' steps judges each command. Default: ``context``.
+        options: fields of `CompensationOptions`.
 
     Returns:
-        Invalid or unreachable targets, and a recorded quantity that an effect of the model needs
-        and the context lacks, are reported in `status`, not raised.
+        One result per target. Invalid or unreachable targets, and a recorded quantity that an
+        effect of the model needs and the context lacks, are reported in `status`, not raised.
     """
     settings, to = CompensationOptions(**options), np.asarray(targets, dtype=float)
     if to.shape in ((3,), (4, 4)):
@@ -107,13 +107,15 @@ def judge(
     """Estimate how far off a command, or each of M, may be by all that the model knows.
 
     Args:
-        command: (n,) or (M, n) joints. pseudo: (..., 3) m, where the physics should bring the tip.
-        sigma: (..., 3) m of the learned error that was taken off; None: none was.
+        command: (n,) or (M, n) joints.
+        pseudo: (..., 3) m, where the physics should bring the tip.
+        sigma: (..., 3) m of the learned error that was subtracted; None: none was.
         doubtful: as in `compensate`.
 
     Returns:
-        Second, whether the model's own error is one that its fitted rows have too, (...); third,
-        the doubts of each command, in words.
+        The expected miss; whether the model's own error is one that its fitted rows have too,
+            (...);
+        and the doubts of each command, in words.
     """
     physics = physics_of(model, method)
     whole = sigma is None and not missing_column(model, context)
@@ -129,10 +131,9 @@ def judge(
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
-    """Give the values at which the servos can stand.
+    """Return the values at which the servos can stand; None if they are not known or not asked for.
 
-    They are those of the arm and its effects, or a lattice that was found. None: they are not
-    known, or not asked for.
+    They are those of the arm and its effects, or a lattice that was found.
     """
     if not realisable:
         return None
@@ -151,11 +152,15 @@ class _Batch:
 
     Attributes:
         predictor: None where nothing learned is wanted, or there is none.
-        target: (N, 3) or (N, 4, 4). q: (N, n) joints found last. ideal: (N, n) by physics alone.
+        target: (N, 3) or (N, 4, 4).
+        q: (N, n) joints found last.
+        ideal: (N, n) joints by physics alone.
         error, sigma: (N, 3) m, as learned at the joints that were looked up last.
-        in_domain: (N,) whether the predictor answered. passes: (N,) of the pseudo-target.
-        status, reason: of each target; one that is no success was given up, or lacks what is
-            learned. chosen: choice among the servos' steps, by target.
+        in_domain: (N,) whether the predictor answered.
+        passes: (N,) number of passes of the pseudo-target.
+        status, reason: outcome of each target. A target without success was given up, or is
+            compensated without the learned error.
+        chosen: choice among the servos' steps, by target.
     """
 
     model: Model
@@ -176,7 +181,7 @@ class _Batch:
         self.status, self.reason = [Status.SUCCESS] * count, [""] * count
 
     def solve_ideal(self) -> list[int]:
-        """Find the joints by physics alone; gives the targets that were reached."""
+        """Find the joints by physics alone; return the numbers of the targets that were reached."""
         faults = ik.target_faults(self.target, self.position_only, "compensate")
         lacking = missing_column(self.physics, self.context)
         for k, fault in enumerate(faults):
@@ -193,7 +198,7 @@ class _Batch:
         return self._rows_of(Status.SUCCESS)
 
     def correct(self, going: list[int]) -> None:
-        """Take the expected error off the targets, until it is that of the joints found."""
+        """Subtract the expected error from the targets, until it is that of the joints found."""
         options = self.options
         if self.predictor is None:
             for k in going if self.method.learned else ():
@@ -266,7 +271,7 @@ class _Batch:
         return poses
 
     def judge(self, doubtful: np.ndarray | None) -> list[Compensation]:
-        """Give the answers, and how good each is expected to be."""
+        """Make the results, and judge how good each is expected to be."""
         count, status, reason = len(self.target), self.status, self.reason
         sent, alone = self._rows_of(Status.SUCCESS), self._rows_of(*_PHYSICS_ONLY)
         command, error = self.ideal.copy(), self.error.copy()
@@ -317,7 +322,8 @@ class _Batch:
         ]
 
     def _search(self, rows: list[int], to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
-        """Take the joints that bring the tip to some of N places; which fail, and how."""
+        """Find and store the joints that bring the tip to some of N places; return the failed
+        searches."""
         locked, free = self.options.locked, self.position_only
         given: dict[str, Any] = {"position_only": free, "locked": locked, "max_starts": starts}
         if len(rows) == 1:  # quicker than many of one

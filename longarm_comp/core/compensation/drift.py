@@ -1,10 +1,11 @@
-"""Does the arm still do what its model promised?  A sequential test of the residual.
+"""A sequential test of the residual: does the arm still do what its model promised?
 
 Every rest pose gives one standardised residual ``z = (measured - predicted) / sigma`` (3,), which
-under the promise is standard normal. Seven Page tests (cumulative sums of log-likelihood ratios,
-restarted at zero) watch for a shift along each axis in each direction, and for errors that have
-grown. The mean number of samples to a false alarm of each is at least ``exp(h)`` (Lorden 1971, Ann.
-Math. Stat. 42), so with ``h = ln(7 * run_length)`` it is at least ``run_length`` of all together.
+is standard normal as long as model and sigma are right. Seven Page tests (cumulative sums of
+log-likelihood ratios, restarted at zero) watch for a shift along each axis in each direction, and
+for errors that have grown. The mean number of samples to a false alarm of each is at least
+``exp(h)`` (Lorden 1971, Ann. Math. Stat. 42), so with ``h = ln(7 * run_length)`` it is at least
+``run_length`` of all together.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _TESTS = ("+x", "-x", "+y", "-y", "+z", "-z", "growth")
 
 @dataclass(frozen=True)
 class Verdict:
-    """The word of the test after some samples.
+    """The result of the test after some samples.
 
     `finding` tells size and onset in one sentence once a cumulative sum has passed the threshold.
     `evidence` is the largest sum over the threshold; 1 is an alarm.
@@ -44,7 +45,8 @@ class Monitor:
         run_length: least mean number of samples between two false alarms.
         sums: (7,) cumulative sums, of the tests in their order.
         onset: (7,) sample at which each sum last left zero.
-        total: (7, 3) sum of residuals (m) and `squares`: (7,) of ``|z|^2`` since then.
+        total: (7, 3) sum of the residuals since then, m.
+        squares: (7,) sum of ``|z|^2`` since then.
     """
 
     run_length: float = 1e4
@@ -64,11 +66,11 @@ class Monitor:
         return math.log(len(_TESTS) * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
-        """Take one independent sample into account.
+        """Return the monitor after one more independent sample.
 
         Args:
             residual: (3,) m, measured - predicted.
-            sigma: (3,) m, what model and measurement promise together.
+            sigma: (3,) m, expected standard deviation of the residual: of model and measurement.
         """
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():

@@ -1,4 +1,5 @@
-"""The learned error at one posture and around it: one answer serves the steps of a solution."""
+"""The learned error at one posture and its linear expansion, so that one answer of the predictor
+serves all steps of a solution."""
 
 from __future__ import annotations
 
@@ -45,10 +46,10 @@ class Nearby:
         self._last: tuple[np.ndarray, Context, Expansion] | None = None
 
     def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
-        """Give the expected residual at joints (N, n), as `Predictor.predict`.
+        """Return the expected residual at joints (N, n), in the form of `Predictor.predict`.
 
-        The expansion is around the first of them. The others are extrapolated from it, also
-        beyond its reach.
+        The expansion is made around the first row, or an earlier one near it. Other rows are
+        extrapolated from it, also beyond its reach.
         """
         joints, given = q[0], context or Context()
         last = self._last

@@ -1,8 +1,8 @@
-"""The error that a command is expected to leave at the tip, noise of no measurement in it.
+"""The error that a command is expected to leave at the tip, without any noise of a measurement.
 
-It has a part that is known (what was left out of the command on purpose, rounding of the servos)
-and one that is not.  A model's record says that one (`core/model/uncertainty.py`); of an arm as
-declared the tolerances do; where a predictor is used, its own sigma does.
+It has a known part (what was left out of the command on purpose, rounding of the servos) and an
+unknown one.  The latter follows from the model's record (`core/model/uncertainty.py`), for a
+declared arm from its tolerances, and with a predictor from the predictor's own sigma.
 """
 
 from __future__ import annotations
@@ -32,9 +32,11 @@ its rows tell the zeros; before it nothing does."""
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMiss:
-    """The distance at which the tip may come to rest from its target, or from each of several.
+    """The error with which the tip may come to rest at its target, or at each of several.
 
-    The known part (..., 3) m, and the covariance (..., 3, 3) m^2 of the rest; NaN: nothing says it.
+    Attributes:
+        mean: (..., 3) m, the known part.
+        covariance: (..., 3, 3) m^2 of the unknown part; NaN where nothing tells it.
     """
 
     mean: np.ndarray
@@ -47,7 +49,8 @@ class ExpectedMiss:
 
     @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Expected distance, and that which 90 of 100 such commands stay below, (...) m each."""
+        """The expected distance from the target, and the one that 90 of 100 commands keep, (...) m
+        each."""
         return sizes(self.covariance, self.mean)
 
     def plus(self, variance: np.ndarray) -> ExpectedMiss:
@@ -69,7 +72,7 @@ def expected_miss(
     Args:
         q: (n,) or (M, n) commanded joints, rad and m.
         pseudo: (3,) or (M, 3) m, the target less the learned error.
-        learned: of the same shape, m, its sigma (of a measurement), if a predictor is used.
+        learned: (3,) or (M, 3) m, sigma of the learned error, if a predictor is used.
     """
     known = model.uncertainty
     declared = tolerances(model) if known is None and learned is None else None
@@ -98,12 +101,12 @@ def expected_miss(
 
 
 def tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
-    """Give k parameters of an arm as declared that are not known, and (k,) how large each may be.
+    """Return k unknown parameters of a declared arm, and (k,) how large each may be.
 
-    They are its geometry, to the tolerances that arm.yaml gives or that are usual, a zero to
-    `BY_HAND`; and what yields of it, as in `beyond.absent_slots`.  Where base and tip are is known,
-    unless arm.yaml gives a tolerance: targets are in the base.  None of a model with a geometry of
-    its own, whose record is missing.
+    They are its geometry, to the tolerances that arm.yaml gives or that are usual (joint zeros
+    without one to `BY_HAND`), and its compliances, as in `beyond.absent_slots`.  Base and tip count
+    as known unless arm.yaml gives a tolerance, because targets are in the base.  A model with
+    fitted geometry but without a record has none (None).
     """
     if any(effect.geometry for effect in model.effects):
         return None
@@ -118,7 +121,7 @@ def tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
 
 
 def _by_hand(arm: Arm, slot: Slot) -> float:
-    """`BY_HAND` of a turning joint's zero whose tolerance nobody gave, 0 of all else."""
+    """Return `BY_HAND` for a turning joint's zero without a declared tolerance, else 0."""
     if not isinstance(slot.owner, JointZero):
         return 0.0
     joint = arm.joints[slot.owner.joint - 1]
@@ -134,13 +137,13 @@ def geometry_of(arm: Arm) -> list[Effect]:
 
 @dataclass(frozen=True, eq=False)
 class TipByReadings:
-    """The tip (3,), m, and what is not known of it."""
+    """The tip (3,), m, by the readings of the joints, and how far off it may be."""
 
     tip: np.ndarray
     doubt: ExpectedMiss
 
     def said(self, target: np.ndarray | None = None) -> str:
-        """Say in one sentence where it stands, or how far from a target (3,), m."""
+        """Say in one sentence where the tip stands, or how far from a target (3,), m."""
         p90_m = float(self.doubt.sizes[1])
         within = f", within {1e3 * p90_m:.2f} mm" if p90_m > 0 else ""
         if target is not None:
@@ -151,7 +154,7 @@ class TipByReadings:
 
 
 def tip_by_readings(model: Model, readings: np.ndarray, context: Context) -> TipByReadings:
-    """Compute the tip by readings (n,), rad and m, of the arm whose commands a model is of."""
+    """Compute the tip from readings (n,) of the joints, rad and m; the model is one of commands."""
     arm = by_readings(model)
     tip = arm.tip(readings, context)
     return TipByReadings(tip, expected_miss(arm, readings, context, tip))

@@ -1,4 +1,4 @@
-"""The running arm as it is known right now: its joints, and the circumstances of a target."""
+"""The running arm as it is known now: its joints, and the circumstances of a target."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from longarm_comp.core.model.model import Model
 
 
 class StaleContext(JobError):  # noqa: N818
-    """A circumstance that the model needs was never told, or too long ago."""
+    """The model needs a circumstance that was never received, or too long ago."""
 
 
 class _Reading(NamedTuple):
-    """The last word of one source: columns as `Context` names them, and when (s, monotonic).
+    """The last reading of one source: columns as `Context` names them, and its time (s, monotonic).
 
     ``wrong``: why the arm cannot be in these circumstances; empty where it can.
     """
@@ -41,11 +41,13 @@ class Readings:
     def with_reading(
         self, source: str, columns: Mapping[str, float], at_s: float, wrong: str = ""
     ) -> Readings:
-        """Add a reading. One that is ``wrong`` stands for nothing until another one comes."""
+        """Add a reading. One that is ``wrong`` makes its columns unknown until another one
+        comes."""
         return replace(self, readings={**self.readings, source: _Reading(columns, at_s, wrong)})
 
     def fresh(self, source: str, now_s: float, max_age_s: float) -> Mapping[str, float]:
-        """Give the last word of a source; nothing if it is older than ``max_age_s``, or wrong."""
+        """Return the last reading of a source; nothing if it is older than ``max_age_s``, or
+        wrong."""
         reading = self.readings.get(source)
         good = reading and not reading.wrong and now_s - reading.at_s <= max_age_s
         return reading.columns if reading and good else {}
@@ -55,11 +57,12 @@ class Readings:
     ) -> Context:
         """Build the context of a target that is asked for now, with the history on arrival.
 
-        A payload that was never told is the declared one. The latest word counts.
+        Where several sources tell a column, the latest reading counts. A payload that was never
+        received is the declared one.
 
         Raises:
-            StaleContext: an effect of the model, or the load, needs what is older than
-                ``max_age_s``, wrong, or was never told.
+            StaleContext: an effect of the model, or the load, needs a column that is older than
+                ``max_age_s``, wrong, or was never received.
         """
         columns: dict[str, float] = {}
         doubts: dict[str, str] = {}
@@ -98,14 +101,14 @@ def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
 
 
 class JointTrust:
-    """Follows the readings of an arm's joints.
+    """The judge of the readings of an arm's joints: may they be believed?
 
     After a jump (the numbers are wrong, or two arms publish in turn) they are doubtful until three
-    readings in a row agree.  What moves faster than so many ranges per second (`rate`) is a jump.
+    readings in a row agree.  A joint that moves by more ranges per second than `rate` has jumped.
 
-    Every publisher numbers its messages upwards. A number that does not go up is another one's:
-    once after a restart, again and again where two publish at the same time. Where the middleware
-    gives no numbers, a jump counts as one.
+    Every publisher numbers its messages upwards. A number that does not go up belongs to another
+    publisher: once after a restart, again and again where two publish at the same time. Where the
+    middleware gives no numbers, a jump counts as another publisher.
     """
 
     def __init__(self, arm: Arm, rate: float) -> None:
@@ -122,7 +125,8 @@ class JointTrust:
         return self._why if self._agreeing < _AGREEING else ""
 
     def heard(self, number: int | None, now_s: float) -> None:
-        """Take that a message came (s, monotonic), and the number that its publisher gave it."""
+        """Note that a message came now (s, monotonic), and the number that its publisher gave
+        it."""
         self._now_s, self._numbered = now_s, number is not None
         if number is not None:
             if number <= self._number:
@@ -130,7 +134,7 @@ class JointTrust:
             self._number = number
 
     def read(self, q: np.ndarray, at_s: float) -> bool:
-        """Take a reading (n,) of a time (s). True: the joints are believed after it."""
+        """Take in a reading (n,) of a time (s); return whether the joints are believed after it."""
         before, self._last = self._last, (q, at_s)
         settled = self._now_s >= self._until_s
         self._agreeing = min(self._agreeing + 1, _AGREEING) if settled else 0

@@ -84,9 +84,10 @@ class CompensatedPath:
     notes: tuple[str, ...]
 
     def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
-        """Give the answers at the way-points of the plan, (k, 3) or (k, 4, 4).
+        """Return the results at the way-points of the plan, (k, 3) or (k, 4, 4).
 
-        They say how good each is expected to be, which does not hold where the arm stood already.
+        They say how good each is expected to be; that does not hold at a way-point where the arm
+        stood already.
         """
         pseudo, command = pseudo_targets(targets, self.error), self.timed.joints
         place = ik.position_of(pseudo)
@@ -194,7 +195,7 @@ class _Unanswered(Exception):  # noqa: N818
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """A plan, and all that its way-points are solved with."""
+    """A plan, and everything that its way-points are solved with."""
 
     model: Model
     predictor: ResidualPredictor | None
@@ -216,7 +217,8 @@ class _Way:
         return physics_of(self.model, self.options.method)
 
     def solve(self, seed: np.ndarray | None) -> CompensatedPath:
-        """Find the joints, until what is learned and the play are those of the joints found."""
+        """Find the joints; repeat until the learned error and the play are those at the joints
+        found."""
         options, learned = self.options, self.predictor is not None
         take, seeds = TakeUp(self.physics, self.turn_m), self._seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
@@ -293,7 +295,7 @@ class _Way:
     def _time(
         self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]
     ) -> CubicPath:
-        """Time the commands, whose parts (k, n) are as `take_up_play` has them."""
+        """Give the commands their times; their parts (k, n) are those of `take_up_play`."""
         plan, arm = self.plan, self.model.arm
         planned = np.arange(float(len(way))) if plan.times is None else plan.times
         begun = self._standing(way + off + lag)[:2]
@@ -326,7 +328,8 @@ class _Way:
         return context
 
     def _seeds(self, seed: np.ndarray | None) -> np.ndarray:
-        """Give joints (k, n) to start from: as planned, or each from those of the one before."""
+        """Return joints (k, n) to start from: as planned, or each from those of the way-point
+        before."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._standing(np.clip(plan.joints, *arm.bounds))
@@ -344,7 +347,7 @@ class _Way:
         return self._standing(np.array(made))
 
     def _standing(self, q: np.ndarray) -> np.ndarray:
-        """Put joints (k, n) on the path: one that has begun begins where the arm stands."""
+        """Replace the first of joints (k, n) by where the arm stands, if the path has begun."""
         if self.begun:
             q[0] = self.start
         return q
@@ -365,7 +368,8 @@ class _Way:
         return self._standing(found.q), turn
 
     def _refuse(self, row: int, found: ik.Solution) -> None:
-        """Refuse what did not reach its way-point, or in another orientation than may be."""
+        """Refuse a way-point that was not reached, or only in an orientation that is too far
+        off."""
         if not found.ok:
             here = ik.position_of(self.plan.targets[row])
             why = guess_unit(here, *reach(self.physics)) or describe_miss("target", found)

@@ -1,6 +1,6 @@
 """A planned path: way-points of the tip, how the joints go there, and when, within limits.
 
-Where the planned times keep the limits of velocity and acceleration they stay. Else TOPP-RA (Pham
+The planned times stay if they keep the limits of velocity and acceleration. Else TOPP-RA (Pham
 and Pham 2018, the library toppra) finds the fastest times that keep them and are nowhere faster
 than the plan.
 """
@@ -49,14 +49,15 @@ class PlannedPath:
     def of_joints(
         cls, arm: Arm, times: np.ndarray, joints: np.ndarray, velocities: np.ndarray | None = None
     ) -> PlannedPath:
-        """Take what a planner means with joints (k, n): the tip of the declared arm, rigid.
+        """Make the path that a planner means with joints (k, n): that of the declared, rigid arm's
+        tip.
 
-        The first way-point is where it believes the arm to stand.
+        The first way-point is where the planner believes the arm to stand.
         """
         return cls(Model(arm).pose(joints), times, joints, velocities, begun=True)
 
     def seen_from(self, base: np.ndarray) -> PlannedPath:
-        """Carry the plan to a frame in which the base frame has a pose (4, 4)."""
+        """Return the plan in a frame in which its present frame has the pose `base` (4, 4)."""
         return replace(self, targets=carried(base, self.targets), base=base @ self.base)
 
     def check(self, n: int) -> None:
@@ -84,7 +85,8 @@ def as_planned(
 ) -> np.ndarray:
     """Find joints (n,) near q that bring the declared, ``rigid`` arm's tip to a pose (4, 4).
 
-    The orientation is as near as the joints allow. Where none inside the limits do, the nearest.
+    The orientation is as near as the joints allow. If no joints inside the limits reach the
+    position, the nearest ones are returned.
     """
     found = ik.solve(rigid, real, seed=q, max_starts=1, position_only=position_only, near=True)
     return found.q
@@ -105,13 +107,13 @@ class MotionLimits:
 
 
 def between(path: CubicPath) -> np.ndarray:
-    """List times on the way: 16 in every segment, and its ends from inside."""
+    """List times on the path: 16 in every segment, the first and last just inside its ends."""
     share = np.linspace(1e-9, 1.0 - 1e-9, _LOOKED_AT)
     return (path.times[:-1, None] + np.diff(path.times)[:, None] * share).ravel()
 
 
 def retime(path: CubicPath, limits: MotionLimits) -> CubicPath:
-    """Keep the path within limits, at the same way-points and nowhere faster."""
+    """Slow the path down where a limit asks for it, at the same way-points and nowhere faster."""
     if limits.excess(path) <= 1.0 + _ROUNDING:
         return path
     begins = path.times[0]

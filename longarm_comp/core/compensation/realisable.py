@@ -1,13 +1,14 @@
-"""Joints that the servos can stand at, chosen together so that the tip is nearest to its target.
+"""Chooses joints at which the servos can stand, all together, so that the tip is nearest its
+target.
 
 A servo stands at ``offset + step k`` for whole k.  With q* the ideal joints, e0 the tip's error
-there and J its derivative, those k are looked for (`lattice`) that minimise
+there and J its derivative, those k are sought (`lattice`) that minimise
 
     |J (offset + step k - q*) + e0|^2 + |price (offset + step k - q*)|^2,   inside the limits;
 
 the best of them, and plain rounding, are judged by the model itself, which is linearised again at
-the best.  Joints without a step are solved for beside them.  Neighbouring targets get joints up to
-a degree apart, so a path of close targets is smoother with rounding (docs/realisable.md).
+the best.  Joints without a step are solved for at the same time.  Neighbouring targets get joints
+up to a degree apart, so a path of close targets is smoother with rounding (docs/realisable.md).
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class Lattice:
 
     @property
     def known(self) -> np.ndarray:
-        """(n,) bool: the joint has steps, and it is known well enough where they are."""
+        """(n,) bool: whether the joint has steps whose offset is known well enough."""
         return np.asarray((self.step > 0) & (self.offset_sd <= KNOWN_TO * self.step))
 
 
@@ -95,12 +96,12 @@ class Realisable:
     """The choice for one target.
 
     Attributes:
-        joints: (n,) to command, inside the limits.
-        ideal: (n,) as they were asked for.
+        joints: (n,) joints to command, inside the limits.
+        ideal: (n,) joints as they were asked for.
         rounded: (n,) the ideal with each joint rounded by itself.
         ideal_error, rounded_error, error: predicted tip error at each of the three: m, and rad (0
             for positions).
-        nodes: of the search trees.
+        nodes: number of nodes that the searches visited.
         on_lattice: (n,) bool, joints that were chosen among their steps.
         reason: why nothing better than rounding was chosen; empty where something was.
         note: which joints with steps stay at their ideal value, and why; empty where none.
@@ -128,12 +129,12 @@ def choose(
     *,
     locked: Sequence[int] = (),
 ) -> Realisable:
-    """Choose realisable joints for a target, the tip as near to it as they let it be.
+    """Choose realisable joints that bring the tip as near to a target as they can.
 
     Args:
-        lattice: where its servos can stand; a joint whose offset is not known to `KNOWN_TO` of its
-            step stays at its ideal value.
-        predict: the model, with all that is expected of the tip: learned error, circumstances.
+        lattice: the values at which the servos can stand; a joint whose offset is not known to
+            `KNOWN_TO` of its step stays at its ideal value.
+        predict: predicts the tip with everything expected of it: learned error, circumstances.
         target: position (3,) in m or pose (4, 4), base frame.
         ideal: (n,) joints that bring the tip to the target, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
@@ -146,14 +147,14 @@ class _Problem:
 
     Attributes:
         lower, upper: (n,) limits.
-        stepped: numbers of the joints with steps: ``offset + step k``, k from low to high, each
-            of these of length s.
-        free: numbers of the joints that are solved for beside them; the others stay.
-        moving: of both, the free ones first.
+        stepped: numbers of the s joints with steps, which stand at ``offset + step k``.
+        low, high: (s,) limits of k.
+        free: numbers of the joints that are solved for at the same time; all others stay.
+        moving: numbers of free and stepped joints, the free ones first.
         whole: (s,) the k inside the limits that are nearest to the ideal joints.
         rounded: (n,) the ideal joints with each rounded by itself.
         price: (n,) m per rad or m off the ideal joints.
-        note: as of `Realisable`.
+        note: as in `Realisable`.
     """
 
     def __init__(
@@ -196,13 +197,14 @@ class _Problem:
         )
 
     def at_steps(self, q: np.ndarray, k: np.ndarray) -> np.ndarray:
-        """Put the stepped ones of joints (..., n) at k (..., s)."""
+        """Put the stepped joints among joints (..., n) at steps k (..., s)."""
         q = q.copy()
         q[..., self.stepped] = self.offset + self.step * k
         return np.clip(q, self.lower, self.upper)
 
     def solve(self) -> Realisable:
-        """Take round after round the best of rounding, of the best so far, and of what is near."""
+        """Improve the choice in rounds: keep the best of the present one and those found near
+        it."""
         errors = self.errors(np.vstack([self.ideal, self.step_aside(self.rounded)]))
         if not np.isfinite(errors[:2]).all():
             allowed = "a finite tip at the ideal and the rounded joints"
@@ -238,7 +240,7 @@ class _Problem:
         )
 
     def errors(self, q: np.ndarray) -> np.ndarray:
-        """Compute tip less target at joints (M, n): m, and rad times a length, (M, m)."""
+        """Compute tip less target at joints (M, n), (M, m): m, and rad times a length."""
         tip = self.predict(q)
         made = position_of(tip) - position_of(self.target)
         if self.target.ndim == 1:
@@ -248,10 +250,11 @@ class _Problem:
         return np.column_stack([made, *(self.search.length_m * v for v in turn)])
 
     def find_near(self, at: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, int]:
-        """Find candidates (M, n) by the model linearised at joints (n,), and the nodes it took.
+        """Find candidates (M, n) by the model linearised at joints (n,), and count the nodes
+        visited.
 
-        Of joints ``rounded + size x`` the tip's error and the price are ``A x + b``; with the free
-        joints before the stepped ones the triangular factor of (A b) parts them.
+        For joints ``rounded + size x`` the tip's error and the price are ``A x + b``. The free
+        joints come before the stepped ones, so the triangular factor of (A b) separates the two.
 
         Args:
             local: errors at the joints that `step_aside` gives.
@@ -283,7 +286,8 @@ class _Problem:
         return self.at_steps(q, self.whole + k), nodes
 
     def step_aside(self, at: np.ndarray) -> np.ndarray:
-        """Give joints (n,), then with each moving one a little up, then each down, in limits."""
+        """Return joints (n,), then each moving joint a little up, then each a little down, in
+        limits."""
         count = len(self.moving)
         q = np.repeat(at[None], 1 + 2 * count, axis=0)
         up, down = self._aside(at)
@@ -291,7 +295,7 @@ class _Problem:
         return q
 
     def _aside(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Give the moving joints a little up and a little down, in limits."""
+        """Return the moving joints a little up, and a little down, within limits."""
         up = np.minimum(at + _DIFFERENCE, self.upper)
         return up[self.moving], np.maximum(at - _DIFFERENCE, self.lower)[self.moving]
 
@@ -299,7 +303,8 @@ class _Problem:
 def _solve_in_box(R: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Find x (M, f) between low and high (f,) with ``|R x + b|`` small; R (f, f), b (M, f).
 
-    What leaves the box is put on its edge, the furthest out first, and the rest solved again.
+    An unknown outside the box is put on its edge, the furthest out first, and the others are solved
+    again.
     """
     G, g = R.T @ R, b @ R
     x, on_edge = np.zeros_like(g), np.zeros(g.shape, bool)

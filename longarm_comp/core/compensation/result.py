@@ -26,22 +26,22 @@ class Method(Enum):
 
     @property
     def physics(self) -> bool:
-        """True where the inverse kinematics knows the effects beyond geometry."""
+        """True where the inverse kinematics uses the effects beyond geometry."""
         return self in (Method.DEFLECTION, Method.BOTH)
 
     @classmethod
     def learned_beside(cls, *, deflection: bool) -> Method:
-        """Give the method of a predictor by the physics, with deflection or not, beside it."""
+        """Return the method that uses a predictor, with deflection in the physics or without."""
         return cls.BOTH if deflection else cls.NETWORK
 
     @property
     def learned(self) -> bool:
-        """True where the predictor's expected error is taken off."""
+        """True where the predictor's expected error is subtracted from the target."""
         return self in (Method.NETWORK, Method.BOTH)
 
 
 class Status(IntEnum):
-    """Outcome; the numbers of `longarm_interfaces/srv/Compensate`."""
+    """The outcome of a target; the numbers are those of `longarm_interfaces/srv/Compensate`."""
 
     SUCCESS = 0
     NO_PREDICTOR = 1
@@ -61,7 +61,7 @@ class Status(IntEnum):
     KEPT_OUT = 15
 
     def __str__(self) -> str:
-        """``success``, ``unreachable``, ... as in files."""
+        """Return its name as in files: ``success``, ``unreachable``, ..."""
         return self.name.lower()
 
     @property
@@ -80,17 +80,20 @@ class PathRefused(JobError):  # noqa: N818
 
 @dataclass(frozen=True)
 class CompensationOptions:
-    """The limits of a compensation.
+    """The options of a compensation.
 
     Attributes:
+        method: the errors that are compensated.
         locked: joints that stay at their seed, by name or number from 0.
         run_up: whether a run-up may be added so that joints arrive from a chosen side.
-        realisable: choose the command among the joints that the servos can stand at: by the steps
-            that the arm declares, from each joint's zero, or by a lattice; arms without steps are
-            commanded as they are. Off for paths of close targets; a single pass never chooses.
-        starts: of the search for the target; 1: from the seed alone, so that no path jumps.
-        single_pass: correct once, as in the paper.
-        tol_m: the expected error may change by so much between passes at the end.
+        realisable: whether to choose the command among the joints at which the servos can stand: by
+            the steps that the arm declares, from each joint's zero, or by a lattice; arms without
+            steps are commanded as they are. Switch it off for paths of close targets; a single pass
+            never chooses.
+        starts: number of starts of the search for the target; 1: from the seed alone, so that no
+            path jumps.
+        single_pass: whether to correct only once, as in the paper.
+        tol_m: largest change of the expected error at which the passes end.
         max_passes: pseudo-target passes permitted.
         max_correction_m: length of the expected error that may be corrected.
     """
@@ -140,31 +143,32 @@ class Prediction:
 
 
 class ResidualPredictor(Protocol):
-    """The learned residual, as far as compensation knows it."""
+    """The interface of a predictor, as far as compensation needs it."""
 
     def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
-        """Expected error at joints (N, n) under the circumstances of a model."""
+        """Return the expected error at joints (N, n) in the given circumstances."""
 
 
 @dataclass(frozen=True)
 class Compensation:
-    """The outcome of one target.
+    """The result for one target.
 
     Attributes:
-        target: as asked: (3,) m or (4, 4).
+        target: the target as asked: (3,) m or (4, 4).
         ideal: (n,) joints that the physics alone gives.
         predicted_error: (3,) m, expected at the command (at `ideal` in the single pass); zero
             where none is applied.
         sigma: (3,) m, standard deviation of what the command leaves at the tip; NaN where nothing
-            says it.
-        in_domain: the predictor answered for joints inside its training data.
+            tells it.
+        in_domain: whether the predictor answered for joints inside its domain.
         pseudo_target: ``target - predicted_error``, of the target's shape.
         command: (n,) joints to send; `ideal` where the status is no success.
+        passes: number of passes of the pseudo-target.
         status, reason: the outcome, and why or with what doubt (empty on plain success).
         realisable: how `command` was chosen among the servos' steps; its `ideal` are the joints
             before. None where nothing was chosen.
         expected_m, p90_m: expected distance of the tip from the target, and the one that 90 of
-            100 such commands stay below, m; NaN where nothing says it.
+            100 such commands stay below, m; NaN where nothing tells it.
     """
 
     target: np.ndarray
@@ -202,7 +206,8 @@ _UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
 
 
 def guess_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
-    """Guess the unit of a target far beyond an arm's reach, as a question; else empty."""
+    """Ask whether a target far beyond the arm's reach is in another unit; "" for any other
+    target."""
     away = math.dist(position, base)
     # Times its reach: no one means a target so far away, and no unit is so close to the metre
     if away <= 10.0 * reach_m:
@@ -222,7 +227,7 @@ def describe_miss(what: str, found: Solution) -> str:
 
 
 def pseudo_targets(targets: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Take an error (..., 3) off positions (..., 3) or poses (..., 4, 4): pseudo-targets."""
+    """Subtract an error (..., 3) from positions (..., 3) or poses (..., 4, 4): pseudo-targets."""
     pseudo = targets.copy()
     position_of(pseudo)[...] -= error
     return pseudo

@@ -1,19 +1,19 @@
-"""Play along a path: what joints stand behind their commands by, and when it is taken up.
+"""Play along a path: how far joints stand behind their commands, and when this play is taken up.
 
 Where a joint turns, its command has to cross its play while the joint stands still.  The play is
 taken up smoothly while the joint as planned is near its turn, and the path is slowed down for it.
 
-The price of time is the plan's own.  A plan of a mean squared jerk j^2 would lose 5 j^2 of its
-squared jerk by a second more.  Each take-up, and each slowing down for it, lasts until a second
-more would save as little:
+The price of time is the plan's own.  A plan with a mean squared jerk j^2 would lose 5 j^2 of its
+squared jerk if it took a second more.  Each take-up, and each slowing down for it, lasts until a
+further second would save as little:
 
 - A play w that is taken up in a time T by a quintic has a squared jerk of 720 w^2 / T^5, so
   T^6 = 720 w^2 / j^2.
 - Slowing down from a speed v by a share c of it and up again, each in a time t by a cubic speed,
   has 24 (c v)^2 / t^3 and takes c t longer, so t^4 = 14.4 c v^2 / j^2.
 
-Where these meet each other and the plan's own jerk, they jerk more together than each by itself.
-Then time has a lower price, so that the whole path jerks no more than it would without play.
+Where these coincide with each other and with the plan's own jerk, the sum is more than its parts.
+Then time gets a lower price, so that the whole path jerks no more than it would without play.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
 @dataclass(frozen=True, eq=False)
 class TakeUp:
-    """The take-up of what the history of joints leaves in a model's arm.
+    """How play is taken up along a path of a model's arm.
 
     Attributes:
-        model: physics that commands are solved with.
-        tolerance_m: the tip may be so far from its way where a joint turns.
+        model: the physics that commands are solved with.
+        tolerance_m: how far the tip may be from its way where a joint turns, m.
     """
 
     model: Model
@@ -52,7 +52,7 @@ class TakeUp:
 
     @cached_property
     def near(self) -> np.ndarray:
-        """Distance from its way at which a joint moves the tip by the tolerance, (n,) rad or m."""
+        """Joint motion that moves the tip by the tolerance, (n,) rad or m."""
         arm = self.model.arm
         slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
         return np.where(slides, 1.0, 1.0 / reach(arm)) * self.tolerance_m
@@ -77,14 +77,14 @@ class TakeUp:
     def follow(
         self, stands: np.ndarray, lag: np.ndarray, history: History, start: np.ndarray | None
     ) -> History:
-        """Follow the history of joints that stand at (k, n), lag (k, n) behind their commands.
+        """Return the history of joints that stand at (k, n), lag (k, n) behind their commands.
 
-        A joint's side is that of its own way: what its command crosses where it turns is no way
-        back, nor is a way back that is too short to matter at the tip.  A joint that turns on the
-        first way, while near where it starts, turns at once.
+        Only the joint's own motion counts for its side. The play that its command crosses at a turn
+        is no way back, nor is a way back that is too short to matter at the tip.  A joint that
+        turns on the first way, while near where it starts, turns at once.
 
         Args:
-            history: of the joints at ``start`` (n,), from where they come first.
+            history: history of the joints at ``start`` (n,), from where they come first.
         """
         steady, half = stands.copy(), 0.5 * self.near
         low, high = stands - half, stands + half
@@ -107,7 +107,7 @@ class TakeUp:
         return History(sides, legs)
 
     def turns(self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray) -> list[Turn]:
-        """Find where joints that stand at (k, n) turn: their sides (k, n) change after that."""
+        """Find the turns of joints that stand at (k, n): there their sides (k, n) change."""
         found = []
         for joint in self.joints:
             begun = 0
@@ -123,9 +123,13 @@ class TakeUp:
 
 
 class Turn(NamedTuple):
-    """A turn of a joint, which stands near it from the ``first`` to the ``last`` way-point.
+    """A turn of a joint on a path, where the joint takes up its play.
 
-    All are numbers from 0.  Its command crosses so much play (rad, m) there.
+    Attributes:
+        joint: its number, 0-based.
+        first, last: numbers of the way-points between which the joint stands near the turn,
+            0-based.
+        crossed: play that its command crosses there, rad or m.
     """
 
     joint: int
@@ -137,13 +141,13 @@ class Turn(NamedTuple):
 def take_up_play(
     way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: Sequence[Turn], times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Give where joints stand at times (k,), and how far commands are beyond: (k, n) each.
+    """Return where joints stand at times (k,), and how far commands are beyond: (k, n) each.
 
     They are smooth in time from one side of the play to the other.
 
     Args:
         way: (k, n) where joints would stand if none turned.
-        off: (k, n) how much further they have to stand, which the play itself changes a little.
+        off: (k, n) by how much they have to stand further, because play changes the tip a little.
     """
     off, lag = off.copy(), lag.copy()
     for joint, first, last, crossed in turns:
@@ -164,16 +168,16 @@ def slow_down(
     most: float,
     path_at: Callable[[np.ndarray], CubicPath],
 ) -> np.ndarray:
-    """Make planned times (k,), s, later where joints turn.
+    """Delay planned times (k,), s, where joints turn.
 
     Args:
         ways: (k, n) joints as if none turned.
-        unit: (n,) in which jerks and speeds of joints add up.
-        begins: (n,) what joints go on the first way besides.
-        turns: what joints cross where they turn.
-        most: share by which the path may take longer.  Where that is less than it takes, time has
-            a higher price.
-        path_at: gives the path to be sent, at times (k,).
+        unit: (n,) scale of each joint, by which jerks and speeds of joints are added.
+        begins: (n,) further way of the joints at the beginning of the path.
+        turns: the turns, with the play that each crosses.
+        most: share by which the path may take longer.  If the delays need more, time gets a higher
+            price.
+        path_at: returns the path to be sent, at times (k,).
     """
     plan = CubicPath(times, ways, smooth_slopes(times, ways))
     planned2, allowed_s = plan.mean_square_jerk(unit), most * float(np.ptp(times))

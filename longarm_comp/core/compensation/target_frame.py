@@ -1,8 +1,8 @@
 """The frame of targets: the arm's own base, or the frame in which the rows were measured.
 
-A calibrated model computes in the frame of the measurements, and carries a target given in the base
-over.  What its measuring side moved all rows by is part of that frame, as in the errors as
-commanded (`core/data/commanded.py`).  Where nobody said the frame, both have to mean the same
+A calibrated model computes in the frame of the measurements, and carries a target from the base
+into it.  A motion of all rows by the measuring side belongs to that frame, as in the errors as
+commanded (`core/data/commanded.py`).  Where the frame is not stated, both must mean the same
 place, to within an ordinary error of setting up; else the targets are refused.
 """
 
@@ -27,15 +27,15 @@ FRAMES = (BASE, MEASURED)
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The place of a target for the model.
+    """The placement of targets for a model.
 
     Attributes:
-        frame: of the target, ``base`` or ``measured``.
+        frame: frame of the target, ``base`` or ``measured``.
         motion: (4, 4) from the frame of the target to that of the model.
-        base: (4, 4) the base in the frame of the measurements.
+        base: (4, 4) pose of the base in the frame of the measurements.
         moved: (4, 4) from the base that arm.yaml declares to that one.
         seen: (4, 4) from the frame of the measurements to that of the model.
-        solved: whether a calibration found it there.
+        solved: whether a calibration found the base there.
     """
 
     frame: str
@@ -122,8 +122,8 @@ def placement(
 def base_of_graph(model: Model) -> Placement:
     """Find where the graph's base lies for a model, at every target.
 
-    It is that of arm.yaml where the calibration found the measurements' frame farther from it than
-    an ordinary error of setting up; else both are one, and the model's own.
+    It is the base of arm.yaml, if the calibration found the measurements' frame farther from it
+    than an ordinary error of setting up. Else both count as one frame, the model's own.
     """
     arm, seen = model.arm, _seen(model)
     declared = arm.base.frame().matrix()
@@ -136,7 +136,8 @@ def base_of_graph(model: Model) -> Placement:
 
 
 def _seen(model: Model) -> np.ndarray:
-    """Give the motion (4, 4) from the measurements' frame to the model's: it moved all rows."""
+    """Return the motion (4, 4) from the measurements' frame to the model's, by which all rows
+    moved."""
     made = np.eye(4)
     made[:3, 3] = np.negative(model.frame_shift)
     return made
@@ -153,7 +154,7 @@ def _bases(model: Model) -> dict[str, np.ndarray]:
 
 
 def _away(motion: np.ndarray, points: np.ndarray) -> float:
-    """Compute the farthest, m, that a motion (4, 4) takes points (k, 3)."""
+    """Compute the largest distance, m, by which a motion (4, 4) moves points (k, 3)."""
     return float(np.linalg.norm(carried(motion, points) - points, axis=1).max())
 
 

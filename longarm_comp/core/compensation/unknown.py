@@ -1,4 +1,4 @@
-"""Circumstances that a model needs and a command cannot know: they are said, never filled in."""
+"""Circumstances that a model needs and a command cannot know: they are reported, never assumed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ def missing_column(model: Model, context: Context) -> str:
 def unknown_circumstances(
     model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[str]]:
-    """Estimate all that a command cannot know, (M, 3) m; arguments as of `unknown_history`."""
+    """Estimate how far off the tip may be by all that a command cannot know, (M, 3) m, and say why.
+
+    The arguments are those of `unknown_history`.
+    """
     each = (
         unknown_history(model, q, context, doubtful),
         uncertain_payload(model, q, context),

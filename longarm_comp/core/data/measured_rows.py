@@ -88,7 +88,7 @@ class MeasuredRows:
 
     @cached_property
     def read_joints(self) -> tuple[int, ...]:
-        """Positions among the commanded joints of those that were read."""
+        """Numbers of the joints whose encoders were read, 0-based among the commanded joints."""
         kinds = (KINDS[b.kind] for b in self.blocks)
         return tuple(kind.number - 1 for kind in kinds if isinstance(kind, EncoderReading))
 

@@ -190,7 +190,10 @@ def still_since(times: np.ndarray, joints: np.ndarray, begin: float) -> float:
 
 
 def joints_at_rest(times: np.ndarray, joints: np.ndarray, begin: float) -> np.ndarray:
-    """Return the (n,) mean of the measured joints at rest, as in `mean_at_rest`; NaN: no rest."""
+    """Return the (n,) mean of the measured joints at rest; NaN if the joints did not come to rest.
+
+    Rest is found as in `mean_at_rest`.
+    """
     rest = _end_of_motion(times, joints, begin)[0] if len(times) else begin
     if not len(times) or times[-1] - rest < REST_S:
         return np.full(joints.shape[1], np.nan)

@@ -56,8 +56,8 @@ class CameraRadial(Bias):
 class CameraDrift(Bias):
     """Seen points drift: ever slower, as from what warms up, or at a constant rate.
 
-    Where it surely does, targets are in the frame of the session's first row, as a surveyor marks
-    points.
+    Where they surely drift, targets are in the frame of the session's first row, as a surveyor
+    marks points.
     """
 
     name = "camera_drift"

@@ -195,7 +195,7 @@ class _OfFunction:
 
     @property
     def where(self) -> str:
-        """``joint 5, force y``; ``what is measured, x``."""
+        """Its place and component, as ``joint 5, force y`` or ``what is measured, x``."""
         return f"{MEASURED if self.at == CAMERA else self.at}, {self.component}"
 
     @cached_property

@@ -171,8 +171,11 @@ class ServoQuantisation(JointTerm):
         return cls(row, steps_per_turn=2 * math.pi / step)
 
     def price(self, arm: Arm) -> float:
-        """A step that is neither declared nor listed is one of many: a quarter of a step at the
-        end of the range sets two of them apart."""
+        """Return the price of choosing this size of step among all that could be told apart.
+
+        A listed or declared step costs nothing. Two other steps can be told apart if they differ by
+        a quarter of a step at the end of the range.
+        """
         if not self.step_m and self.steps_per_turn in (0, *_STEPS_PER_TURN):
             return 0.0
         number = arm.commanded.index(self.joint)

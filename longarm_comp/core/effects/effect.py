@@ -46,23 +46,26 @@ Sites = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class _Term:
-    """Common base of arm-side effects and measuring-side biases: identity, parameters, files.
+    """The common base of arm-side effects and measuring-side biases: identity, parameters, files.
 
     Attributes:
         name: canonical name, used in files and reports.
         title: what a mechanic calls it: ``play``.
         action: what can be done about it at the arm, in one sentence.
-        whole: where it is, for an effect without a place.
-        part: attribute of `Arm` without which none has it: ``links``, ``camera``.
+        whole: name of the place of an effect that acts on all of the arm: ``arm``.
+        part: attribute of `Arm` that an arm with this effect must have: ``links``, ``camera``.
         needs: recorded inputs that every instance needs.
-        geometry: always fitted, and never "named" by a diagnosis.
-        passing: of one fit (where a touched point was), and no more: no model.yaml holds it.
-        seen_only: moves the frame of the measurements, and gravity with it.
-        continuous: changes little for a small motion of the joints.
-        loaded: depends on the loads, so that it must be iterated as the arm sags.
-        elastic: a part that yields under its load. A little of it at every place is no finding.
-        searched: tried by a diagnosis. Geometry is always fitted instead.
-        through_others: not searched, and moves nothing but through other effects of the model.
+        geometry: whether it is always fitted, and never "named" by a diagnosis.
+        passing: whether it belongs to one fit only (where a touched point was) and is never
+            written into model.yaml.
+        seen_only: whether it moves the frame of the measurements, and gravity with it.
+        continuous: whether it changes little for a small motion of the joints.
+        loaded: whether it depends on the loads, so that it must be iterated as the arm sags.
+        elastic: whether it is a part that yields under its load. A little of it at every place is
+            no finding.
+        searched: whether a diagnosis tries it. Geometry is always fitted instead.
+        through_others: whether it moves the tip only through other effects of the model; it is then
+            not searched.
         aliases: effects that no measurement of the tip tells from it. One of the two declares it.
         limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
             bounds. Studies accept either name there.
@@ -70,10 +73,10 @@ class _Term:
             of distinct positions at which it can take any values, together with the joint's
             zero.  On a grid with no more positions it imitates every other such function.  0 for
             other effects.
-        displaces_joint: its only parameter displaces one joint. Its column is then the effect of
-            any displacement of that joint at the tip, and remaining structure is sought in it.
-        stepped: has steps of a size that a scan finds (`of_step`).
-        bends_beams: the declared beams bend by it.
+        displaces_joint: whether its only parameter displaces one joint. Its column is then the
+            effect of any displacement of that joint at the tip, and structure is sought in it.
+        stepped: whether it has steps of a size that a scan finds (`of_step`).
+        bends_beams: whether the declared beams bend by it.
         acts: where it acts: a motor's encoder sees ``servo``, one at the joint ``gear`` too.
     """
 

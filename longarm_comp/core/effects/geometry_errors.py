@@ -203,7 +203,7 @@ class KindDirection(Effect):
         return any(term.loaded for term in self.terms)
 
     def twists(self, posture: Posture) -> Twists:
-        """Return the twists of its parts, which are linear in their values, times the amount."""
+        """Return `amount` times the sum of its terms' twists, which are linear in their values."""
         return spatial.sum_twists(
             {s: tuple(self.amount * v for v in t) for s, t in term.twists(posture).items()}  # type: ignore[misc]
             for term in self.terms

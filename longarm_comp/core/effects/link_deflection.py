@@ -164,7 +164,7 @@ def _frame_axes(axis: int, twist: Twist) -> Twist:
 
 
 def _across(sign: float, v: Vec) -> tuple[Scalar, Scalar]:
-    """``u x v`` of the beam's direction u: its two components across the beam."""
+    """Return the components across the beam of ``u x v``, where u is the beam's direction."""
     return (-v[2], v[1]) if sign > 0 else (v[2], -v[1])
 
 

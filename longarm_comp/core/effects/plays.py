@@ -58,7 +58,8 @@ class ServoDeadband(Backlash):
 
 @dataclass(frozen=True)
 class CylinderPlay(RestingTerm):
-    """Worn pins shift the cylinder by a play as `Backlash`; the joint turns by play over lever."""
+    """Worn pins shift the cylinder by a play, as `Backlash` does; the joint turns by play over
+    lever."""
 
     name = "cylinder_play"
     title = "play in the cylinder's pins"
@@ -111,7 +112,8 @@ class FrictionHysteresis(JointTerm):
     outer: float = parameter("rad", "part that winds up over `far`", prior=3e-3, lower=0.0)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Priors 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a slide."""
+        """Return the parameters, with priors of 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a
+        slide."""
         if not self.slides(arm):
             return self.declared()
         return self.with_prior(3e-4, 1e-4, 1e-4, unit="m")

@@ -81,7 +81,7 @@ class OfPosture(Quantity):
 
 
 class _OfJoint(OfPosture):
-    """A quantity of one commanded joint; `of_slide`: its unit where that is a slide."""
+    """A quantity of one commanded joint. `of_slide` is its unit where the joint is a slide."""
 
     of_slide = "1"
 

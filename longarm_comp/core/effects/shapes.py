@@ -253,7 +253,7 @@ class Function:
 
     @property
     def formula(self) -> str:
-        """For people; empty for the constant."""
+        """The formula for a reader, a product of its factors; empty for the constant."""
         return " x ".join(f.formula for f in self.factors)
 
     @property
@@ -262,7 +262,8 @@ class Function:
         return tuple(dict.fromkeys(f.quantity for f in self.factors))
 
     def units(self, arm: Arm) -> list[str]:
-        """Units of its value, to be multiplied; empty for a number."""
+        """Return the units of its factors, whose product is the unit of its value; empty for a
+        number."""
         each = ([factor.quantity.unit(arm)] * factor.power for factor in self.factors)
         return [unit for units in each for unit in units if unit != "1"]
 

@@ -30,7 +30,7 @@ def frames(arm: Arm) -> list[int]:
 
 
 def beams(arm: Arm) -> list[str]:
-    """Names of the declared beams."""
+    """Return the names of the declared beams."""
     return [beam.name for beam in arm.links]
 
 

@@ -1,4 +1,5 @@
-"""The state of every candidate of a diagnosis, why in words, and its smallest visible size."""
+"""The state of every candidate of a diagnosis, the reason in words, and its smallest visible
+size."""
 
 from __future__ import annotations
 
@@ -51,18 +52,21 @@ class Smallest:
 def detectable(
     fit: ModelFit, candidates: Sequence[Candidate], threshold: float
 ) -> tuple[Smallest, ...]:
-    """Compute the smallest sizes of candidates on top of everything that was fitted, in order.
+    """Compute the smallest visible size of each candidate, on top of everything that was fitted.
 
     The smallest size is the one whose expected log Bayes factor reaches the threshold, noise apart.
     With ``S = B'PB`` of the k prior-scaled columns, parameters drawn with a standard deviation
     of c priors give ``E[t'(I+S)^-1 t] = c^2 tr(S (I+S)^-1 S)``; c solves
     ``c^2 tr(S (I+S)^-1 S) / 2 - ln|I+S| / 2 = threshold``.  An effect without parameters has
-    one size: it is seen or not.
+    one size, which is seen or not.
 
     Args:
-        fit: whose rows, noise and weights count.
+        fit: the fit, with its rows, noise and weights.
         candidates: the possible effects.
         threshold: log Bayes factor to reach.
+
+    Returns:
+        One `Smallest` per candidate, in their order.
     """
     columns = FitColumns(fit)
     marginal = columns.without(())
@@ -106,11 +110,11 @@ def judge_candidates(
     """Judge every candidate: one record per effect and place, best first, the untestable last.
 
     Args:
-        search: what was found, each place judged against the model without it.
-        findings: what was found, by its names.
+        search: the explained session; each place in it is judged against the model without it.
+        findings: the named effects that were found.
         written: keys of the terms of the model to use.
         tried: the candidates that are not in the model.
-        not_testable: (effect, why).
+        not_testable: (effect, reason).
     """
     states: dict[Label, tuple[float, State, str]] = {}
     columns = FitColumns(search.fit)
@@ -142,7 +146,7 @@ def judge_candidates(
 
 
 def _judge(need: float, findings: Sequence[Finding], one: Smallest) -> tuple[State, str]:
-    """State of a candidate that is not in the model, and why."""
+    """Return the state of a candidate that is not in the model, and the reason."""
     value = one.log_bayes_factor
     alike = [f for f in findings if one.candidate.name in f.names[1:]]
     places = set(one.candidate.where)  # of a look-alike: one of the finding's, or none of its own

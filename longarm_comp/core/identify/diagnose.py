@@ -1,4 +1,4 @@
-"""Close the loop: residual, missing effect, effect added, proof; or an honest "I don't know"."""
+"""The diagnosis of a session: residual, missing effect, effect added, proof; or "I don't know"."""
 
 from __future__ import annotations
 
@@ -69,20 +69,20 @@ def diagnose(
     """Trace the residual of a session to what the model lacks.
 
     Args:
-        arm: as declared.
+        arm: the declared arm.
         session: admitted measurements.
-        test: hold-out; every row of the session is held out once, in folds, when not given.
+        test: rows to hold out; without them every row of the session is held out once, in folds.
         model: what is known already (its effects are never added twice).
-        kind: what other arms of the kind say of its geometry and of what they all have.
+        kind: what other arms of the kind tell about its geometry and about effects that all have.
         kinds: the effects to try; all of the catalogue where None.
-        train_network: makes the learned correction of what is left; none is trained without.
-        seed: of everything random; the same seed gives the same bytes.
-        progress: told what is going on.
+        train_network: trains a predictor of the residual; without it none is trained.
+        seed: seed of everything random; the same seed gives the same bytes.
+        progress: called with the name of each step.
 
     Raises:
         InputError: too few rows.
-        JobError: a fit did not stay finite or may not be believed (`plausible.refuse`), or what is
-            left is no instrument's noise.
+        JobError: a fit did not stay finite or may not be believed (`plausible.refuse`), or the
+            residual is more than an instrument's noise.
     """
     say = progress or (lambda _: None)
 
@@ -192,18 +192,23 @@ def diagnose(
 
 
 def _refused(final: ModelFit, proof: Proof, rows: Session, written: str) -> SetAside:
-    """What `calibrate` refuses is refused: else the rows that the final fit set aside."""
+    """Refuse a fit that `calibrate` would refuse; return the rows that it set aside."""
     at = {name: error[believed_rows(final, rows)] for name, error in proof.errors.items()}
     plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}
     return refuse(final, None, at[written], plainer)
 
 
 def _proven(expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]) -> tuple[str, str]:
-    """The model to write, and how the proof of a fuller one failed.
+    """Choose the model to write, and say how the proof of a fuller model failed.
 
-    It has the least mean of the errors (M,) that a command may expect; of equals it is the
-    plainer, which comes first.  None errs more, beyond chance, than a plainer one.  A proof fails
-    where that is so of what was seen, which no doubt about the measuring side explains.
+    A model is out if a command is expected to err more with it, beyond chance, than with a plainer
+    one. Its proof fails if its errors as seen are larger, beyond chance, than a plainer one's; no
+    doubt about the measuring side explains that. Of the others the one of least mean error is
+    chosen, of equals the plainer.
+
+    Args:
+        expected: by model, plainer ones first: errors (M,), m, that a command may expect.
+        seen: by model: errors (M,), m, as seen.
     """
     written, failed = dict(expected), dict[str, str]()
     for name, plainer in combinations(list(expected)[::-1], 2):
@@ -216,7 +221,8 @@ def _proven(expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]) 
 
 
 def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
-    """Calibration alone, with the effects that have a name, with functions: the same rows."""
+    """Fit the calibration alone, the model with named effects, and that with functions, to the same
+    rows."""
     whole = found.fit
     bare = fit(start, whole.session, **whole.judged)
     more = found.found or found.tolerance.compliance
@@ -229,9 +235,9 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
 
 
 def _in_order(session: Session, first: int = 0) -> Session:
-    """With the order of the rows in the place of their time, where no row tells its time.
+    """Return a session whose rows are numbered in a column `ORDER`, if it does not tell their time.
 
-    What happens once (a blow to a camera, another tool, a belt that jumps) shows in no other.
+    Without it an event (a blow to a camera, another tool, a belt that jumps) shows in no column.
     """
     if not {"t_s", ORDER}.isdisjoint(session.columns):
         return session
@@ -240,7 +246,7 @@ def _in_order(session: Session, first: int = 0) -> Session:
 
 
 def _split(session: Session, test: Session | None) -> tuple[Session, Session | None]:
-    """Rows to fit, and those to hold out where they are given or labelled."""
+    """Split a session into rows to fit and rows to hold out, if such are given or labelled."""
     roles = session.labels.get("role", np.array([]))
     if test is None and (roles == "test").any() and (roles != "test").any():
         session, test = session.take(roles != "test"), session.take(roles == "test")

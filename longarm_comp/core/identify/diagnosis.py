@@ -47,32 +47,32 @@ SPLITS = 3.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything that was found, and how sure it is.
+    """The result of a diagnosis: everything that was found, and how sure it is.
 
     Attributes:
-        arm: as declared.
-        search: what the search ended with.
+        arm: the declared arm.
+        search: the explained session with which the search ended.
         findings: effects with a name, strongest first.
         causes: functions without a name, largest first.
-        fits: calibrated, with_effects, with_functions (where there are functions), fitted to the
+        fits: fits of calibrated, with_effects, with_functions (where there are functions), to the
             same rows with the same noise.
-        expected: by these names, the error (m) that a command may expect.
-        written: the one of least error whose proof holds: the model to use.
-        failed: how a fuller one failed its proof; empty where none did.
-        intervals: of its parameters, by position in its slots.
-        structure: what the search left.
+        expected: by these names, the mean error (m) that a command may expect.
+        written: name of the model to use: the one of least expected error whose proof holds.
+        failed: how a fuller model failed its proof; empty where none did.
+        intervals: intervals of the parameters of the model to use, by position in its slots.
+        structure: the structure that the search left.
         set_aside: rows that the fit of the model to use does not believe.
         models: nominal, frames_only and the models of `fits`.
-        folds: all of it fitted without some rows, once for each row.
+        folds: the same models fitted without some rows; every row is left out once.
         proof: errors of all models at the rows that they were fitted without.
-        network: the learned correction of what is left, where it helps at poses left out.
-        split_by: poses per set.
-        doubts: what the data cannot tell of the functions.
-        next_q: (M, n) poses that would settle these, rad and m.
-        not_testable: (effect, why).
+        network: the predictor of the residual, where it helps at held-out poses.
+        split_by: for each set the poses that would tell its names apart.
+        doubts: what the data cannot tell about the functions.
+        next_q: (M, n) poses that would settle these doubts, rad and m.
+        not_testable: (effect, reason).
         train: rows that were fitted.
         held_out: the rows of the proof.
-        seed: of everything random.
+        seed: seed of everything random.
     """
 
     arm: Arm
@@ -100,8 +100,11 @@ class Diagnosis:
 
     @cached_property
     def fit(self) -> ModelFit:
-        """The fit of the model to use. Targets are in the frame of the session's start, where the
-        frame of the measurements drifts for sure."""
+        """The fit of the model to use.
+
+        Where the frame of the measurements surely drifts, targets are in that of the session's
+        start.
+        """
         fitted = self.fits[self.written]
         seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
         if not all(f.there * f.chance >= CREDIBLE for f in seen):
@@ -130,7 +133,7 @@ class Diagnosis:
 
     @cached_property
     def smallest(self) -> tuple[Smallest, ...]:
-        """Score and smallest visible size of the library outside the model, on top of the model."""
+        """Score and smallest visible size of every candidate that is not in the model."""
         held = {t.key for t in self.search.chosen}
         library = self.search.candidates
         outside = [c for c in library if held.isdisjoint(t.key for t in c.terms)]
@@ -146,7 +149,7 @@ class Diagnosis:
 
     @property
     def splits(self) -> list[SplittingPoses]:
-        """Poses that are worth measuring, as they would tell two names apart."""
+        """Poses that are worth measuring because they would tell two names apart."""
         return [by for by in self.split_by if by.log_bayes_factor >= SPLITS]
 
     @property
@@ -162,24 +165,25 @@ class Diagnosis:
 
     @property
     def compared(self) -> tuple[str, str]:
-        """The stages before and after what was added; the calibration where nothing was."""
+        """The stages before and after what was added: without an addition, nominal and
+        calibrated."""
         if self.network is not None:
             return CALIBRATED, NETWORK
         return ("nominal", CALIBRATED) if self.written == CALIBRATED else (CALIBRATED, self.written)
 
     @property
     def seen_gain(self) -> Gain:
-        """The gain between the stages compared, as seen."""
+        """The gain between the two stages compared, in errors as the instrument sees them."""
         return Gain.of(*(self.proof.errors[stage] for stage in self.compared))
 
     @property
     def commanded_gain(self) -> Gain:
-        """The gain between the stages compared, as a command would have it."""
+        """The gain between the two stages compared, in errors as a command would have them."""
         return Gain.of(*(self.proof.commanded[stage] for stage in self.compared))
 
     @property
     def summary(self) -> str:
-        """The verdict in one sentence, and what was left out."""
+        """The verdict in one sentence, and the doubtful effects that were not added."""
         gone = "; ".join(
             f"{f.name} at {', '.join(dict.fromkeys(t.where for t in f.terms))}"
             f" ({100 * f.there:.0f} % probable)"
@@ -214,7 +218,7 @@ def _summary(found: Diagnosis) -> str:
 
 
 def _change(found: Diagnosis) -> str:
-    """Before and after, also where only orientations were measured."""
+    """Say the errors before and after, also where only orientations were measured."""
     before, after = (found.proof.rows[stage] for stage in found.compared)
     if not before.n:
         return f"{before.said} -> {after.said}"

@@ -1,7 +1,7 @@
 """Findings: the named effects that were found, each with its credible set of names.
 
-A `Finding` is the one record of it: the posterior makes it, report.json holds it as it is, and the
-page and the command line print it.
+The posterior makes a `Finding`, report.json holds it unchanged, and the page and the command line
+print it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class ReportPart(Closed):
 
 
 class FindingParameter(ReportPart):
-    """A value of a finding, in `unit`. `ci95` is None where it is at its bound: no estimate."""
+    """A value of a finding, in `unit`. `ci95` is None for a value at its bound, which is no
+    estimate."""
 
     name: str
     where: str
@@ -65,7 +66,7 @@ class PartialAlias:
     """Another effect that may stand in the place of a part of a finding.
 
     Attributes:
-        part: in words: ``part at joint 4``.
+        part: the part in words: ``part at joint 4``.
         name: canonical name of the other effect.
     """
 
@@ -78,18 +79,19 @@ class Finding(ReportPart):
 
     Attributes:
         name: canonical name of the most probable cause; ``effect`` in report.json.
-        title, reading: the effect in words, and what its values say.
+        title, reading: the effect in words, and the meaning of its values.
         names: the credible set: `name` first, then what cannot be told from it; ``set`` in
             report.json.
-        probability: that there is an effect.
-        set_probability: of each name of the set, given that there is an effect.
-        unnamed: why a cause without a name may be there instead; empty where it may not.
+        probability: probability that there is an effect.
+        set_probability: probability of each name of the set, given that there is an effect.
+        unnamed: reason why a cause without a name may be there instead; empty if none may.
         where: places, in order.
-        log_bayes_factor: against leaving the effect out, geometry and rest marginalised.
+        log_bayes_factor: evidence against leaving the effect out; geometry and all other effects
+            are marginalised.
         runner_up: the most probable other name, in the set or not; None where none is likely.
         compensated: whether commands with the model to use correct for it.
-        seen_mm, commanded_mm: mean held-out errors without it, the rest fitted again, and with it:
-            as measured, and as a command would have it.
+        seen_mm, commanded_mm: mean held-out errors without the effect (all others fitted again) and
+            with it: as seen, and as a command would have it.
         doubts: names that may stand for one of its parts only, in words.
         action: one sentence for a mechanic.
         parts: the single effects of the posterior that it is made of; not in report.json.
@@ -120,22 +122,22 @@ class Finding(ReportPart):
 
     @property
     def name_open(self) -> bool:
-        """True where it may as well be something else."""
+        """True where another name, or a cause without a name, may be the true one."""
         return len(self.names) > 1 or bool(self.unnamed)
 
     @property
     def open(self) -> bool:
-        """True where it may as well be something else, or not be there in another session."""
+        """True where the name is open, or where the effect may be absent."""
         return self.name_open or self.probability < CREDIBLE
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """The fitted instances."""
+        """The fitted terms of all its parts."""
         return tuple(t for f in self.parts for t in f.terms)
 
     @property
     def candidate(self) -> Candidate:
-        """Its name and terms."""
+        """Its name and terms, as a candidate."""
         return Candidate(self.name, self.terms)
 
     @property
@@ -155,11 +157,11 @@ class Finding(ReportPart):
 
 
 def make_findings(found: Sequence[FoundEffect]) -> tuple[Finding, ...]:
-    """Make the findings of single effects, one a name that has one, strongest first.
+    """Make one finding of all single effects of a name, strongest first.
 
-    Single effects of one name at several places are one finding.  Its set holds the names that may
-    stand for all of them; a name that may stand for some only is a partial alias.  What a finding
-    means at the tip is added by `complete_findings`.
+    Effects without a name make none.  A finding's set holds the names that may stand for all of its
+    places; a name that may stand for some only is a partial alias.  Its values and its size at the
+    tip are added by `complete_findings`.
     """
     names = dict.fromkeys(f.name for f in found if not f.unnamed)
     made = [_finding(name, [f for f in found if f.name == name]) for name in names]
@@ -198,7 +200,7 @@ def _finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
 
 
 def _chances(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
-    """(name, probability) of the causes of all parts, each weighed by its evidence."""
+    """Return (name, probability) of the causes of all parts, each part weighed by its evidence."""
     size = sum(f.log_bayes_factor for f in parts)
     chances: dict[str, float] = {}
     for f in parts:
@@ -208,7 +210,7 @@ def _chances(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
 
 
 def _rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
-    """All other causes of all parts, the most probable first."""
+    """Return all other causes of all parts, the most probable first."""
     size, chances = sum(f.log_bayes_factor for f in parts), dict(_chances(parts))
     rivals: dict[str, Rival] = {}
     for f in parts:
@@ -241,11 +243,11 @@ def complete_findings(
     """Add to findings their values, their size at the tip and their gain on held-out rows.
 
     Args:
-        found: as the posterior makes them.
-        arm: as declared.
+        found: as `make_findings` returns them.
+        arm: the declared arm.
         fit: the final fit of all that was found.
         written: the fit of the model to use.
-        intervals: of its parameters, by position in its slots.
+        intervals: intervals of its parameters, by position in its slots.
         held_out: fits of all that was found without some rows, and these rows.
     """
     known = {(*s.owner.key, s.parameter.name): intervals[k] for k, s in enumerate(written.slots)}
@@ -322,13 +324,13 @@ def sentence(finding: Finding) -> str:
 
 
 def improvement(seen: Gain, commanded: Gain) -> str:
-    """Say the errors before and after: as a command would have it, and as seen where it differs."""
+    """Say the errors before and after as commanded; and as seen, where these differ."""
     told = [f"{1e3 * g.before:.2f} -> {1e3 * g.after:.2f} mm" for g in (commanded, seen)]
     return told[0] if told[0] == told[1] else f"{told[0]} as commanded ({told[1]} as seen)"
 
 
 def left_in_words(structure: Structure) -> str:
-    """Say what structure is left and where it shows; empty where none is."""
+    """Say which structure is left in the residual and where it shows; "" where none is."""
     if not structure.flag:
         return ""
     size = f"{1e3 * structure.size_m:.2f} mm of "

@@ -1,4 +1,5 @@
-"""95 % intervals of the parameters of a fit: the wider of Laplace and what blocks of rows say."""
+"""95 % intervals of the parameters of a fit: the wider of Laplace's and that from blocks of
+rows."""
 
 from __future__ import annotations
 
@@ -28,8 +29,8 @@ class Interval:
     """A parameter with its 95 % interval (SI).
 
     Attributes:
-        at_bound: the value is at a bound of the parameter, as far as the interval can tell: it is
-            no estimate, and only the other end of the interval says something.
+        at_bound: whether the value is at a bound of the parameter, as far as the interval can tell.
+            Then it is no estimate, and only the other end of the interval tells something.
     """
 
     value: float
@@ -43,14 +44,13 @@ def intervals(
     found: Sequence[Term],
     candidates: Sequence[Candidate],
 ) -> dict[int, Interval]:
-    """By position in the fit's slots.
+    """Compute the intervals of a fit's parameters, by position in its slots.
 
-    Beside the fitted parameters stand, with their priors, the other places of the found effects,
-    and other values of their forms: they could have come out otherwise.  By how much these move an
-    estimate is one more error of it.
+    The search could also have chosen other places of the found effects, or other values of their
+    forms. How much these, with their priors, move an estimate is added to its error.
 
     Args:
-        fit: final.
+        fit: the final fit.
         found: the terms that a search added.
         candidates: the library.
     """
@@ -86,9 +86,9 @@ def intervals(
 
 
 def _wider(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
-    """(p,) how much wider the prior of a found parameter must be not to pull at its value.
+    """Return (p,) the factors by which priors must be wider to leave found values alone.
 
-    That it is there has been decided; how large it is, the data say.
+    The data decide how large a found effect is, because its existence is already decided.
     """
     mine = {t.key for t in found}
     sizes = [
@@ -101,7 +101,8 @@ def _wider(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
 def _dropped(
     fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]
 ) -> tuple[Term, ...]:
-    """A found effect's other places, in its form where there is one."""
+    """List the terms at the other places of the found effects, in the found form where there is
+    one."""
     held = {t.key for t in fit.model.terms}
     missing: dict[tuple[str, str], Term] = {}
     forms = {t.name: tuple(t.forms.items()) for t in reversed(found)}
@@ -115,7 +116,7 @@ def _dropped(
 def _slopes(
     fit: ModelFit, columns: FitColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
-    """(N, d, 1) change of the rows as each scale moves half way to the next tried value."""
+    """Return (N, d, 1) changes of the rows as each scale moves half way to the next tried value."""
     ways: list[tuple[Term, Term]] = []
     for term in terms:
         for field in term.scales():

@@ -1,9 +1,8 @@
-"""What moves the rows besides an explanation, and is no finding.
+"""The model tolerance: what moves the rows besides an explanation, and is no finding.
 
-No effect's form is exact.  And every real arm gives way everywhere, and all else is a little off.
-The latter is the infinitesimal part beside a sum of single effects (Cui et al. 2024, "Improving
-fine-mapping by modeling infinitesimal effects", Nature Genetics 56): what is found must explain
-more than it does.
+The form of no effect is exact. And every part of a real arm yields and errs a little. The latter is
+the infinitesimal part beside a sum of single effects (Cui et al. 2024, "Improving fine-mapping by
+modeling infinitesimal effects", Nature Genetics 56): a finding must explain more than it does.
 """
 
 from __future__ import annotations
@@ -43,9 +42,10 @@ class ModelTolerance(NamedTuple):
 
     Attributes:
         form: share of its own shift by which the form of an effect in the model may err.
-        compliance: how much every part yields, as a share of `BACKGROUND_COMPLIANCE`, and so what
-            yields more than that: the parts of one arm are stiff alike. 0: only what is found
-            yields.
+        compliance: how much every part yields, as a share of `BACKGROUND_COMPLIANCE`. A finding
+            that
+            yields must exceed it, because the parts of one arm are stiff alike. 0: only what is
+            found yields.
     """
 
     form: float
@@ -53,12 +53,12 @@ class ModelTolerance(NamedTuple):
 
     @property
     def soft(self) -> bool:
-        """Whether every part yields by what is no little: a cause without a name."""
+        """Whether every part yields by more than a little, which is a cause without a name."""
         return self.compliance in SOFT
 
     @property
     def log_prior(self) -> float:
-        """Relative to that of an arm whose parts yield by no more than a little."""
+        """Log prior relative to that of an arm whose parts yield by no more than a little."""
         return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.soft else 0.0
 
     @property
@@ -85,7 +85,10 @@ RIGID = ModelTolerance(FORMS[0], 0.0)
 
 
 def background_terms(library: Sequence[Candidate]) -> tuple[Term, ...]:
-    """What every real arm has, in every form; the same physics by another name left out."""
+    """List the terms of what every real arm has a little of, in every form.
+
+    Of two names for the same physics only one is listed.
+    """
     names = {candidate.name for candidate in library}
     return tuple(t for t in distinct(library) if names.isdisjoint(t.aliases))
 
@@ -93,9 +96,12 @@ def background_terms(library: Sequence[Candidate]) -> tuple[Term, ...]:
 def background_columns(
     columns: FitColumns, library: Sequence[Candidate], tolerances: Sequence[ModelTolerance]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(m, k) whitened columns of what every real arm has, and (S, k) sizes by some tolerances.
+    """Compute the columns of what every real arm has a little of.
 
     The forms of an effect at a place share its size.
+
+    Returns:
+        (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
     """
     every = background_terms(library)
     forms = Counter(t.key for t in every)
@@ -107,11 +113,12 @@ def background_columns(
 def with_background(
     fitted: ModelFit, library: Sequence[Candidate], compliance: float = 1.0
 ) -> ModelFit:
-    """A fit with what every arm has besides, as much as the rows ask for; same rows and noise.
+    """Fit again with what every arm has a little of, as much as the rows ask for; same rows and
+    noise.
 
-    That is every effect of the arm that reads no recorded column, in its first form, where it
-    moves the rows by `OF_NOISE` at least; of what gives way, where it may: under another load it
-    would, and a promise counts it.
+    Added is every effect of the arm that reads no recorded column, in its first form, if it moves
+    the rows by at least `OF_NOISE`. For an elastic effect it is enough that it may move them by so
+    much: under another load it would, and the model's `sigma` counts it.
     """
     held = {t.key for t in fitted.model.terms}
     added: dict[tuple[str, str], Term] = {}
@@ -141,7 +148,10 @@ def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term], compliance: f
 
 
 def _size(owner: Term, compliance: float) -> float:
-    """Of a parameter, as a share of its prior: a soft arm is softer, and no worse made."""
+    """Return the size of a background parameter as a share of its prior.
+
+    A soft arm is softer everywhere, but its other errors are no larger.
+    """
     return (
         BACKGROUND_COMPLIANCE * compliance
         if owner.elastic

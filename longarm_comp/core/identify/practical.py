@@ -1,9 +1,7 @@
-"""In practice: what a finding means.
+"""The practical meaning of a finding: its size at the tip, and its gain on held-out rows.
 
-A finding has a size at the tip and brings something on held-out rows.
-
-The gain of one finding among several is that of the whole model over the model without it, the
-rest fitted again (to first order), so that what geometry can take up does not count for it.
+The gain of one finding among several is that of the whole model over the model without it, all
+others fitted again (to first order). So what geometry can take up does not count for it.
 """
 
 from __future__ import annotations
@@ -44,12 +42,13 @@ class Gain:
 
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
-        """Compute it from the (M, 3) errors of two models on the same rows; zeros of no rows."""
+        """Compute the gain from the (M, 3) errors of two models on the same rows; zeros without
+        rows."""
         return cls.between(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
 
     @classmethod
     def between(cls, long: np.ndarray, short: np.ndarray) -> Gain:
-        """Compute it from the (M,) lengths of the errors of two models on the same rows."""
+        """Compute the gain from the (M,) lengths of the errors of two models on the same rows."""
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
         gain = long - short
@@ -61,7 +60,7 @@ class Gain:
 
 
 def tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
-    """(N,) shift of the seen tip by the terms at some places, at each fitted row, m."""
+    """Return the (N,) shift (m) of the seen tip by the terms at some places, at each fitted row."""
     still = fitted.model.without(places)
     moved = fitted.model.measured_at(fitted.posture)
     return np.linalg.norm(moved - still.measured_at(still.posture_near(fitted.posture)), axis=1)
@@ -70,7 +69,7 @@ def tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
 def gains(
     held_out: Sequence[tuple[ModelFit, Session]], places: set[tuple[str, str]]
 ) -> tuple[Gain, Gain]:
-    """Compute the gain by the terms at some places on held-out rows: as seen, as commanded.
+    """Compute the gain by the terms at some places on held-out rows: as seen, and as commanded.
 
     Args:
         held_out: fits without some rows, and these rows.
@@ -88,7 +87,11 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 
 def _without(fitted: ModelFit, places: set[tuple[str, str]], rows: Session) -> tuple[Pair, Pair]:
-    """Errors (M, 3) at rows without and with the terms at some places: as seen, as commanded."""
+    """Compute the errors (M, 3) at rows without and with the terms at some places.
+
+    Returns:
+        Two pairs: as seen, and as commanded.
+    """
     if not len(rows):
         none = np.zeros((0, 3))
         return (none, none), (none, none)
@@ -108,7 +111,7 @@ def _without(fitted: ModelFit, places: set[tuple[str, str]], rows: Session) -> t
 
 
 def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
-    """The model without the terms at some places, all others fitted again to first order."""
+    """Return the model without the terms at some places, all others fitted again to first order."""
     marginal, left = FitColumns(fitted).without(places), fitted.model.without(places)
     free = np.array([not s.owner.through_others for s in left.slots], dtype=bool)
     kept = tuple(compress(left.slots, free))

@@ -37,12 +37,12 @@ NETWORK = "with_network"
 
 @dataclass(frozen=True)
 class Fold:
-    """Models fitted without some rows, and these rows.
+    """A fold: models that were fitted without some rows, and these rows.
 
     Attributes:
-        models: by name, in the order of the ladder.
-        fits: of those above the geometry.
-        rows: that were held out, all seen, in time order.
+        models: the models by name, in the order of the ladder.
+        fits: the fits of the calibrated model and those above it.
+        rows: the rows that were held out, all seen, in time order.
         numbers: (M,) their positions among all held-out rows.
     """
 
@@ -60,9 +60,9 @@ class Proof:
         errors: by model name, (M, 3) measured - predicted of the rows that say where the tip is,
             m (`core/data/measurement.py`).
         commanded: the same as a command would have them (`core/data/commanded.py`).
-        turned: by model name, (K, 3) of the rows that say how the tip is turned, rad.
-        rows_at: (M,) positions of the rows of `errors` among those that were held out. A point that
-            one row of a fold touched tells nothing there.
+        turned: by model name, (K, 3) errors of the tip's orientation, rad, at rows that measure it.
+        rows_at: (M,) positions of the rows of `errors` among those that were held out. A touched
+            point that only one row of a fold touched tells nothing there.
         folds: number of folds; 1 where the rows to hold out were given.
     """
 
@@ -78,14 +78,15 @@ class Proof:
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
     def expected(self, found: Sequence[FoundEffect], names: Sequence[str]) -> dict[str, np.ndarray]:
-        """(M,) error (m) that a command may expect at each row, of some models.
+        """Compute for some models the error (M,), m, that a command may expect at each row.
 
-        What the measuring side is said to do moves what is seen, not the tip, with the probability
-        that it is the measuring side that does it; otherwise a command errs by it.
+        An effect of the measuring side moves what is seen, not the tip. So an error that a bias
+        explains does not count, with the probability that the bias is there; otherwise a command
+        errs by it.
 
         Args:
-            found: single effects of the fullest of them.
-            names: of the models.
+            found: single effects of the fullest of the models.
+            names: names of the models.
         """
         ours = 1.0
         for f in found:
@@ -99,10 +100,8 @@ class Proof:
 
 
 def worse(before: np.ndarray, after: np.ndarray) -> str:
-    """How errors (M,), m, rise beyond chance, on all rows or on the worst tenth of them.
-
-    Empty where they do not.
-    """
+    """Say how errors (M,), m, rise beyond chance, on all rows or on the worst tenth; "" if they do
+    not."""
     longest = np.maximum(before, after)
     worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
     for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
@@ -120,14 +119,17 @@ def folds(
     search: ExplainedSession,
     seed: int,
 ) -> tuple[Session, tuple[Fold, ...]]:
-    """Everything fitted anew without each fold of the rows; the rows, each held out once.
+    """Fit everything anew without each fold of the rows.
 
     Args:
-        nominal: as declared.
-        frames_only: that with its placements fitted.
-        fits: of the calibrated model and those above it, to all rows.
-        search: that found what they hold.
-        seed: of the folds.
+        nominal: the declared model.
+        frames_only: the same with its placements fitted.
+        fits: fits of the calibrated model and those above it, to all rows.
+        search: the search that found what they hold.
+        seed: seed of the folds.
+
+    Returns:
+        The rows, each held out once, and the folds.
 
     Raises:
         JobError: a fit without some rows did not stay finite.
@@ -153,7 +155,7 @@ def folds(
 def _fitted_again(
     fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
 ) -> dict[str, ModelFit]:
-    """The models with what the kept rows (N,) alone would find, fitted to these rows."""
+    """Fit to the kept rows (N,) the models with the effects that these rows alone would find."""
     whole, session = search.fit, search.fit.session.take(kept)
     judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
 
@@ -172,7 +174,7 @@ def _fitted_again(
 
 
 def _with(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
-    """The model of a search with other effects in the place of what it found."""
+    """Return the model of a search with other effects in the place of what it found."""
     model = search.fit.model
     known = {t.variant: t for t in model.terms}
     terms = {t.key: known.get(t.variant, t) for f in found for t in f.terms}
@@ -186,12 +188,12 @@ def _with(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
 def prove(
     made: Sequence[Fold], learned: Callable[[Fold], tuple[Model, Predictor]] | None = None
 ) -> Proof:
-    """Errors of every model at the rows that it was fitted without, in their order.
+    """Compute the errors of every model at the rows that it was fitted without, in their order.
 
     Args:
         made: the folds.
-        learned: trains a correction without a fold's rows, and gives the model that it stands on;
-            it counts inside its domain only.
+        learned: trains a predictor without a fold's rows, and returns it with its model; it counts
+            inside its domain only.
     """
     seen, told, turned = (_Rows() for _ in range(3))
     for fold in made:
@@ -214,7 +216,7 @@ def prove(
 
 
 class _Rows:
-    """Errors of models, fold by fold, and at which rows."""
+    """Errors of models, collected fold by fold with the positions of their rows."""
 
     def __init__(self) -> None:
         self._parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}

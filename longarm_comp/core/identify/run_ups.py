@@ -1,6 +1,6 @@
-"""The length of run-ups of which only the side was recorded: a joint may remember it.
+"""The length of run-ups of which only the side was recorded, because a joint may remember it.
 
-It belongs to the whole session and is no parameter of a fit, so it is sought before the search,
+It belongs to the whole session and is no parameter of a fit. So it is sought before the search,
 where the evidence is highest with all that the library holds beside it.
 """
 
@@ -32,29 +32,30 @@ RUN_UPS = (0.02, 0.035, 0.05, 0.07, 0.1)
 
 
 def remembers(term: Effect | Bias) -> bool:
-    """Whether an effect is of its joint's history.
+    """Tell whether an effect depends on its joint's history.
 
-    The length that unrecorded run-ups were taken to have is then a form of it: `run_up`, one for
-    the whole session, which is sought in the data.
+    The length that unrecorded run-ups were taken to have is then one of its forms: `run_up`, one
+    for the whole session, which is sought in the data.
     """
     return isinstance(term, Effect) and "run_up" in term.forms
 
 
 def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
-    """The session with unrecorded run-ups taken to be so long (rad; a tenth as many m)."""
+    """Return the session with a length (rad; a tenth as many m) for run-ups that were not
+    recorded."""
     slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
     return session.with_run_ups(run_up * np.where(slides, SLIDE, 1.0))
 
 
 def as_fitted(session: Session, model: Model) -> Session:
-    """The session with unrecorded run-ups taken to be as long as a model was fitted with."""
+    """Return the session with unrecorded run-ups as long as those that a model was fitted with."""
     taken = [float(e.forms["run_up"]) for e in model.effects if remembers(e)]
     longest = max(taken, default=0.0)
     return with_run_ups(session, model.arm, longest) if longest else session
 
 
 def taken(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidate, ...]:
-    """The candidates of a session with unrecorded run-ups taken to be so long (rad)."""
+    """Return the candidates for a session whose unrecorded run-ups have a length (rad)."""
     forms: dict[str, float] = {"run_up": run_up}
     return tuple(
         Candidate(
@@ -68,11 +69,11 @@ def taken(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidate, ..
 def run_up(
     model: Model, rows: Callable[[float], Session], candidates: Sequence[Candidate]
 ) -> float:
-    """Length of the highest evidence (rad); 0 where nothing shows that a joint remembers one.
+    """Find the length of highest evidence (rad); 0 where nothing shows that a joint remembers one.
 
     Args:
-        model: with its geometry, fitted or not.
-        rows: the rows to fit, with unrecorded run-ups taken to be so long (rad).
+        model: the model with its geometry, fitted or not.
+        rows: returns the rows to fit, with unrecorded run-ups of a length (rad).
         candidates: the library.
     """
     families = [tuple(t for t in c.terms if remembers(t)) for c in candidates]
@@ -88,7 +89,10 @@ def run_up(
     marginal, slots = Marginal(design, fitted.data), slots_of(fitted.model.arm, terms)
 
     def evidence(length: float) -> float:
-        """With the arm where it was fitted: run-ups change what joints remember, hardly more."""
+        """Compute the evidence of a length, with the arm's postures as fitted without run-ups.
+
+        Run-ups change what joints remember, and hardly the posture.
+        """
         session = rows(length)
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context())

@@ -1,10 +1,10 @@
-"""Steps of an unknown size: every step of every joint that the data could show, at once.
+"""Searches for steps of an unknown size: every step of every joint that the data could show.
 
 A servo that stands at whole steps errs by ``round(q/step) step - q``.  At a joint's poses this is a
 saw-tooth with no parameter but the step, so thousands of steps are scored by one product with the
-residual.  The best is offered; it pays for the looking (`Effect.price`).  On few positions any step
-imitates other functions of the joint, so there it is not looked for.  Of a residual that still
-holds something else, it must explain more than it would were the signs of the rows chance.
+residual.  The best one becomes a candidate, which pays for the search (`Effect.price`).  On few
+positions any step imitates other functions of the joint, so none is sought there.  The residual may
+still hold other effects; so a step must explain more than it would with random signs of the rows.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ BEST = 8
 
 
 def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, ...]:
-    """The best step of every joint that declares none and has none in the model.
+    """Find the best step of every joint that declares none and has none in the model.
 
     Args:
-        fitted: geometry, and what was found so far.
+        fitted: the fit of geometry and of what was found so far.
         kind: the effect (`Effect.of_step`).
-        need: log evidence that a step must have, its own price paid.
+        need: log evidence that a step must have after its own price.
     """
     arm, kept, columns = fitted.model.arm, fitted.weights > 0, FitColumns(fitted)
     marginal = columns.without(())
@@ -67,12 +67,12 @@ def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, 
 
 
 def _looked(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """(B,) numbers of steps in the range, the best ones, by evidence apart from the geometry's.
+    """Return the (B,) best numbers of steps in the range; overlap with the geometry is ignored.
 
     Args:
         share: (M,) positions in units of the range.
         white: (M, d) motion for the whole range, in units of the noise.
-        left: (M, d) what the fit leaves, in units of the noise.
+        left: (M, d) residual of the fit, in units of the noise.
     """
     along, size = (white * left).sum(1), 0.5 * (white**2).sum(1)
 
@@ -93,5 +93,5 @@ def _looked(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.ndarra
 
 
 def _teeth(turns: np.ndarray) -> np.ndarray:
-    """What rounding adds to a number of steps, in steps."""
+    """Return what rounding adds to a number of steps, in steps."""
     return np.asarray(np.rint(turns) - turns)

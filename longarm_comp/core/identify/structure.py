@@ -1,9 +1,9 @@
-"""Is there anything left?  An F test per group of inputs.
+"""The test for structure: is there anything left in the residual?  An F test per group of inputs.
 
-It knows no physics: whatever moves the tip, or a joint, as some function of a joint, of a pair
-of joints, of the approach, temperature, time or payload shows here, whether the
-library has a name for it or not.  Besides: do poses that no fit has seen err by more than the
-noise, or do the rows that the fit left out share a displacement?  That is said, and used for
+It knows no physics. Whatever moves the tip, or a joint, as some function of a joint, of a pair
+of joints, of the approach, temperature, time or payload shows here, whether the library has a name
+for it or not.  Two more tests ask whether held-out poses err by more than the noise, and whether
+the rows that the fit left out share a displacement.  Their results are reported, and used for
 nothing.
 """
 
@@ -38,17 +38,17 @@ OF_SPREAD = 2e-4
 
 @dataclass(frozen=True)
 class Structure:
-    """What is left in the residual.
+    """The structure that is left in the residual.
 
     Attributes:
-        flag: whether it is more than noise.
-        p_value: of the largest group statistic.
-        inputs: the inputs it depends on, strongest first.
+        flag: whether there is more than noise.
+        p_value: chance of the largest statistic of all groups.
+        inputs: the inputs on which the structure depends, strongest first.
         size_m: RMS of the smooth part, m.
-        share_explained: of the structure that was there, how much the named effects took
-            (1 when nothing else is left).
-        at: the joint that the strongest of them moves; empty where it is the tip.
-        sign: where it shows, if another sign than this test tells it: ``shows in held-out poses``.
+        share_explained: share of the structure before that the named effects explain (1 when
+            nothing else is left).
+        at: the joint that the strongest group moves; empty where that is the tip.
+        sign: where another test than this one shows it: ``shows in held-out poses``.
     """
 
     flag: bool
@@ -61,14 +61,14 @@ class Structure:
 
 
 def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
-    """Test what a fit leaves, as a function of every input.
+    """Test whether the residual of a fit is a function of any input.
 
-    Each group of columns is held against the rest of the residual (F test), and the smallest
-    chance counts as often as groups were tried.  Readings that a fit is as near to as their
-    encoder's step do not count.
+    Each group of columns is compared with the rest of the residual (F test), and the smallest
+    chance is multiplied by the number of groups.  Readings that a fit meets to their encoder's step
+    do not count.
 
     Args:
-        fit: with everything that was named.
+        fit: the fit with everything that was named.
         base: the geometry alone, on the same rows and with the same noise.
         beside: (m, k) whitened columns of what the forms of the fitted effects may leave.
     """
@@ -127,18 +127,18 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
 
 
 def smallest(fit: ModelFit) -> float:
-    """Size (m) below which structure does not matter."""
+    """Return the size (m) below which structure does not matter."""
     xyz = fit.session.take(fit.session.located).xyz
     return min(SMALLEST_M, OF_SPREAD * median_spread(xyz) if len(xyz) > 1 else SMALLEST_M)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Displacements that some inputs may cause.
+    """A group of displacements that the same inputs may cause.
 
     Attributes:
         inputs: names of what drives them.
-        at: the joint that moves (``joint 2``), or empty where it is the tip, along each axis.
+        at: the joint that moves (``joint 2``), or empty where the tip moves, along each axis.
         columns: (N, d, k) m or rad, each about as large as the noise.
     """
 
@@ -148,9 +148,10 @@ class Group:
 
 
 def groups(fit: ModelFit) -> list[Group]:
-    """Everything that is tried: functions of each input, products of joints, seen or at a joint.
+    """List all groups: functions of each input and products of joints, at the tip or at a joint.
 
-    What is seen is tried along all axes together, and functions of one input along each axis too.
+    Motions of the tip are tried along all axes together, and functions of one input along each axis
+    too.
     """
     session = fit.session
     curves = [smooth_in(session.q[:, j]) for j in range(session.n)]
@@ -179,7 +180,7 @@ Features = Iterator[tuple[tuple[str, ...], np.ndarray]]
 
 
 def _of_the_tip(session: Session, curves: list[np.ndarray]) -> Features:
-    """Functions of each joint, of pairs, of direction, way, temperature, time and payload."""
+    """Yield functions of each joint, of pairs, of direction, way, temperature, time and payload."""
     yield from _of_a_joint(curves)
     for j, curve in enumerate(curves):
         side = session.approach[:, j].astype(float)[:, None]
@@ -193,7 +194,7 @@ def _of_the_tip(session: Session, curves: list[np.ndarray]) -> Features:
 
 
 def _of_a_joint(curves: list[np.ndarray]) -> Features:
-    """Functions of each joint, and products of two."""
+    """Yield functions of each joint, and products of two."""
     for j, curve in enumerate(curves):
         yield (f"q{j + 1}",), curve
     for k, j in combinations(range(len(curves)), 2):
@@ -201,7 +202,8 @@ def _of_a_joint(curves: list[np.ndarray]) -> Features:
 
 
 def smooth_in(values: np.ndarray) -> np.ndarray:
-    """Up to six orthogonal functions of one input; as many as its distinct levels allow."""
+    """Compute up to six orthogonal functions of one input (N,); as many as its distinct levels
+    allow."""
     span = np.ptp(values)
     levels = len(np.unique(np.round(values / (span or 1.0), 3)))
     if span == 0 or levels < 2:
@@ -212,7 +214,7 @@ def smooth_in(values: np.ndarray) -> np.ndarray:
 
 
 def _standard(features: np.ndarray) -> np.ndarray:
-    """Centred, unit size, dependent columns dropped."""
+    """Centre features, scale them to unit size, and drop dependent columns."""
     centred = features - features.mean(0)
     size = np.sqrt((centred**2).mean(0))
     centred = centred[:, size > 1e-9] / size[size > 1e-9]
@@ -223,7 +225,8 @@ def _standard(features: np.ndarray) -> np.ndarray:
 
 
 def _of_channels(features: np.ndarray, fit: ModelFit) -> np.ndarray:
-    """(N, m) features -> (N, d, dm) of one noise standard deviation in each channel."""
+    """Expand features (N, m) to (N, d, dm): each feature moves each channel by one standard
+    deviation of its noise."""
     noise = np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.session.measured
     each = features[:, None, None, :] * (noise[..., None] * np.eye(fit.width))[..., None]
     return each.reshape(len(features), fit.width, -1)
@@ -234,11 +237,10 @@ OFF = 0.5
 
 
 def with_unseen(structure: Structure, held_out: Sequence[tuple[ModelFit, Session]]) -> Structure:
-    """The structure, also where only the held-out poses show it.
+    """Return the structure, flagged also where only the held-out poses show it.
 
-    What the parameters may err by moves all poses together, so it is taken off first. Of what is
-    left half should be more than the median that noise gives (chi); a few gross errors among them
-    change nothing.
+    An error of the parameters moves all poses together, so it is subtracted first. Half of what is
+    left should exceed the median that noise gives (chi); a few gross errors change nothing.
 
     Args:
         structure: as it shows in the fitted rows.
@@ -267,7 +269,12 @@ def with_unseen(structure: Structure, held_out: Sequence[tuple[ModelFit, Session
 
 
 def _noise_and_rest(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarray]:
-    """(M,) what rows that were not fitted leave, over the median of noise; its square, m^2."""
+    """Compare rows that were not fitted with their noise.
+
+    Returns:
+        (M,) size of what the fit leaves over the median of noise, and (M,) the square of the noise,
+        m^2.
+    """
     found = equations(fit.model, rows, posture(fit.model, rows))
     known = dict(zip(fit.session.channels, fit.sigma, strict=True))
     sigma = np.array([known.get(name, np.inf) for name in rows.channels])
@@ -285,14 +292,14 @@ def _noise_and_rest(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarra
 
 
 def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
-    """The structure, also where only the rows show it that the fit left out.
+    """Return the structure, flagged also where the rows that the fit left out share a displacement.
 
     Gross errors have no direction in common: Hotelling's T-squared test of their mean, with the
     noise as the least that they scatter.
 
     Args:
         structure: as it shows in the fitted rows.
-        fit: final.
+        fit: the final fit.
     """
     out = fit.weights == 0
     held = np.isfinite(fit.sigma) & fit.session.measured[out].all(axis=0)
@@ -319,9 +326,10 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
 
 
 def _beyond(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """(N,) sizes of what unit normal parameters of columns (N, d, p) leave of data (N, d).
+    """Return (N,) sizes of what parameters with unit normal priors leave of data (N, d).
 
-    Gross errors say nothing of the parameters, as in every fit.
+    The parameters belong to columns `a` (N, d, p). Gross errors do not count for them, as in every
+    fit.
     """
     kept = inliers(y, measured)[:, None]
     shared = (kept[..., None] * a).reshape(-1, a.shape[-1])

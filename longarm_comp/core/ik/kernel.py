@@ -27,9 +27,9 @@ from longarm_comp.core.model.model import Model
 
 
 def geometric(posture: Posture, tip: Vec, station: float = math.inf) -> list[tuple[Vec, Vec]]:
-    """Tip velocity (m, base frame) and angular velocity (rad) per unit of each commanded joint.
+    """Return the tip's velocity (m, base frame) and turn (rad) per unit of each commanded joint.
 
-    Of another point ``station`` is the one that carries it: rows after it are left out.
+    With a ``station`` the point is one that this station carries: rows after it are left out.
 
     The sag is kept constant, so on a soft arm the Jacobian is a few percent off.
     """

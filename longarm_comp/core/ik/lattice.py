@@ -18,16 +18,18 @@ EDGE = 1e-9
 def nearest(
     R: np.ndarray, low: np.ndarray, high: np.ndarray, *, kept: int = 16, max_nodes: int = 4000
 ) -> tuple[np.ndarray, int]:
-    """Find the points ``R k + y`` nearest to zero, `kept` at most: k (P, n), the nearest first, and
-    the number of visited nodes of the search tree.
+    """Find at most `kept` points ``R k + y`` nearest to zero, for integers k in a box.
 
-    They are searched within the radius that holds twice as many on average (the ball's volume
-    over that of a cell), and within a larger one if too few of them are in the box.
+    The search radius is the one whose ball holds twice `kept` points on average (its volume over
+    that of a cell); it grows if too few of them are in the box.
 
     Args:
         R: (n, n + 1): upper triangular without a zero on the diagonal, and y beside it.
         low, high: (n,), integers, the box of k.
         max_nodes: number of nodes after which a search ends with the points found so far.
+
+    Returns:
+        k (P, n), the nearest first, and the number of visited nodes of the search tree.
     """
     tree = _Tree(R, low, high, kept, max_nodes)
     tree.search()

@@ -22,7 +22,9 @@ _Scalars = Sequence[Any]  # floats, arrays (N,) or traced numbers
 
 
 def _solve_damped(J: _Scalars, e: _Scalars, free: _Scalars, damping: Any, m: int) -> list[Any]:
-    """Smallest u with ``J F u = e`` in the damped sense: ``u = F J' (J F J' + damping 1)^-1 e``.
+    """Compute the damped least-squares solution u of ``J F u = e``.
+
+    ``u = F J' (J F J' + damping 1)^-1 e``.
 
     Args:
         J, e: m x n, row after row; m.
@@ -162,7 +164,11 @@ def rows(n: int, context: int, twists: int) -> dict[str, range]:
 
 
 def accept(s: State, m: int) -> Outcome:
-    """Take a target (4 x 4, row after row) and a seed; fault: 1 not finite, 2 no rotation."""
+    """Begin a search: take over the target (4 x 4, row after row) and the seed, put inside the
+    limits.
+
+    ``fault``: 1 where a number is not finite, 2 where the target has no rotation.
+    """
     T = s["given"]
     axes = [T[4 * i + j] for j in range(3) for i in range(3)]
     size: Any = 0.0

@@ -142,8 +142,11 @@ class Predictor:
         return mean * self.scale + self.offset, variance * self.scale**2
 
     def _unknown_context(self, raw: Array, x: Array) -> Array:
-        """Variance (N, 3) in m^2 of unknown context: the effect of one training sd, summed over
-        the columns."""
+        """Return the variance (N, 3) in m^2 by unknown circumstances.
+
+        It is the squared effect of one standard deviation of the training data, summed over the
+        columns.
+        """
         unknown = np.isnan(raw[:, self.encoding.kept])
         variance = np.zeros((len(x), len(self.offset)))
         for column in np.flatnonzero(unknown.any(axis=0)):

@@ -44,7 +44,7 @@ class Stack:
         return vmap(self._at)(weights, x)
 
     def jacobian(self, weights: Tensor, x: Tensor) -> Tensor:
-        """``dy / dweights`` (M, N, k, D)."""
+        """Return the derivatives ``dy / dweights`` (M, N, k, D)."""
         slope = jacrev(lambda weights, x: self._at(weights, x[None])[0])
         return vmap(vmap(slope, in_dims=(None, 0)))(weights, x)
 
@@ -171,7 +171,7 @@ class TanhStack(Stack):
 
 
 def hidden_alike(v: Tensor) -> Tensor:
-    """(M, H) hidden units whose incoming weights repeat those of an earlier unit up to sign.
+    """Mark (M, H) the hidden units whose incoming weights repeat an earlier unit's, up to sign.
 
     Such units have the same gradient, so back-propagation can never separate them.
     """

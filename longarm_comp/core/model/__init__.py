@@ -1,1 +1,1 @@
-"""The model of an arm with its effects: prediction, columns of parameters, model file."""
+"""The model of an arm with its effects: prediction, derivatives by parameters, model file."""

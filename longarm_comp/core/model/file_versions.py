@@ -26,7 +26,10 @@ def write_version(path: str | Path, content: bytes) -> None:
 
 
 def settle(path: str | Path) -> None:
-    """Finish a broken-off `write_version`: what it kept is the previous version, or not needed."""
+    """Finish a `write_version` that was interrupted.
+
+    The file that it had kept becomes the previous version, or is removed if nothing was replaced.
+    """
     path = Path(path)
     kept = _beside(path, "before")
     if not os.path.isfile(kept):

@@ -104,7 +104,8 @@ def entered(model: Model, path: np.ndarray) -> str:
 
 
 def entered_at(model: Model, q: np.ndarray) -> str:
-    """Say the same as `entered`, for postures (M, n) on the way."""
+    """Name the first keep-out box that the arm enters at postures (M, n), and the joints; "" if
+    none."""
     for joints, found in zip(q.tolist(), boxes_entered(model, q), strict=True):
         if found:
             at = ", ".join(f"{number:.3g}" for number in joints)

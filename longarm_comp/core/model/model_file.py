@@ -331,7 +331,7 @@ def _restore_uncertainty(stored: StoredModel, model: Model, where: str) -> Model
 
 
 def _check_placement(term: Effect | Bias, arm: Arm, where: str) -> None:
-    """Check places and forms: of the declared kind, on their scale, on this arm."""
+    """Check that a term's places and scales have the declared type and exist on this arm."""
     kinds = get_type_hints(type(term))
     for name, value in term.placement.items():
         kind = kinds[name]

@@ -207,10 +207,12 @@ def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
 
 
 def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, np.ndarray]:
-    """(6, 3, ...) by station: how the tip moves with the components of its twist.
+    """Compute how a unit of each component of a station's twist moves the tip.
 
-    The first three are its shift by a translation, and the turn of its axes by a rotation; the
-    others its shift by a rotation.
+    Returns:
+        By station (6, 3, ...): the first three are the shift of the tip by a unit translation,
+        which is also the turn of its axes by a unit rotation; the others are its shift by a unit
+        rotation.
     """
     shape = np.broadcast_shapes(*map(np.shape, tip))
     made: dict[int, np.ndarray] = {}

@@ -1,1 +1,1 @@
-"""Chooses the poses that would tell most."""
+"""The choice of poses whose measurement tells most."""

@@ -42,12 +42,12 @@ PASSES = 2
 
 @dataclass(frozen=True, eq=False)
 class OptimalPlan(Plan):
-    """Poses, the most informative first.
+    """A plan of poses, the most informative first.
 
     Attributes:
-        expected_m: rms error of the tip, over the joint box, that is expected once they are
-            measured, m.
-        ahead_m: the same after `AHEAD` more.
+        expected_m: rms error of the tip (m) over the joint box that is expected once they are
+            measured.
+        ahead_m: the same once `AHEAD` more poses are measured.
     """
 
     expected_m: float = float("nan")

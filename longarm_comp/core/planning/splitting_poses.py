@@ -77,7 +77,11 @@ def splitting_poses(
 
 
 def _noise(fit: ModelFit) -> np.ndarray:
-    """Return (3,) noise of a position to be measured, m: as before, else the smallest length's."""
+    """Return the (3,) noise of a position to be measured, m.
+
+    It is the noise of the session's positions (an axis without one has the smallest), or the
+    smallest noise of its lengths if it holds no positions.
+    """
     if fit.session.blocks[0].kind == "position":
         return np.where(np.isfinite(fit.sigma[:3]), fit.sigma[:3], np.min(fit.sigma[:3]))
     lengths = (fit.sigma * fit.metres)[(fit.metres > 0) & np.isfinite(fit.sigma)]

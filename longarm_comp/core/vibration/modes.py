@@ -50,7 +50,7 @@ class Modes:
 
     @cached_property
     def driven(self) -> np.ndarray:
-        """(k, n) how a unit of each joint's acceleration drives a mode."""
+        """The (k, n) force on each mode by a unit acceleration of each joint."""
         return np.asarray(-(self.shape * self.mass) @ self.carried)
 
 

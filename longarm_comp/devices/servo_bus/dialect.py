@@ -134,7 +134,7 @@ class Dialect(ABC):
         return next((model.name for model in self.models if model.model_number == number), "")
 
     def turns_of(self, data: bytes) -> bool | None:
-        """True if ``turns`` says many turns; None: the servo is set for something else."""
+        """Return whether the bytes mean many turns; None where they mean another mode."""
         return {self.turns_bytes(True): True, self.turns_bytes(False): False}.get(data)
 
     def turns_said(self, data: bytes) -> str:

@@ -15,7 +15,8 @@ def signed(data: bytes) -> int:
 
 
 def sign_magnitude(bit: int) -> Callable[[bytes], int]:
-    """A value whose sign is one bit above its size."""
+    """Return a decoder of numbers whose sign is the given bit and whose size is the bits below
+    it."""
 
     def value(data: bytes) -> int:
         raw = unsigned(data)

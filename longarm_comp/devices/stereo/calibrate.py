@@ -119,7 +119,7 @@ def _points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.ndarray, 
 
 
 def _off(board: Target, rig: StereoRig, left: Corners, right: Corners) -> np.ndarray:
-    """Squared distances (N,) m^2 of triangulated corners from the declared board."""
+    """Return squared distances (N,) m^2 of triangulated corners from the declared board."""
     ids, points = _points(rig, left, right)
     turn, move = kabsch(board.points(ids), points, np.ones(len(ids)))
     return np.sum((points - board.points(ids) @ turn.T - move) ** 2, axis=1)

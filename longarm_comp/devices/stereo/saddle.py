@@ -14,7 +14,7 @@ _REACH = (0.7, 0.5, 0.45, 0.45)  # half window across a side, in cells; one pass
 
 
 def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
-    """Sub-pixel corners (N, 4, 2) of dark squares on light ground.
+    """Locate the corners (N, 4, 2) of dark squares on light ground to a fraction of a pixel.
 
     Args:
         quads: (N, 4, 2) px, corners in order around each tag, good to about a pixel.

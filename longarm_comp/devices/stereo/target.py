@@ -174,7 +174,8 @@ class CharucoTarget:
         return Corners(ids, refine_saddles(grey, pixels, half) if half >= 3 else pixels)
 
     def _px_per_m(self, ids: NDArray[np.int64], pixels: Array) -> float:
-        """Smallest distance between neighbouring corners seen, over the side of a square."""
+        """Return the scale of the image, px/m: the smallest distance between two seen neighbouring
+        corners over the side of a square; 0 without neighbours."""
         apart = np.linalg.norm(pixels[:, None] - pixels, axis=2)
         neighbours = np.linalg.norm(self.points(ids)[:, None] - self.points(ids), axis=2)
         near = np.abs(neighbours - self.square_m) < 1e-6 * self.square_m

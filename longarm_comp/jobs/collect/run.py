@@ -96,12 +96,13 @@ class Progress:
     """The progress of a collection.
 
     Attributes:
-        done, total: visits in the bag, of the plan.
+        done, total: number of visits that are in the bag, and in the plan.
+        visit: index of the visit now; -1 before the first.
         made: visits of this run by their index, the last one last: why the marker was lost there,
             or "" where it was seen.
-        seconds_left: NaN: not known yet.
+        seconds_left: estimate of the time left, s; NaN while it is not known.
         state: "running", "waiting", "done" or "ended".
-        why: why it waits or ended.
+        why: the reason why the collection waits or has ended.
     """
 
     done: int

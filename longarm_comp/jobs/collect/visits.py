@@ -76,9 +76,12 @@ def visits(
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """One question asked of every visit: why it does not pass, or "".
+    """One question that is asked of every visit of a plan.
 
-    `blocks`: whether a visit that does not pass is not driven.
+    Attributes:
+        question: the question.
+        faults: for each visit why it does not pass, or "".
+        blocks: whether a visit that does not pass is not driven.
     """
 
     question: str
@@ -154,7 +157,7 @@ def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: 
 
 
 def in_words(faults: Iterable[str]) -> str:
-    """Count the faults of each kind, the most frequent first."""
+    """Say in words how many faults of each kind there are, the most frequent first."""
     kinds = Counter(fault.partition(": ")[0] for fault in faults)  # without their figures
     return ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
 

@@ -296,10 +296,13 @@ def _is_heading(row: Sequence[str], width: int) -> bool:
 
 
 def _join_names(lines: Lines, width: int, ids: int) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Join the columns' names from the lines above the numbers; return these lines' numbers too.
+    """Join the names of the columns from the heading lines above the numbers.
 
-    A line above a blank one, with a number or of one cell is a title and ends them, but for numbers
-    from the place `ids` on.
+    Headings end, upwards, at a blank line, at a line of a single cell, and at one that holds a
+    number in the columns before `ids`.
+
+    Returns:
+        The names, and the numbers of the lines that they come from.
     """
     headings: Lines = []
     for k in reversed(range(len(lines))):

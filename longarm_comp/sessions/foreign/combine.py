@@ -1,5 +1,5 @@
-"""Tables of one session put together: days after each other, joints beside the tracker's points,
-markers side by side as rows, rows in the order of a column."""
+"""Joins the tables of one session into one: those of several days, of joints and of the tracker's
+points, of markers side by side, and rows in the order of a column."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def _nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
 
 
 def _closest(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    """(N,) place in ``two`` of the number closest to each of ``one``."""
+    """Return for each number of ``one`` (N,) the place in ``two`` of the number closest to it."""
     order = np.argsort(two, kind="stable")
     after = np.searchsorted(two[order], one).clip(1, max(len(two) - 1, 1))
     pair = order[np.stack([after - 1, np.minimum(after, len(two) - 1)])]

@@ -104,7 +104,7 @@ class _Imported:
     markers: tuple[str, ...] = ()  # that stood side by side
 
     def preview(self) -> list[dict[str, Any]]:
-        """Return a row a column: what it was read from, in which unit, and its range."""
+        """Return one row for each column: what it was read from, its unit, and its range."""
         rows = []
         for column in self.sources:
             values = self.columns[column.name]

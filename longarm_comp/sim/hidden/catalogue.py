@@ -19,7 +19,7 @@ _Maker = Callable[[Arm, np.random.Generator], HiddenEffect]
 
 
 def _kind(arm: Arm, kind: str) -> Array:
-    """1 for the motors of a kind, else 0, (n,)."""
+    """Return (n,) 1 for the motors of joints of a kind, else 0."""
     return np.array([float(arm.joints[row - 1].type == kind) for row in arm.commanded])
 
 

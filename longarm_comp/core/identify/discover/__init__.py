@@ -1,1 +1,1 @@
-"""Search for effects without a name: place, component and function of what the library leaves."""
+"""The search for effects without a name: place, component and function."""

@@ -1,8 +1,8 @@
-"""Every component times every function: which of these explain most on top of a fit.
+"""Searches all products of a component and a function for those that explain most of a residual.
 
 A candidate's column is the motion of the channels by a unit of a component, row by row times a
 function of the inputs.  Its products with the geometry's columns and with the residual are
-therefore matrix products, and some hundred thousand candidates are looked at in a second, on some
+therefore matrix products, and some hundred thousand candidates are tried in a second, on a part
 of the rows.  The best of every kind are then weighed on all rows.
 """
 
@@ -50,25 +50,25 @@ look, which counts in single precision."""
 
 @dataclass(frozen=True)
 class Spot:
-    """Where, and which component: of the arm a place and a twist or load, of the camera an axis."""
+    """A place and a component there: a twist or load on the arm, an axis at the camera."""
 
     at: str
     component: str
 
     @property
     def kind(self) -> tuple[str, str]:
-        """Spot and word of the component, without its axis."""
+        """The place, and the component without its axis."""
         return self.at, self.component.split(" ")[0]
 
 
 @dataclass(frozen=True)
 class FunctionCandidate:
-    """Columns that are fitted together.
+    """Functions at places that are fitted together.
 
     Attributes:
         members: place and function of each column.
-        decay: prior of each, against the first.
-        log_prior: of the choice among all candidates.
+        decay: prior standard deviation of each, relative to the first.
+        log_prior: log prior of the choice among all candidates.
     """
 
     members: tuple[tuple[Spot, Function], ...]
@@ -77,11 +77,11 @@ class FunctionCandidate:
 
 
 class Bank:
-    """All candidates of one side: components times functions.
+    """All candidates of one side, the arm's or the camera's: components times functions.
 
     Args:
-        fit: whose rows, noise and columns count.
-        places: K components.
+        fit: the fit, with its rows, noise and columns.
+        places: the K components.
         units: (N, d, K) motion of the channels by a unit of each, m or rad.
         functions: G functions at the N rows.
     """
@@ -104,7 +104,8 @@ class Bank:
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
     def evidences(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
-        """(C,) log odds of candidates on top of a marginal, on all rows, with their priors."""
+        """Return the (C,) log odds of candidates on top of a marginal, on all rows, priors
+        included."""
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
         for count in np.unique(counts).tolist():
@@ -114,7 +115,7 @@ class Bank:
         return made
 
     def _worth(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
-        """(C,) log evidence of candidates of the same number r of members."""
+        """Return the (C,) log evidence of candidates that all have the same number of members."""
         count = len(listed[0].members)
         white = self._white([member for h in listed for member in h.members])
         unit = white * (np.concatenate([h.decay for h in listed]) / self._rms(white))
@@ -127,11 +128,11 @@ class Bank:
         return _averaged(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
     def sizes(self, candidate: FunctionCandidate) -> np.ndarray:
-        """(r,) rms shift of the rows by a unit of each column, in units of the noise."""
+        """Return the (r,) rms shift of the rows by a unit of each column, in units of the noise."""
         return self._rms(self._white(candidate.members))
 
     def _white(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
-        """(dM, r) columns per unit of the M inliers, in units of the noise."""
+        """Return the (dM, r) columns per unit at the M inliers, in units of the noise."""
         made = [
             self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
         ]
@@ -145,11 +146,11 @@ class Bank:
     def shortlisted(
         self, kept: np.ndarray, left: Sequence[np.ndarray]
     ) -> list[list[list[FunctionCandidate]]]:
-        """By what is left, the best of every kind, by the first look.
+        """Return the best candidates of every kind by a first look, for each residual in `left`.
 
         Args:
-            kept: (p,) columns of the fit that no candidate may stand for.
-            left: each (N, d), whitened: what a part of the fit, or all of it, leaves.
+            kept: (p,) mask of the fit's columns that no candidate may stand for.
+            left: residuals (N, d), whitened, of the fit or of a part of it.
         """
         rows = np.flatnonzero(self.fit.weights > 0)
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int))]
@@ -171,7 +172,7 @@ class Bank:
     def _taken(
         self, rows: np.ndarray, kept: np.ndarray, white: np.ndarray, values: np.ndarray
     ) -> np.ndarray:
-        """(K, G) squares that the fit's columns take of the components times the functions."""
+        """Return the (K, G) part of each candidate's square that the fit's columns explain."""
         design = whitened_design(self.fit)[rows][..., kept]
         flat = flattened(design)
         factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
@@ -188,9 +189,11 @@ class Bank:
             return np.stack(list(pool.map(squares, turned)))
 
     def _best(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
-        """The best of every kind by the (K, G) log evidence of each component and function.
+        """Yield the best candidates of every kind.
 
-        That of several columns is taken to be the sum of theirs.
+        Args:
+            worth: (K, G) log evidence of each component and function. That of several columns is
+                taken to be their sum.
         """
         alone = [g.functions[0] for g in self._single]
         for sharp in (False, True):
@@ -224,7 +227,10 @@ class Bank:
     def _candidate(
         self, members: Sequence[tuple[int, int]], group: FunctionGroup | None
     ) -> FunctionCandidate:
-        """Of numbers of components and functions; of one function at each joint without a group."""
+        """Make a candidate from numbers of components and functions.
+
+        Without a group it holds one function at each joint.
+        """
         named = tuple((self.places[k], self.functions.listed[f]) for k, f in members)
         if group is None:
             prior = -math.log(len(FunctionFamily) * len(self.functions.each_joint))
@@ -233,7 +239,8 @@ class Bank:
         return FunctionCandidate(named, decay, self._prior(group))
 
     def _prior(self, group: FunctionGroup) -> float:
-        """Log prior of a group of functions at one component; half is for components alone."""
+        """Return the log prior of a group of functions at one component; half is for single
+        components."""
         if group.family is FunctionFamily.OWN_JOINT:
             return -math.log(len(FunctionFamily) * len(self.functions.own_joint))
         alike = 2.0 * self.functions.counts[group.family] * len(self.places)
@@ -241,10 +248,13 @@ class Bank:
 
 
 def _by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """(A, ...) log evidence of columns.
+    """Compute the (A, ...) log evidence of columns at each amplitude.
 
-    By their projected products: t with the data, s with themselves.  A unit of each shifts the
-    rows by one noise, rms.
+    A unit of each column shifts the rows by one noise, rms.
+
+    Args:
+        t: projected products of the columns with the data.
+        s: projected products of the columns with themselves.
     """
     square = np.array(AMPLITUDES, dtype=t.dtype).reshape(-1, *(1,) * t.ndim) ** 2
     grown = 1.0 + square * s
@@ -252,40 +262,42 @@ def _by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def _averaged(each: np.ndarray) -> np.ndarray:
-    """Log of the mean evidence over the amplitudes (A, ...)."""
+    """Return the log of the mean evidence over the amplitudes (A, ...)."""
     return np.asarray(np.logaddexp.reduce(each, axis=0) - math.log(len(each)))
 
 
 def _together(each: np.ndarray) -> np.ndarray:
-    """(...) sum of the log evidence of (r, ...) columns, without those that move nothing."""
+    """Sum the log evidence of (r, ...) columns, without those that move nothing."""
     seen = np.isfinite(each)
     return np.where(seen.any(axis=0), np.where(seen, each, 0.0).sum(axis=0), -np.inf)
 
 
 def weight(fit: ModelFit) -> np.ndarray:
-    """(N, d) one over the noise where a row counts and holds a channel, else 0."""
+    """Return (N, d) the root of the row's weight over the noise; 0 where a row lacks the
+    channel."""
     held = np.isfinite(fit.sigma) & fit.session.measured
     return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
 
 
 def whitened_design(fit: ModelFit) -> np.ndarray:
-    """(N, d, p) columns of a fit, prior-scaled and over the noise."""
+    """Return the design (N, d, p) of a fit, scaled by the priors and divided by the noise."""
     return fit.columns * priors(fit.slots) * weight(fit)[..., None]
 
 
 def flattened(design: np.ndarray) -> np.ndarray:
-    """(N d, p) of (N, d, p), where a model has no free parameter too."""
+    """Reshape a design (N, d, p) to (N d, p), also for p = 0."""
     return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
 
 
 def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Marginal, np.ndarray]:
-    """Evidence on top of some of a model's columns, without regard to correlated noise.
-
-    And (N, d) what these leave, whitened.
+    """Marginalise some of a model's columns, as if the noise were not correlated.
 
     Args:
-        kept: which of the model's columns.
-        beside: (m, k) further columns, whitened without that regard.
+        kept: (p,) mask of these columns of the model.
+        beside: (m, k) further columns, whitened in the same way.
+
+    Returns:
+        The marginal, and (N, d) the whitened residual that the columns leave.
     """
     inside = fit.weights > 0
     weights = weight(fit)
@@ -299,7 +311,7 @@ def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Ma
 
 
 def _top(table: np.ndarray) -> list[tuple[int, int]]:
-    """Places of the largest finite entries."""
+    """Return the places (row, column) of the largest finite entries."""
     flat = table.ravel()
     if not flat.size:
         return []
@@ -308,7 +320,7 @@ def _top(table: np.ndarray) -> list[tuple[int, int]]:
 
 
 def banks(fit: ModelFit) -> tuple[Bank, ...]:
-    """Candidates of the arm's side and, where positions are seen, of the camera's."""
+    """Make the banks of the arm's side and, where positions are measured, of the camera's."""
     arm, rows = fit.model.arm, fit.session
     spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
     spots, units = _moving(fit, spots)
@@ -323,14 +335,15 @@ def banks(fit: ModelFit) -> tuple[Bank, ...]:
 
 
 def term_of(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
-    """The term of a model that a place and a function stand for."""
+    """Make the term of a model that stands for a place and a function."""
     if place.at == CAMERA:
         return DiscoveredView(place.component, function, domain, scale)
     return Discovered(place.at, place.component, function, domain, scale)
 
 
 def _distinct(arm: Arm) -> list[str]:
-    """Places that are not the same as another: a row's end where it has a length."""
+    """List the places that coincide with no other: a row's end counts only if the row has a
+    length."""
     same = {f"frame {j.id}" for j in arm.joints if j.d_m == 0 and j.type != "prismatic"}
     if arm.tip.frame and not any(arm.tip.position_m):
         same.add(f"frame {arm.tip.frame}")
@@ -338,7 +351,8 @@ def _distinct(arm: Arm) -> list[str]:
 
 
 def _moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
-    """The K places where something moves a channel, and (N, d, K) motion by a unit of each."""
+    """Return the K places where something moves a channel, and (N, d, K) the motion by a unit of
+    each."""
     slots = slots_of(fit.model.arm, [term_of(spot, "1", "", 1e-3) for spot in spots])
     columns = equations(fit.model, fit.session, fit.posture, slots).columns
     largest = np.abs(columns).max(axis=(0, 1))
@@ -347,7 +361,8 @@ def _moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
 
 
 def _axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
-    """By commanded joint, the component that moves it along its own axis; where all have one."""
+    """Return for each commanded joint the component along its own axis; empty if any joint lacks
+    one."""
     slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
     own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
     return [number[spot] for spot in own] if number.keys() >= set(own) else []

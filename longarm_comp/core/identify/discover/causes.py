@@ -1,4 +1,4 @@
-"""Causes without a name: the functions that were found, in words and figures."""
+"""Causes without a name: the discovered functions, in words and figures."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ class Cause:
     """One cause without a name.
 
     Attributes:
-        terms: as the model holds them.
-        where: places that explain it alike; the first is the one in the model.
+        terms: its terms as the model holds them.
+        where: places that explain it equally well; the first is the one in the model.
         names: effects of the library that may be the cause instead, with their probability.
         formula: place, component and function with units.
-        reading: what it behaves like.
-        domain: range of each quantity in the data; outside, it counts as at the end.
+        reading: what it behaves like, in words.
+        domain: range of each quantity in the data; beyond it the value at the end holds.
         inputs: names of these quantities.
         amounts: the coefficients.
-        log_evidence: on top of the rest.
-        probability: that it, or what it cannot be told from, is there.
+        log_evidence: log Bayes factor on top of the other effects.
+        probability: probability that it, or what it cannot be told from, is there.
         tip_m: rms and largest shift of the tip over the fitted rows.
         compensated: whether commands correct for it: never for what the camera alone sees, nor for
-            a circumstance that no command is told.
+            a circumstance that no command knows.
     """
 
     terms: tuple[words.Found, ...]
@@ -65,7 +65,7 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """The formula, what it amounts to, and what it behaves like."""
+        """A sentence with the formula, its size at the tip, and what it behaves like."""
         rms, most = (1e3 * v for v in self.tip_m)
         text = f"{self.formula} ({rms:.2f} mm rms at the tip, at most {most:.2f}); {self.reading}"
         if len(self.where) > 1:
@@ -74,7 +74,7 @@ class Cause:
 
 
 def causes(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Cause, ...]:
-    """Of the functions among the single effects of a fit, the largest first."""
+    """Return the causes of the functions without a name among found effects, the largest first."""
     made = [_cause(fit, f) for f in found if f.unnamed]
     return tuple(sorted(made, key=lambda c: -c.tip_m[0]))
 
@@ -107,14 +107,15 @@ def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
 
 
 def _places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]:
-    """Where it may act: the place in the model, then others of the credible set."""
+    """Return where a cause may act: the place in the model, then others of the credible set."""
     first = " and ".join(dict.fromkeys(t.where for t in terms))
     other = [" and ".join(dict.fromkeys(places)) for places in found.where]
     return (*dict.fromkeys((first, *words.seen_alike(terms), *other)),)
 
 
 def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
-    """Joints measured at few positions, thresholds in a gap of the data, weight not declared."""
+    """Say what the data leave open about functions: few positions of a joint, a threshold in a gap
+    of the data, weights that are not declared."""
     made = []
     if any(effect.through_others for effect in fit.model.effects):
         made.append("arm.yaml declares no weight, so which part yields is not sure")
@@ -128,7 +129,7 @@ def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
 
 
 def proposed(fit: ModelFit, found: Sequence[Found], count: int, seed: int) -> np.ndarray:
-    """(M, n) poses that would settle the doubts, `count` each, rad and m; none without doubts."""
+    """Propose (M, n) poses, rad and m, that would settle the doubts: `count` for each doubt."""
     from scipy.stats import qmc  # takes a quarter of a second
 
     arm = fit.model.arm

@@ -46,7 +46,7 @@ want any."""
 
 
 class FunctionFamily(Enum):
-    """A kind of function; beforehand each is as likely as any other."""
+    """A kind of function; all kinds are equally likely beforehand."""
 
     CONSTANT = "constant"
     LINEAR = "linear"
@@ -62,7 +62,7 @@ class FunctionFamily(Enum):
 
     @property
     def sharp(self) -> bool:
-        """Whether it has a threshold."""
+        """Whether functions of this kind have a threshold."""
         return self in (FunctionFamily.SWITCH, FunctionFamily.CONTACT)
 
 
@@ -75,9 +75,9 @@ class FunctionGroup:
     """Functions that are fitted together, with one amount each.
 
     Attributes:
-        family: kind.
+        family: their kind.
         functions: numbers of the functions.
-        decay: of their priors, against the first.
+        decay: prior standard deviation of each, relative to the first.
         rare: number of quantities that a cause is not likely to depend on; each has the odds of
             an effect that is not there (`NONE`).
     """
@@ -98,10 +98,11 @@ class Functions:
     Attributes:
         listed: the functions.
         groups: those that are fitted together at one component.
-        each_joint: those that are fitted together, each (commanded joint, function) of it along
-            that joint's own axis.
-        own_joint: by commanded joint, the smooth function of its position that moves it along its
-            own axis: what a hose, a spring or a gear without a form of its own does.
+        each_joint: sets of (commanded joint, function) that are fitted together, each function
+            along
+            its joint's own axis.
+        own_joint: by commanded joint, the smooth function of its position along its own axis, as by
+            a hose, a spring or a gear without a form of its own.
     """
 
     def __init__(self, inputs: Arguments, of: type[Quantity] | None = None) -> None:
@@ -117,7 +118,7 @@ class Functions:
 
     @cached_property
     def counts(self) -> Counter[FunctionFamily]:
-        """Groups of each family."""
+        """Number of groups of each family."""
         return Counter(group.family for group in self.groups)
 
     @cached_property
@@ -126,7 +127,7 @@ class Functions:
         return np.stack(self._values, axis=1)
 
     def number(self, *factors: Shape) -> int:
-        """Number of a product of shapes, added where it is new."""
+        """Return the number of a product of shapes; add it if it is new."""
         made = Function(factors)
         if made not in self._numbers:
             self._numbers[made] = len(self.listed)
@@ -135,7 +136,7 @@ class Functions:
         return self._numbers[made]
 
     def of(self, made: Function) -> np.ndarray:
-        """(N,) values of any function of the inputs."""
+        """Return the (N,) values of any function of the inputs."""
         values = np.ones(len(self.inputs.all[0].values)) if self.inputs.all else np.ones(0)
         for factor in made.factors:
             values = values * self._at(factor)
@@ -192,7 +193,8 @@ class Functions:
         self._each_joint()
 
     def _each_joint(self) -> None:
-        """One function for every joint: of its own, times what all joints share."""
+        """Add for all joints together an input of each joint times an input that all joints
+        share."""
         held = self.inputs.by_name
         joints = range(self.inputs.joints)
         for shared in (held[name] for name in self.inputs.shared):
@@ -203,7 +205,7 @@ class Functions:
                     self.each_joint.append(tuple(made))
 
     def _smooth_pair(self, a: Argument, b: Argument) -> None:
-        """Of joint positions, and of these with what all joints share."""
+        """Add a smooth function of two inputs: joint positions, or inputs that all joints share."""
         numbers, decay = [], []
         for i in range(TOTAL + 1):
             for j in range(TOTAL + 1 - i):
@@ -219,15 +221,16 @@ class Functions:
 
 
 def _linear(one: Argument) -> Shape:
-    """The input itself; about the middle of its range where that is far from zero.
+    """Return the input itself, about the middle of its range where that is far from zero.
 
-    So is one that no command is told: what a command leaves out is then nothing on average.
+    An input that no command knows is also centred, so that its omission from a command makes no
+    mean error.
     """
     return Legendre(*one.domain, 1) if one.far or not one.told else Linear(*one.domain)
 
 
 def switch(one: Argument, threshold: float) -> Switch:
-    """A switch at a threshold: a ramp over the gap in the data there."""
+    """Return a switch at a threshold, as a ramp over the gap that the data have there."""
     below = one.values[one.values < threshold]
     above = one.values[one.values >= threshold]
     half = 0.5 * float(above.min() - below.max()) if len(below) and len(above) else 0.0
@@ -236,7 +239,7 @@ def switch(one: Argument, threshold: float) -> Switch:
 
 
 def orders(one: Argument) -> list[float]:
-    """Harmonics that are tried of an input."""
+    """Return the harmonics of an input that are tried."""
     if one.smooth:
         return []
     if one.circular:
@@ -246,7 +249,7 @@ def orders(one: Argument) -> list[float]:
 
 
 def thresholds(one: Argument) -> list[float]:
-    """Thresholds that are tried of an input: its quantiles, off the levels."""
+    """Return the thresholds of an input that are tried: inner quantiles of its values."""
     if one.smooth:
         return []
     shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
@@ -254,10 +257,10 @@ def thresholds(one: Argument) -> list[float]:
 
 
 def nearby(shape: Shape, one: Argument, width: float) -> list[Shape]:
-    """The same shape with `DENSE` other thresholds or orders around it.
+    """Return the same shape with `DENSE` other thresholds or orders around it.
 
     Args:
-        shape: with a threshold or an order; nothing is near any other.
+        shape: a shape with a threshold or an order; for any other nothing is returned.
         one: its input.
         width: how far around, in steps between those that were tried.
     """

@@ -1,4 +1,4 @@
-"""What the functions of a discovered effect may depend on, read at the rows of a session."""
+"""The quantities that a discovered function may depend on, read at the rows of a session."""
 
 from __future__ import annotations
 
@@ -40,14 +40,15 @@ SEEN = "seen_"
 
 @dataclass(frozen=True)
 class Argument:
-    """One input at N rows.
+    """One quantity at N rows.
 
     Attributes:
-        name: of the quantity (`core/effects/quantities.py`).
-        values: (N,).
+        name: name of the quantity (`core/effects/quantities.py`).
+        values: (N,) its values.
         levels: number of distinct values, to a fiftieth of the range (a sagging arm blurs them).
-        circular: an angle, of which harmonics are natural.
-        smooth: a coordinate of what is seen: lenses bend it slowly, without waves or thresholds.
+        circular: whether it is an angle, of which harmonics are natural.
+        smooth: whether it is a coordinate of what is seen: lenses bend it slowly, without waves or
+            thresholds.
         told: whether a command knows it.
     """
 
@@ -70,12 +71,12 @@ class Argument:
 
     @property
     def domain(self) -> tuple[str, float, float]:
-        """Its name and range: what every shape of it begins with."""
+        """Its name and range, with which every shape of it begins."""
         return self.name, self.low, self.high
 
     @property
     def far(self) -> bool:
-        """Whether it is far from zero for its range, as the time of day in seconds is."""
+        """Whether it is far from zero compared with its range, as the time of day in seconds is."""
         return abs(self.low + self.high) > 2 * _FAR * (self.high - self.low)
 
     @property
@@ -86,10 +87,10 @@ class Argument:
 
 @dataclass(frozen=True)
 class Arguments:
-    """Arguments that differ from each other, at the rows of a session.
+    """The quantities that a discovered function may depend on; no two of them agree at every row.
 
     Attributes:
-        all: the inputs.
+        all: the quantities.
         shared: names of those that act on every joint alike (loads in all, time, columns).
         joints: number of commanded joints.
     """
@@ -105,7 +106,7 @@ class Arguments:
 
 
 def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
-    """Arguments of the arm's side at the rows of a session."""
+    """Read the quantities of the arm's side at the rows of a session."""
     rows = len(session)
     columns = tuple(
         "warmth" if n == "temperature_c" else n for n in session.columns if is_column(n)
@@ -132,7 +133,8 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
 def _resolved(
     arm: Arm, posture: Posture, found: Quantity, values: np.ndarray, widest: float
 ) -> float:
-    """The span from which on an input counts: beyond what is known of it."""
+    """Return the span from which on a quantity counts, because smaller ones are not known well
+    enough."""
     if isinstance(found, (JointPosition, JointSide)):
         span = float(np.ptp(np.asarray(posture.q[found.joint], float)))
         return 0.0 if span >= arm.telling[found.joint] else np.inf
@@ -144,7 +146,7 @@ def _resolved(
 
 
 def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
-    """Arguments of the measuring side: the seen point (N, 3) m, and recorded columns."""
+    """Read the quantities of the measuring side: the seen point (N, 3) m, and recorded columns."""
     made: list[Argument] = []
     for axis, values in zip("xyz", points.T, strict=True):
         _add(made, f"{SEEN}{axis}", values, None)
@@ -155,7 +157,8 @@ def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
 
 
 def _names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str]:
-    """Names of what may be tried, the plainest first: of two that are alike the first stays."""
+    """Yield the names of what may be tried, the plainest first: of two that agree the first
+    stays."""
     joints = range(1, arm.n + 1)
     rows = [joint.id for joint in arm.joints]
     yield from (f"q{j}" for j in joints)
@@ -170,7 +173,7 @@ def _names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str
 
 
 def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -> None:
-    """Add an input that varies and is not one of those before."""
+    """Add a quantity if it varies and agrees with none of those before."""
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
     largest = float(np.abs(values).max(initial=0.0))
     if span <= 1e-9 * max(1.0, largest) or largest > LARGEST:
@@ -190,6 +193,6 @@ def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -
 
 
 def levels_of(values: np.ndarray) -> int:
-    """Number of distinct values, to a fiftieth of their range."""
+    """Return the number of distinct values, to a fiftieth of their range."""
     span = float(np.ptp(values)) or 1.0
     return len(np.unique(np.round(_FINE * (values - values.min()) / span)))

@@ -22,10 +22,10 @@ BETTER = 1.0
 
 @dataclass(frozen=True)
 class Explanation:
-    """Single effects and what they are together.
+    """Several single effects together.
 
     Attributes:
-        bank: what was on offer.
+        bank: the offers among which they were chosen.
         effects: those that are there, in the order in which they were found.
     """
 
@@ -39,24 +39,24 @@ class Explanation:
 
     @cached_property
     def evidence(self) -> float:
-        """Log evidence of these together, priors paid."""
+        """Log evidence of the chosen offers together, their priors included."""
         return self.bank.evidence(self.chosen)
 
 
 def explain(
     bank: OfferBank, known: Sequence[int] = (), begun: Sequence[SingleEffect] | None = None
 ) -> Explanation:
-    """Effects by coordinate ascent, with a restart for each that was found.
+    """Find the single effects by coordinate ascent, with a restart for each effect found.
 
-    The ascent goes uphill only.  So it starts from nothing, and from what is known; and what each
-    effect was found to be is shut once, the rest finds others in its place, and it is let in
-    again; the explanation of higher evidence stays.
+    The ascent only goes uphill.  So it starts from nothing, and from what is known. Then the offers
+    of each effect found are excluded once, others are sought in its place, and the offers are
+    admitted again; the explanation of higher evidence stays.
 
     Args:
         bank: what is on offer.
         known: the offers that were found before.
-        begun: what explains the same offers by another tolerance. The ascent starts from it, too,
-            and has no restart of its own: what they bring, they brought there.
+        begun: what explains the same offers by another tolerance. The ascent also starts from it,
+            without restarts of its own, because those were made there.
     """
     most = len(known) + AT_ONCE
     starts = [_grown(bank, (), frozenset(), most)]
@@ -80,7 +80,7 @@ def explain(
 
 
 def _standing(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
-    """Some offers, each certain, with the coefficients that they have together."""
+    """Return some offers as certain effects, with the coefficients that they have together."""
     offers = [bank.offers[n] for n in known]
     made = []
     for n, offer, values in zip(known, offers, bank.joint(offers)[1], strict=True):
@@ -94,7 +94,7 @@ def _standing(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
 def _grown(
     bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
 ) -> Explanation:
-    """Add single effects until the last is none."""
+    """Add single effects until a new one is probably absent."""
     effects = list(start)
     while len(effects) < most:
         count = len(effects)
@@ -125,6 +125,6 @@ def _ascended(
 
 
 def _pruned(found: Explanation) -> Explanation:
-    """Without effects that the others make superfluous, the least first."""
+    """Drop effects that the others make superfluous, the least first."""
     kept = found.bank.worth_their_price(found.chosen)
     return Explanation(found.bank, tuple(found.effects[k] for k in kept))

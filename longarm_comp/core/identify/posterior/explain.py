@@ -1,9 +1,10 @@
 """The search for what the model lacks: a posterior over explanations, and the model refitted.
 
-Each round takes the session's equations at the model as it is, offers every effect of the library
-and functions without a name (`offers.py`), computes the posterior over them (`ascent.py`), puts
-the most probable explanation into the model, and fits that.  Noise and outliers are judged anew,
-and forms on a scale move to where the evidence is highest.  It ends when the explanation repeats.
+Each round linearises the session's equations at the present model, offers every effect of the
+library and functions without a name (`offers.py`), computes the posterior over them (`ascent.py`),
+puts the most probable explanation into the model, and fits that.  Noise and outliers are judged
+again, and forms on a scale move to where the evidence is highest.  The search ends when the
+explanation repeats.
 """
 
 from __future__ import annotations
@@ -75,11 +76,11 @@ def explain_session(
         base: the declared model with its geometry terms.
         session: training rows.
         candidates: the library.
-        known_noise: from repeats; judged from the residual otherwise.
+        known_noise: the noise from repeats; without it, it is judged from the residual.
         stepped: effects whose steps are scanned.
         functions: whether functions without a name are offered.
-        seed: of the samples of the rows that the probabilities are averaged over.
-        progress: told what is going on.
+        seed: seed of the samples of the rows over which the probabilities are averaged.
+        progress: called with the name of each step.
 
     Raises:
         InputError, JobError: as `fit`.
@@ -90,7 +91,7 @@ def explain_session(
 
 @dataclass
 class _Search:
-    """Goes from explanation to explanation, each better than the one before."""
+    """A search, which goes from explanation to explanation, each better than the one before."""
 
     base: Model
     session: Session
@@ -152,7 +153,8 @@ class _Search:
         )
 
     def _repeated(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
-        """Explain and fit while a better explanation is found, by new functions or the last."""
+        """Explain and fit while a better explanation is found; with `functions`, propose new ones
+        each time."""
         for _ in range(ROUNDS):
             self._scan(state)
             if functions:
@@ -175,11 +177,11 @@ class _Search:
         return state
 
     def _by_halves(self, state: ExplainedSession, seed: int) -> ExplainedSession:
-        """Try on all rows what explains either half of them, where functions are needed.
+        """Try on all rows the explanations of either half of them, where functions are needed.
 
-        Of many causes none may be worth its price while the others count as noise: the ascent stops
-        there.  Other rows stop it elsewhere.  What either finds by itself is a sample of what
-        another session would say.
+        Of many causes none may be worth its price while the others count as noise, so that the
+        ascent stops early.  On other rows it stops elsewhere.  What each half finds by itself is
+        also a sample of what another session would show.
         """
         if not any(f.unnamed for f in state.found):
             return state
@@ -196,7 +198,7 @@ class _Search:
         return state
 
     def _explained(self, state: ExplainedSession) -> Explained | None:
-        """The best explanation by any tolerance, where it is better than what stands."""
+        """Return the best explanation by any tolerance, or None if the present one is as good."""
         first, *others = sorted(
             self._offered(state.fit, state.found), key=lambda bank: -bank.standing
         )
@@ -205,11 +207,12 @@ class _Search:
         return best if best.evidence >= first.standing + BETTER else None
 
     def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:
-        """Whether the explanation in the model is better, once fitted, than the one before.
+        """Tell whether the explanation in the model, once fitted, is better than the one before.
 
-        Columns are those of small changes: of two effects that need each other, as a load needs
-        what gives way, one seems to do what only both can.  Each counts as it is, with what it
-        does not need: else an explanation could not take the place of the same one with more.
+        The columns are those of small changes. Where two effects need each other, as a load needs a
+        part that yields, one alone seems to do what only both can.  So each explanation counts with
+        all of its effects, also those that are not worth their price: else it could not replace the
+        same one with more effects.
         """
         was = before.fit
         again = fit(was.model, self.session, close=NEAR, begun=was, **now.fit.judged)
@@ -219,14 +222,16 @@ class _Search:
     def _standing(
         self, fitted: ModelFit, found: Sequence[FoundEffect]
     ) -> tuple[float, ModelTolerance]:
-        """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
+        """Return the log evidence of an explanation in the model, and the tolerance where it is
+        highest."""
         every = self._offered(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
     def _rest(self, state: ExplainedSession) -> float:
-        """How much every other part yields (`ModelTolerance.compliance`), the names being decided.
+        """Return how much every other part yields (`ModelTolerance.compliance`), once the names are
+        decided.
 
-        Where one is soft by a name, that the others are as soft is no cause of its own.
+        Where one part has a name for being soft, equally soft others are no cause of their own.
         """
         soft = any(t.elastic for f in state.found for t in f.terms)
         every = self._offered(state.fit, state.found, others=False)
@@ -234,9 +239,10 @@ class _Search:
         return best.tolerance.compliance
 
     def _whole(self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit) -> float:
-        """Log evidence of all effects of an explanation that is fitted.
+        """Return the log evidence of all effects of an explanation in the model.
 
-        None is pruned: the columns say little of the arm without an effect that is large in it.
+        None of them is dropped: the columns tell little about the arm without an effect that is
+        large.
         """
         every = self._offered(fitted, found, others=False, **near)
         return max(bank.standing for bank in every)
@@ -244,10 +250,11 @@ class _Search:
     def _compared(
         self, state: ExplainedSession
     ) -> tuple[ExplainedSession, tuple[FoundEffect, ...], bool]:
-        """Take the fit to its end, and compare what may stand in the place of every effect.
+        """Converge the fit, and compare every effect with those that may stand in its place.
 
-        Returns the state, what is doubtful, and whether another effect was better somewhere, so
-        that all else must be explained anew.
+        Returns:
+            The state, the doubtful effects, and whether another effect was better somewhere, so
+            that everything must be explained again.
         """
         was = state.fit
         state = replace(state, fit=fit(was.model, self.session, begun=was, **was.judged))
@@ -277,11 +284,16 @@ class _Search:
     def _held_against_absence(
         self, state: ExplainedSession
     ) -> tuple[ExplainedSession, dict[str, tuple[FoundEffect, float]]]:
-        """Hold each name against the best explanation without it, and take the better one.
+        """Compare each name with the best explanation without it, and take the better one.
 
-        Several functions may stand where one name does, and no exchange of one for one finds them.
-        Where no function is needed beside the names, or the part gives way as all do, none is.
-        By name that stays: the function that would be there, and the log odds of its being.
+        Several functions may stand in the place of one name, and exchanging one effect for one
+        never finds them. This is not tried where the explanation needs no function, nor for elastic
+        effects.
+
+        Returns:
+            The state; and for each name that stays the function that would replace it, with the log
+                odds
+            of that explanation.
         """
         absence: dict[str, tuple[FoundEffect, float]] = {}
         held: set[str] = set()
@@ -306,7 +318,8 @@ class _Search:
         return state, absence
 
     def _odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
-        """Log odds of another explanation against one: the mean of those at either's noise."""
+        """Return the log odds of `other` against `one`: the mean of those at the noise of
+        either."""
         made = []
         for judged in (one.fit.judged, other.fit.judged):
             fits = (fit(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other))
@@ -317,7 +330,11 @@ class _Search:
         return sum(made) / len(made)
 
     def _refitted(self, state: ExplainedSession, found: tuple[FoundEffect, ...]) -> float:
-        """Log evidence of other effects than those of a state, fitted to the same noise."""
+        """Return the log evidence of other effects in the place of a state's, fitted with the same
+        noise.
+
+        It is -inf where two of them share a place or the fit fails.
+        """
         places = [t.key for f in found for t in f.terms]
         if len(set(places)) < len(places):
             return -math.inf
@@ -335,7 +352,10 @@ class _Search:
         others: bool = True,
         near: ModelFit | None = None,
     ) -> list[OfferedEffects]:
-        """By tolerance; forms count where something is in the model."""
+        """Offer effects on top of a fit, once for each model tolerance that applies.
+
+        Tolerances with another form than the first are tried only if something was found.
+        """
         tried = [
             tolerance
             for tolerance in TOLERANCES
@@ -347,7 +367,7 @@ class _Search:
         )  # fmt: skip
 
     def _scan(self, state: ExplainedSession) -> None:
-        """Offer the steps that the residual shows."""
+        """Replace the scanned candidates by the steps that the residual shows now."""
         need = NONE + math.log(max(len(self.candidates), 1))
         shown = [c for kind in self.stepped for c in scan(state.fit, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
@@ -355,7 +375,7 @@ class _Search:
     def _taken(
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
-        """The model fitted with what was found; None where that runs away."""
+        """Fit the model with these effects; None where the fit diverges."""
         model = put_in(self.base, state.fit.model, found)
         try:
             return self._fitted(model, found, state)
@@ -365,7 +385,7 @@ class _Search:
     def _fitted(
         self, model: Model, found: tuple[FoundEffect, ...], before: ExplainedSession | None
     ) -> ExplainedSession:
-        """The noise judged by all that the library could explain, then a fit."""
+        """Judge the noise by the residual of all that the library could explain, then fit."""
         if before is None or not found:
             first = fit(model, self.session)
             at = FitColumns(first)
@@ -381,7 +401,8 @@ class _Search:
         return ExplainedSession(fitted, found, noise)
 
     def _reformed(self, state: ExplainedSession) -> ExplainedSession:
-        """Move forms on a scale to where the evidence is highest, while the rows agree better."""
+        """Move forms on a scale to where the evidence is highest, while more rows agree with the
+        model."""
         for _ in range(ROUNDS):
             terms = [t for f in state.found for t in f.terms]
             moved = better_forms(state.fit, terms, self.candidates)

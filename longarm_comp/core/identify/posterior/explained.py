@@ -1,4 +1,4 @@
-"""A session that is explained: the model with what was found in it, fitted."""
+"""The explained session: the model with what was found in it, fitted."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from longarm_comp.core.model.model import Model
 
 @dataclass(frozen=True)
 class ExplainedSession:
-    """A model with what was found in it, fitted.
+    """A model with what was found in a session, fitted to it.
 
     Attributes:
-        fit: the model; at the end with what gives way besides what was found.
+        fit: the fitted model; at the end also with what yields besides what was found.
         found: the single effects in the model, with their credible sets.
-        noise: as judged last.
+        noise: the noise as it was judged last.
         doubtful: single effects whose presence is in doubt, not in the model.
         candidates: the library as it was offered last.
         tolerance: what moves the rows besides.
-        linear: its linear stage, to be repeated on other rows.
+        linear: the linear stage of the search, which can be repeated on other rows.
     """
 
     fit: ModelFit
@@ -51,7 +51,7 @@ class ExplainedSession:
 
 
 def without_idle(fitted: ModelFit) -> ModelFit:
-    """Leave out what acts through others, where there is nothing that it acts through."""
+    """Leave out effects that act through others if the model has none that they act through."""
     model = fitted.model
     idle = {e.key for e in model.effects if e.through_others}
     if not idle or any(e.loaded for e in model.effects if e.key not in idle):
@@ -60,7 +60,8 @@ def without_idle(fitted: ModelFit) -> ModelFit:
 
 
 def loosen(found: FoundEffect) -> FoundEffect:
-    """Widen the prior of a function until it hardly pulls: that it is there is decided."""
+    """Widen a function's prior until it hardly pulls at the amount; its existence is already
+    decided."""
     if not found.unnamed:
         return found
     terms = tuple(
@@ -71,7 +72,7 @@ def loosen(found: FoundEffect) -> FoundEffect:
 
 
 def put_in(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
-    """Put what was found into the base model, at the values of the model as it is now."""
+    """Put found effects into the base model, at the values that they have in the model `now`."""
     known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
     terms = (alike.get(t.variant, t) for f in found for t in f.terms)
     return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])

@@ -1,8 +1,8 @@
-"""Forms on a scale: where the evidence is highest.
+"""Moves forms on a scale to where the evidence is highest.
 
 A row on the wrong side of a threshold errs by the whole jump.  So it is set aside as an outlier,
-and with it goes what would have moved the threshold.  Therefore, where rows were set aside,
-the form is looked for first that most rows agree on, each counting no more than an outlier.
+and with it the information that would have moved the threshold.  Therefore, where rows were set
+aside, the form with which most rows agree is sought first, and no row counts more than an outlier.
 """
 
 from __future__ import annotations
@@ -26,9 +26,12 @@ from longarm_comp.core.identify.posterior.offers import evidence_of_each
 def better_forms(
     fit: ModelFit, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> dict[tuple[str, str], Term]:
-    """The terms (as they were offered) that are better in another form, by place.
+    """Find the terms that fit better in another form.
 
-    One after the other: a form is judged beside those that moved before it.
+    Each form is judged beside those that have moved before it.
+
+    Returns:
+        Such terms in their better form, by effect and place.
     """
     fitted = {t.key: t for t in fit.model.terms}
     moved: dict[tuple[str, str], Term] = {}
@@ -43,13 +46,14 @@ def better_forms(
 def refined(
     fit: ModelFit, term: Term, candidates: Sequence[Candidate], moved: Sequence[Term] = ()
 ) -> Term:
-    """The term in the form of highest evidence: of those that were tried, then between them.
+    """Return the term in the form of highest evidence, first of the tried values, then between
+    them.
 
-    As it is, where that is hardly better: a refit costs more than it brings.
+    The term is unchanged where that is hardly better: a refit costs more than it brings.
 
     Args:
-        fit: that holds the term.
-        term: as it is in the model.
+        fit: the fit that holds the term.
+        term: the term as it is in the model.
         candidates: their values of the scales are the tried ones.
         moved: other terms of the model, in forms that were found better since it was fitted.
     """
@@ -78,9 +82,12 @@ def refined(
 
 
 def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.ndarray]) -> Term:
-    """The form of the highest worth, first of some (M, s) values of the scales, then between them.
+    """Search the scales for the form of highest worth, closer and closer while it improves.
 
-    Closer and closer, while that is better.  The term where none is better.
+    Args:
+        term: returned unchanged where no form is better.
+        grid: (M, s) values of the scales, the first ones that are tried.
+        worth: rates terms.
     """
     fields = list(term.scales())
     least = float(worth([term])[0]) + BETTER
@@ -105,13 +112,14 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
 
 
 def agreement(fit: ModelFit, residual: np.ndarray) -> float:
-    """Log likelihood of all rows by their residual (N, d), none beyond an outlier's."""
+    """Return the log likelihood of all rows by their residual (N, d), each at least an
+    outlier's."""
     white = np.nan_to_num(residual / (fit.uneven(fit.session)[:, None] * fit.sigma))
     return float(-0.5 * np.minimum((white**2).sum(axis=1), OUTLIER**2).sum())
 
 
 def _agreement(fit: ModelFit, now: Term, moved: Sequence[Term], then: Sequence[Term]) -> np.ndarray:
-    """(T,) `agreement` with other forms of a term."""
+    """Return (T,) `agreement` of the rows with each of the other forms `then` of a term."""
     columns = FitColumns(fit)
     columns.of(then)  # all at once: much faster
     fitted = {t.key: t for t in fit.model.terms}
@@ -126,17 +134,17 @@ def _at(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:
 
 
 def neighbours(term: Term, field: str, candidates: Sequence[Candidate]) -> tuple[float, float]:
-    """The values of a scale that were tried to either side of a term's, or the scale's ends."""
+    """Return the tried values of a scale to either side of a term's value, or the scale's ends."""
     return _beside(float(getattr(term, field)), _tried(term, field, candidates))
 
 
 def _tried(term: Term, field: str, candidates: Sequence[Candidate]) -> list[float]:
-    """The values of a scale that were tried, and its ends."""
+    """Return the values of a scale that were tried, and its ends, sorted."""
     tried = {float(getattr(t, field)) for c in candidates if c.name == term.name for t in c.terms}
     return sorted({*tried, *term.scales()[field]})
 
 
 def _beside(value: float, values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """Of sorted values those to either side of one."""
+    """Return the next smaller and next larger of sorted values."""
     low = max((v for v in values if v < value), default=values[0])
     return low, min((v for v in values if v > value), default=values[-1])

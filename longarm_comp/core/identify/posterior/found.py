@@ -1,4 +1,4 @@
-"""What the posterior says: single effects with their credible sets, and functions on offer."""
+"""The result of the posterior: single effects with their credible sets, and functions on offer."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class ProposedFunction:
     """A function without a name on offer.
 
     Attributes:
-        terms: its members, each with the prior standard deviation of one noise at the tip.
-        log_prior: of the choice among all functions.
+        terms: its members; the prior standard deviation of each moves the tip by one noise.
+        log_prior: log prior of the choice among all functions.
     """
 
     terms: tuple[Term, ...]
@@ -41,12 +41,12 @@ class Rival:
 
     Attributes:
         candidate: its best places and form.
-        log_bayes_factor: of it there, the rest as found.
-        probability: that it is the cause, given that there is one.
+        log_bayes_factor: evidence for it there, beside the other effects.
+        probability: probability that it is the cause, given that there is one.
         judged: the name whose evidence it has. Of names that no measurement distinguishes one is
             judged, and all share its probability.
-        log_prior: of it, given that there is an effect, the choice of its places paid.
-        loose: as of `FoundEffect`.
+        log_prior: its log prior, given that there is an effect; the choice of places is included.
+        loose: as in `FoundEffect`.
     """
 
     candidate: Candidate
@@ -58,7 +58,7 @@ class Rival:
 
     @property
     def name(self) -> str:
-        """Of its effect class."""
+        """The name of its effect class."""
         return self.candidate.name
 
     @property
@@ -72,14 +72,14 @@ class FoundEffect:
     """A single effect that is there.
 
     Attributes:
-        terms: the most probable instances, at the values that the posterior gives them.
+        terms: the most probable terms, at the values that the posterior gives them.
         there: probability that it is there.
-        log_bayes_factor: of it on top of the others.
+        log_bayes_factor: evidence for it beside the other effects.
         chance: probability of its name, given that it is there.
         rivals: all other names that may stand in its place, the most probable first.
-        where: places that explain it nearly alike; its own first.
-        log_prior: as of `Rival`; None: that of any candidate of its name.
-        loose: whether it is a function whose prior was made to fit its amount, once it was there.
+        where: places that explain it nearly as well; its own first.
+        log_prior: as in `Rival`; None: that of any candidate of its name.
+        loose: whether it is a function whose prior was widened to fit its amount once it was there.
     """
 
     terms: tuple[Term, ...]
@@ -93,12 +93,13 @@ class FoundEffect:
 
     @property
     def name(self) -> str:
-        """The most probable name; of a function without a name that of its effect class."""
+        """The most probable name; for a function without a name, that of its effect class."""
         return self.terms[0].name
 
     @property
     def names(self) -> dict[str, float]:
-        """Probability of every name, given that it is there; its own first."""
+        """Probability of every name, given that the effect is there; the effect's own name
+        first."""
         return {self.name: self.chance} | {r.name: r.probability for r in self.rivals}
 
     @property
@@ -108,7 +109,7 @@ class FoundEffect:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether neither that it is there nor that it is not is credible."""
+        """Whether neither its presence nor its absence is credible."""
         return 1.0 - CREDIBLE <= self.there < CREDIBLE
 
     @property
@@ -118,20 +119,25 @@ class FoundEffect:
 
     @property
     def chance_unnamed(self) -> float:
-        """Probability, given that it is there, of a cause that has no name."""
+        """Probability that the cause has no name, given that the effect is there."""
         others = sum(r.probability for r in self.rivals if r.unnamed)
         return others + self.chance if self.unnamed else others
 
     @property
     def fitted_rivals(self) -> list[Rival]:
-        """Rivals whose worth a fit in its place tells: all that measurements distinguish."""
+        """Rivals that are judged by a fit in its place: all that measurements distinguish from
+        it."""
         return [r for r in self.rivals if r.name == r.judged != self.name]
 
     def against(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
-        """With the probabilities of fits; what is best leads. Whether that is another effect.
+        """Compare it with its fitted rivals.
 
         Args:
-            worth: by name of a fitted rival, log evidence in its place less the evidence now.
+            worth: by name of a fitted rival: log evidence with it in this place, less that now.
+
+        Returns:
+            The effect with the probabilities that follow, led by the best name; and whether that is
+            another effect.
         """
         if not worth:
             return self, False
@@ -158,8 +164,12 @@ class FoundEffect:
         return self.led_by(best, [r for r in every if r is not best]), best is not every[0]
 
     def doubted(self, other: FoundEffect, odds: float) -> FoundEffect:
-        """With an explanation without its name beside it, of some log odds against those of all
-        its names, in which there is another effect."""
+        """Return the effect with one more rival, from an explanation without any of its names.
+
+        Args:
+            other: the effect in its place there.
+            odds: log odds of that explanation against those of all its names.
+        """
         share = float(expit(odds))
         worth = self.log_bayes_factor + odds
         rest = [replace(r, probability=(1.0 - share) * r.probability) for r in self.rivals]
@@ -171,7 +181,7 @@ class FoundEffect:
         return replace(self, chance=(1.0 - share) * self.chance, rivals=tuple(rest))
 
     def led_by(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
-        """The same with a name in the first place, and others beside it."""
+        """Return the effect with another name in the first place, and rivals beside it."""
         return replace(
             self,
             terms=first.candidate.terms,
@@ -190,7 +200,7 @@ def _likely(rival: Rival) -> float:
 def instead(
     found: Sequence[FoundEffect], number: int, rival: FoundEffect
 ) -> tuple[FoundEffect, ...]:
-    """Effects with a rival in the place of one, and of what there is of its own name."""
+    """Put a rival in the place of one effect, and of all other effects of the rival's name."""
     rest = (f for k, f in enumerate(found) if k != number)
     return (rival, *(f for f in rest if rival.unnamed or f.name != rival.name))
 
@@ -199,6 +209,6 @@ K = TypeVar("K")
 
 
 def smallest_set(chances: Mapping[K, float]) -> tuple[K, ...]:
-    """The fewest, in their order, that hold 95 % of the probability of all."""
+    """Return the fewest keys, from the first on, that hold 95 % of the probability of all."""
     held = np.cumsum(list(chances.values())) / sum(chances.values())
     return tuple(chances)[: int((held < CREDIBLE).sum()) + 1]

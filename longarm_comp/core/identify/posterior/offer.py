@@ -1,4 +1,4 @@
-"""What a single effect may be, and what it is found to be."""
+"""Offers: what a single effect may be; and the single effect that is chosen among them."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class Offer:
     """One thing that a single effect may be.
 
     Attributes:
-        name: what it is called; offers of one name share a name's probability.
-        keys: the places that it would take. One form only may be at each.
+        name: its name; offers of one name share that name's probability.
+        keys: the places that it would take. Only one form may be at each.
         columns: positions of its columns in the bank, by key.
-        log_prior: log probability of it, given that there is an effect.
+        log_prior: its log probability, given that there is an effect.
         sizes: prior standard deviations of its coefficients, in units of the columns.
         chances: log probability of each size.
-        fixed: whether its coefficients are 1: it is there, whole, or it is not.
-        site: where a cause without a name acts. Whatever is there of it is one cause.
+        fixed: whether its coefficients are 1, so that it is there as a whole or not at all.
+        site: where a cause without a name acts. All functions at one site are one cause.
     """
 
     name: str
@@ -43,11 +43,11 @@ class Offer:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """All of its columns."""
+        """The numbers of all its columns."""
         return tuple(k for own in self.columns for k in own)
 
     def beside(self, held: frozenset[Hashable]) -> Offer | None:
-        """What is left of it where others hold some of its places; None where that is nothing.
+        """Return the offer without the places that others hold; None where less than two are left.
 
         One place of several is an offer of its own already.
         """
@@ -57,7 +57,7 @@ class Offer:
         return None if left < 2 else self.without(held)
 
     def without(self, held: Container[Hashable]) -> Offer:
-        """It at its other places."""
+        """Return the offer at its other places."""
         left = [(k, c) for k, c in zip(self.keys, self.columns, strict=True) if k not in held]
         keys, columns = zip(*left, strict=True)
         return dataclasses.replace(self, keys=keys, columns=columns)
@@ -65,13 +65,13 @@ class Offer:
 
 @dataclass(frozen=True)
 class Others:
-    """What the other effects leave to one, but for what they explain.
+    """What the other effects leave to one effect to choose from.
 
     Attributes:
-        shut: offers that are shut.
+        shut: offers that are excluded.
         held: places that other effects hold.
         names: names of other effects.
-        sites: of those that are functions of a cause without a name.
+        sites: sites of the others that are functions without a name.
     """
 
     shut: frozenset[int] = frozenset()
@@ -81,7 +81,7 @@ class Others:
 
     @classmethod
     def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> Others:
-        """Some other effects, each as far as it is probable."""
+        """Summarise some other effects; names and sites are those of the probable ones."""
         there = [e for e in effects if e.there > 0.5]
         return cls(
             shut,
@@ -96,10 +96,10 @@ class SingleEffect:
     """One effect of the sum.
 
     Attributes:
-        offered: C offers, of the bank.
-        q: (C,) probability of every offer; what is missing to 1 is none.
-        mean: (K,) coefficients of the bank's columns on average.
-        changed: what offers became beside the places that other effects hold.
+        offered: the C offers of the bank.
+        q: (C,) probability of every offer; what is missing to 1 is that of no effect.
+        mean: (K,) mean coefficients of the bank's columns.
+        changed: offers that lost places to other effects, by their number.
     """
 
     offered: Sequence[Offer]
@@ -119,7 +119,7 @@ class SingleEffect:
 
     @property
     def offer(self) -> Offer:
-        """The most probable offer, as it is beside the others."""
+        """The most probable offer, without the places that other effects hold."""
         return self._at(self.best)
 
     @cached_property

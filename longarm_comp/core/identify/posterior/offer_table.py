@@ -1,4 +1,4 @@
-"""Offers side by side, scored at once against what the other effects leave."""
+"""A table of offers, all scored at once against what the other effects leave."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Products(NamedTuple):
     """Products of K columns, projected off the geometry, and what is known of coefficients.
 
     Attributes:
-        gram: (K, K) with each other.
+        gram: (K, K) products of the columns with each other.
         lower, upper: (K,) bounds of the coefficients.
-        like: (K,) numbers that coefficients share that are like each other.
+        like: (K,) group numbers; coefficients of one group are like each other.
     """
 
     gram: np.ndarray
@@ -28,14 +28,15 @@ class Products(NamedTuple):
 
 
 class OfferTable:
-    """R offers with P coefficients each at most, and A sizes tried side by side.
+    """A table of R offers with at most P coefficients each, at which A sizes are tried side by
+    side.
 
-    The coefficients of an offer are turned to where they are independent: its Gram matrix is
-    diagonal there.  A coefficient that an offer lacks has no size, a size that it lacks no chance.
-    Coefficients of an offer that is there whole or not at all are 1.
+    The coefficients of an offer are rotated so that its Gram matrix is diagonal and they are
+    independent.  Missing coefficients are padded with size 0, missing sizes with probability 0.
+    Coefficients of a fixed offer are 1.
 
     Attributes:
-        numbers: of the offers in their bank.
+        numbers: numbers of the offers in their bank.
     """
 
     def __init__(self, of: Products, numbered: Mapping[int, Offer]) -> None:
@@ -76,13 +77,14 @@ class OfferTable:
 
     @classmethod
     def of(cls, products: Products, numbered: Mapping[int, Offer]) -> list[OfferTable]:
-        """Those of a single coefficient in a table of their own: most offers have no more."""
+        """Make two tables, of offers with a single coefficient and with several: most have only
+        one."""
         wide = {n: len(offer.places) > 1 for n, offer in numbered.items()}
         parts = ({n: numbered[n] for n in wide if wide[n] == more} for more in (False, True))
         return [cls(products, part) for part in parts if part]
 
     def _turn_group(self, group: np.ndarray, count: int, sizes: np.ndarray) -> None:
-        """Prepare the offers (numbers) of so many coefficients."""
+        """Prepare a group of offers (numbers) that have `count` coefficients each."""
         of = self._of
         places = self._places[group, :count]
         s = of.gram[places[:, :, None], places[:, None, :]]
@@ -100,10 +102,13 @@ class OfferTable:
             self._odds[group] -= log_prior_mass(low, high, of.like[places][:, None, :])
 
     def score(self, along: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """(R,) log posterior odds against none of every offer; what its mean is made of.
+        """Score every offer against no effect.
 
         Args:
-            along: (K,) products of the columns with what the others leave.
+            along: (K,) products of the columns with what the other effects leave.
+
+        Returns:
+            (R,) log posterior odds, and the intermediate results that `mean` needs.
         """
         own = np.append(along, 0.0)[self._places]
         z = _times(own, self._turn)
@@ -120,9 +125,12 @@ class OfferTable:
         return odds, (z, chance / whole[:, None])
 
     def mean(self, found: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
-        """(K,) coefficients of the columns on average, the offers having a probability each.
+        """Return the (K,) mean coefficients of the columns, over offers and sizes and within
+        bounds.
 
-        On average over the sizes, too, and within bounds.
+        Args:
+            found: the second result of `score`.
+            q: (R,) probability of each offer.
         """
         z, chance = found
         on = np.flatnonzero(q > np.finfo(float).eps)  # what adds to the sum of all
@@ -135,5 +143,5 @@ class OfferTable:
 
 
 def _times(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """(R, Q) each of some rows (R, P) times its matrix (R, P, Q)."""
+    """Multiply each of R rows (R, P) by its own matrix (R, P, Q); (R, Q)."""
     return np.asarray(np.matmul(rows[:, None, :], matrices)[:, 0])

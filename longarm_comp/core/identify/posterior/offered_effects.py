@@ -1,4 +1,5 @@
-"""The bank of a fit: what it says of the effects that are there, and of what may stand instead."""
+"""The offers at a fit: what they tell of the effects that are there, and of possible
+replacements."""
 
 from __future__ import annotations
 
@@ -38,12 +39,12 @@ IMPOSSIBLE = 1e-12
 
 @dataclass(frozen=True)
 class Explained:
-    """The posterior's answer.
+    """The result of the posterior.
 
     Attributes:
-        found: single effects that are there with a probability of 95 %.
+        found: single effects that are there with a probability of at least 95 %.
         doubtful: others that are more likely there than not.
-        evidence: of the best explanation.
+        evidence: log evidence of the best explanation.
         effects: its single effects.
     """
 
@@ -55,14 +56,15 @@ class Explained:
 
 @dataclass(frozen=True, eq=False)
 class OfferedEffects:
-    """The bank of a fit.
+    """The offers at a fit, with the candidates that they stand for.
 
     Attributes:
+        fitted: the fit.
         things: candidates, in the order of the bank's offers.
         bank: the offers.
         widths: (K,) units of the bank's columns.
-        known: offers that were found before.
-        base: log evidence of nothing.
+        known: numbers of the offers that were found before.
+        base: log evidence without any effect.
         tolerance: what may move the rows besides.
     """
 
@@ -75,7 +77,11 @@ class OfferedEffects:
     tolerance: ModelTolerance
 
     def explained(self, begun: Explained | None = None) -> Explained:
-        """The posterior over the offers; from what explains them by another tolerance."""
+        """Compute the posterior over the offers.
+
+        Args:
+            begun: what another tolerance explained, as the start of the search.
+        """
         best = explain(self.bank, self.known, None if begun is None else begun.effects)
         offers = self._located(best.chosen)
         evidence, values = self.bank.joint(offers)
@@ -90,7 +96,8 @@ class OfferedEffects:
         return Explained(found, doubtful, self.base + evidence, best.effects)
 
     def single_effects(self) -> tuple[FoundEffect, ...]:
-        """The effects of the best explanation, each with the names among which it is shared."""
+        """Return the effects of the best explanation, each with the names that share its
+        probability."""
         made = []
         for effect in explain(self.bank, self.known).effects:
             shares: dict[str, tuple[float, Candidate]] = {}
@@ -113,12 +120,13 @@ class OfferedEffects:
 
     @cached_property
     def standing(self) -> float:
-        """Log evidence of what was found before, as it is in the model."""
+        """Log evidence of the effects that were found before, as they are in the model."""
         return self.base + self.bank.evidence([self.bank.offers[n] for n in self.known])
 
     @cached_property
     def pruned(self) -> float:
-        """The same without effects and places that are not worth their price beside the rest."""
+        """Log evidence of the same effects, without those, and those places, that are not worth
+        their price."""
         offers = [self.bank.offers[n] for n in self.known]
         offers = [offers[k] for k in self.bank.worth_their_price(offers)]
         return self.base + max(map(self.bank.evidence, (offers, self._located(offers))))
@@ -126,12 +134,16 @@ class OfferedEffects:
     def judged(
         self, found: Sequence[FoundEffect], banks: Sequence[OfferedEffects]
     ) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
-        """What was found and is in the model, with its credible sets; what may be there beside.
+        """Judge the effects that are in the model.
 
         Args:
-            found: in the order of the fit's explanation.
-            banks: by tolerance of forms, each as likely as this: what one effect explains, a
-                larger error of another's form may explain too.
+            found: the effects, in the order of the fit's explanation.
+            banks: offers by tolerance, this one among them. What one effect explains, a larger
+                error of
+                another effect's form may explain too.
+
+        Returns:
+            The effects with their credible sets, and those that may be there besides.
         """
         offers = [self.bank.offers[n] for n in self.known]
         number = {tuple(t.variant for t in self.things[n].terms): k
@@ -155,9 +167,11 @@ class OfferedEffects:
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
     def _credible(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
-        """An effect with all names that may stand in its place, judged at the places they need.
+        """Give an effect all names that may stand in its place, each judged at the places that it
+        needs.
 
-        Of names that no measurement distinguishes the likeliest is judged; all of them share.
+        Of names that no measurement distinguishes the likeliest is judged; all share its
+        probability.
         """
         here, own = self.bank.evidence(offers), self._worth(offers, k)
         likeliest: dict[str, tuple[float, int, Offer, list[Offer]]] = {}
@@ -198,10 +212,11 @@ class OfferedEffects:
     def _may_stand(
         self, offers: list[Offer], k: int, least: float
     ) -> Iterator[tuple[int, Offer, list[Offer]]]:
-        """What may stand in the place of one of some offers with some evidence at least.
+        """Yield the offers that may stand in the place of offer k, with at least a certain log
+        evidence.
 
-        Each with the offers that are beside it then: a name that is there at other places already
-        takes these too.
+        Each comes with its number and with the offers that are beside it then. A name that is there
+        at other places already takes these as well.
         """
         others = [*offers[:k], *offers[k + 1 :]]
         may, most = [], []
@@ -228,23 +243,23 @@ class OfferedEffects:
                 yield one
 
     def _worth(self, offers: list[Offer], k: int) -> float:
-        """Log Bayes factor of one of some offers on top of the others."""
+        """Return the log Bayes factor of offer k on top of the others."""
         rest = [*offers[:k], *offers[k + 1 :]]
         odds = self.bank.evidence(offers) - self.bank.evidence(rest)
         return odds - offers[k].log_prior + NONE
 
     def _located(self, chosen: Sequence[Offer]) -> list[Offer]:
-        """The best offers without the places that bring nothing."""
+        """Return the offers without the places that contribute too little."""
         offers = list(chosen)
         for k in range(len(offers)):
             offers[k] = self._needed(offers, k)
         return offers
 
     def _needed(self, offers: list[Offer], k: int) -> Offer:
-        """One of some offers without the places that bring nothing.
+        """Return offer k without the places that contribute too little.
 
-        One place more costs as much as the choice among as many places.  What is left pays for the
-        choice of its places.
+        Each place costs as much as the choice among all places.  The rest pays for the choice of
+        its places.
         """
         offers, whole = list(offers), offers[k]
         price = math.log(max(len(offers[k].keys), 1))
@@ -265,7 +280,7 @@ class OfferedEffects:
     def _terms(
         self, number: int, offer: Offer, values: np.ndarray | None = None
     ) -> tuple[Term, ...]:
-        """The terms of an offer, or of what is left of it, at some coefficients."""
+        """Return the terms of an offer, or of what is left of it, with some coefficients."""
         held = {t.key: t for t in self.things[number].terms}
         if values is None:
             return tuple(held[key] for key in offer.keys)  # type: ignore[index]
@@ -280,9 +295,10 @@ class OfferedEffects:
         return tuple(terms)
 
     def _alike(self, terms: Sequence[Term]) -> tuple[str, ...]:
-        """Names that no measurement distinguishes from that of some terms.
+        """Return the names that no measurement distinguishes from that of some terms.
 
-        Among these are functions of a joint that stood at few positions: each takes any values.
+        Among them are functions of a joint that stood at few positions, where each takes any
+        values.
         """
         name = terms[0].name
         levels = max(map(self._levels, terms))
@@ -291,7 +307,8 @@ class OfferedEffects:
         return tuple(sorted((self._aliases.get(name, set()) | few) - {name}))
 
     def _levels(self, term: Term) -> int:
-        """At how many positions the joint stood that a function of joints is at; 0 for others."""
+        """Return at how many positions the joints of a term stood; 0 unless it is a free function
+        of one."""
         if not term.free_levels:
             return 0
         commanded = self.fitted.model.arm.commanded
@@ -299,7 +316,10 @@ class OfferedEffects:
         return max((levels_of(q) for q in stood), default=0)
 
     def _named(self, name: str, at: Sequence[Term]) -> Candidate:
-        """A name at the places of terms, in their forms; its first offer where it is not there."""
+        """Return an effect of another name at the places of terms, in their forms.
+
+        Where it is not on offer there, its first offer is returned.
+        """
         there: dict[str, Term] = {}
         for offer in self.things:
             for term in offer.terms if offer.name == name else ():
@@ -315,14 +335,14 @@ class OfferedEffects:
 
     @cached_property
     def _first(self) -> dict[str, int]:
-        """The first offer of every name."""
+        """The number of the first candidate of every name."""
         return {c.name: n for n, c in reversed(list(enumerate(self.things)))}
 
     @cached_property
     def _aliases(self) -> dict[str, set[str]]:
-        """Names on offer that are the same physics, as their effects declare it.
+        """Names on offer that mean the same physics, as their effects declare.
 
-        But for those that readings of joints tell apart.
+        Names that readings of joints tell apart are not among them.
         """
         made: dict[str, set[str]] = {}
         arm = self.fitted.model.arm

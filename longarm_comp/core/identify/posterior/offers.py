@@ -1,8 +1,8 @@
-"""What may explain a session, as one bank of offers: the library and functions without a name.
+"""Makes the bank of offers of a session: the library, and functions without a name.
 
 Every name is as likely as any other beforehand.  Its probability is divided among its places and
-forms.  Functions without a name have a twentieth together.  Beside each effect in the model stands
-what its form may leave: no effect's form is right to better than a tenth (`FORMS`).
+forms.  Functions without a name have a twentieth together.  Beside each effect in the model stand
+columns of what its form may leave: no effect's form is right to better than a tenth (`FORMS`).
 """
 
 from __future__ import annotations
@@ -45,18 +45,19 @@ def offered(
     counts: np.ndarray | None = None,
     usual: frozenset[tuple[str, str]] = frozenset(),
 ) -> list[OfferedEffects]:
-    """The banks at a fit, one for each tolerance.
+    """Make the offers at a fit, one bank for each tolerance.
 
     Args:
-        fitted: geometry and what was found so far.
+        fitted: the fit of geometry and of what was found so far.
         library: the named effects.
-        functions: without a name.
+        functions: functions without a name.
         found: what was found so far; it stays on offer in its present form.
         tolerances: what may move the rows besides.
-        others: whether more than these is on offer.
-        near: a similar fit of the same rows and noise: what every arm has is about as there.
-        counts: (N,) how often each row counts: once where None.
-        usual: places where the fit holds what every arm has; the banks have that besides.
+        others: whether more than `found` is on offer.
+        near: a similar fit of the same rows and noise; columns of what every arm has are taken
+            there.
+        counts: (N,) how often each row counts; None: once.
+        usual: places where the fit holds what every arm has; the banks marginalise these.
     """
     listed = _listed(fitted.model.arm, library, functions, found)
     if not others:
@@ -99,7 +100,7 @@ def _listed(
     functions: Sequence[ProposedFunction],
     found: Sequence[FoundEffect],
 ) -> list[_Listed]:
-    """What is on offer, with its price."""
+    """List the candidates on offer, with their prices."""
     forms = Counter(c.name for c in library)
     share = math.log((1.0 - UNNAMED) / max(len(forms), 1))
     listed: list[_Listed] = []
@@ -122,13 +123,13 @@ def _listed(
 
 
 def _site(candidate: Candidate) -> str:
-    """Where a cause without a name acts; empty of what has a name, or acts at several places."""
+    """Return where a cause without a name acts; "" for a named one, or one at several places."""
     sites = {"" if t.searched else t.where.partition(",")[0] for t in candidate.terms}
     return sites.pop() if len(sites) == 1 else ""
 
 
 def _as_stiff(offer: Offer, candidate: Candidate, tolerance: ModelTolerance) -> Offer:
-    """An offer of what gives way, of a size that an arm as stiff as this may have."""
+    """Scale the sizes of an elastic offer to what an arm as stiff as this may have."""
     if offer.fixed or not candidate.terms[0].elastic:
         return offer
     return dataclasses.replace(offer, sizes=tuple(tolerance.elastic_share * s for s in offer.sizes))
@@ -141,7 +142,11 @@ def _variant(terms: Sequence[Term]) -> tuple[object, ...]:
 def _priced(
     arm: Arm, squares: np.ndarray, raw: _Raw, listed: Sequence[_Listed]
 ) -> tuple[list[int], list[Offer]]:
-    """Which candidates move a row, by the (k,) squares of all columns, and their offers."""
+    """Return the numbers of the candidates that move a row, and their offers.
+
+    Args:
+        squares: (k,) squares of all columns.
+    """
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
         own = tuple(raw.where[t.variant] for t in candidate.terms)
@@ -160,13 +165,13 @@ def _priced(
 
 
 def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candidate]) -> np.ndarray:
-    """(C,) log Bayes factor of each candidate alone on top of a marginal, its own price paid.
+    """Return the (C,) log Bayes factor of each candidate alone on top of a marginal.
 
-    0 of one that moves no row.
+    Its price is included. A candidate that moves no row has 0.
 
     Args:
-        fitted: whose rows, noise and weights count.
-        marginal: what is there already.
+        fitted: the fit, with its rows, noise and weights.
+        marginal: the columns that are there already.
         each: the candidates.
     """
     listed = [(c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,))
@@ -185,7 +190,8 @@ def tolerance_columns(
     found: Sequence[FoundEffect],
     tolerance: ModelTolerance,
 ) -> np.ndarray:
-    """(m, k) whitened: what is there besides what was found, and no finding, each in its size."""
+    """Return (m, k) whitened columns of what moves the rows besides the findings, each in its
+    size."""
     made, (sizes,) = _beside(fitted, library, found, [tolerance])
     return (made * sizes)[:, sizes > 0]
 
@@ -197,12 +203,15 @@ def _beside(
     tolerances: Sequence[ModelTolerance],
     near: ModelFit | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(m, k) whitened columns of `tolerances`, and (S, k) the size of each by each of some.
+    """Compute the columns of what tolerances allow besides the findings.
 
-    That is what every arm has (`give.py`), and by how much the shift of each
-    effect in the model may differ from its form.  The latter varies with every joint, smoothly.  A
-    row so near to a threshold that the threshold's own tolerance decides its side says nothing of
-    that side.
+    They are what every arm has (`model_tolerance.py`), and by how much the shift of each effect in
+    the model may differ from its form.  The latter varies smoothly with every joint.  A row may be
+    so near to a threshold that the threshold's own tolerance decides its side; it then tells
+    nothing of that side.
+
+    Returns:
+        (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
     """
     session = fitted.session
     ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
@@ -235,7 +244,8 @@ def _beside(
 
 
 def _undecided(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
-    """(N, d, k) what a form's tolerance changes at single rows: more than its share of all."""
+    """Return (N, d, k) columns of single rows that a form's tolerance changes by more than its
+    share."""
     columns = FitColumns(fitted)
     largest = np.abs(shift_of(fitted, columns, [term])).max()
     made = []
@@ -249,7 +259,10 @@ def _undecided(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
 
 
 def _ends(term: Term, tolerance: float) -> list[tuple[Term, Term]]:
-    """A term with each of its scales larger, and smaller, by a tolerance, within its limits."""
+    """Return a term with each of its scales larger, and smaller, by a relative tolerance.
+
+    Scales stay within their limits.
+    """
     made = []
     for field, (low, high) in term.scales().items():
         value = getattr(term, field)
@@ -267,7 +280,7 @@ class _Raw(NamedTuple):
         where: positions of a term's columns, by its variant.
         lower, upper: (k,) bounds in units of the columns.
         widths: (k,) these units.
-        like: (k,) numbers that coefficients share that are like each other.
+        like: (k,) group numbers; coefficients of one group are like each other.
     """
 
     b: np.ndarray

@@ -1,4 +1,5 @@
-"""Functions without a name that are put on offer beside the library: the best of a large bank."""
+"""Chooses the functions without a name that are offered beside the library: the best of a large
+bank."""
 
 from __future__ import annotations
 
@@ -40,15 +41,16 @@ def propose_functions(
     library: Sequence[Candidate] = (),
     tolerance: ModelTolerance = RIGID,
 ) -> tuple[ProposedFunction, ...]:
-    """The functions that explain most, on top of all that was found and in the place of each.
+    """Return the functions that explain most, beside everything found and in the place of each
+    effect.
 
-    The best of every kind is among them: what bends into any curve is the same function for more
-    than one name.  In the place of what gives way is none: every arm gives way, and under another
-    load a function does not know by how much.
+    The best of every kind is among them, because flexible functions can be the same curve under
+    more than one name.  None is proposed in the place of an elastic effect: every arm yields, and a
+    function does not know by how much under another load.
 
     Args:
-        fit: geometry and what was found so far.
-        found: these effects.
+        fit: the fit of geometry and of what was found so far.
+        found: what was found so far.
         library, tolerance: what may move the rows besides.
     """
     gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found if not f.terms[0].elastic)]
@@ -75,7 +77,7 @@ def _without(
     library: Sequence[Candidate],
     tolerance: ModelTolerance,
 ) -> tuple[Marginal, np.ndarray]:
-    """As `marginal_of`: all that was found but what is gone, and what may move the rows besides."""
+    """Return `marginal_of` a fit without some effects, with what may move the rows besides."""
     rest = [f for f in found if f not in gone]
     besides = tolerance_columns(dataclasses.replace(fit, rho=0.0), library, rest, tolerance)
     return marginal_of(fit, _columns_beside(fit, gone), besides)
@@ -93,7 +95,7 @@ class _Ranked(NamedTuple):
 def _of_bank(
     bank: Bank, marginal: Marginal, kinds: Sequence[Sequence[FunctionCandidate]]
 ) -> list[_Ranked]:
-    """The best candidates of a bank on top of a marginal, and these with other thresholds."""
+    """Return the best candidates of a bank on top of a marginal, also with other thresholds."""
     made, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
     for some in kinds:
         weighed = _weighed(bank, marginal, [h for h in some if not _geometric(h)])[:each]
@@ -105,7 +107,7 @@ def _of_bank(
 
 
 def _columns_beside(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
-    """(p,) which columns of a fit are not of some effects."""
+    """Return a mask (p,) of the columns of a fit that do not belong to some effects."""
     of = {t.key for f in found for t in f.terms}
     return np.array([s.owner.key not in of for s in fit.slots], dtype=bool)
 
@@ -113,13 +115,13 @@ def _columns_beside(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
 def _weighed(
     bank: Bank, marginal: Marginal, few: Sequence[FunctionCandidate]
 ) -> list[tuple[float, FunctionCandidate]]:
-    """The log odds of each, the best first."""
+    """Return the log odds of each candidate with it, the best first."""
     worth = bank.evidences(marginal, few).tolist()
     return sorted(zip(worth, few, strict=True), key=lambda each: -each[0])
 
 
 def _geometric(candidate: FunctionCandidate) -> bool:
-    """Whether it is a displacement that is always the same: an error of geometry or placement."""
+    """Tell whether it is a constant displacement, which is an error of geometry or placement."""
     still = all(not function.factors for _, function in candidate.members)
     rigid = (isinstance(COMPONENTS.get(p.component), (Move, Turn)) for p, _ in candidate.members)
     seen = (p.at == CAMERA and p.component in AXES for p, _ in candidate.members)
@@ -127,7 +129,10 @@ def _geometric(candidate: FunctionCandidate) -> bool:
 
 
 def _proposed(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction:
-    """Its terms; a unit of each prior moves the rows by one noise, rms, times its decay."""
+    """Return the terms of a candidate, with its log prior.
+
+    One prior standard deviation of each moves the rows by one noise, rms, times its decay.
+    """
     scales = np.array(candidate.decay) / bank.sizes(candidate)
     terms = tuple(
         term_of(place, f.text, f.domain, float(scale))
@@ -139,7 +144,8 @@ def _proposed(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction:
 def _refined(
     bank: Bank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
 ) -> Iterator[tuple[float, FunctionCandidate]]:
-    """Candidates with other thresholds or frequencies, closer and closer to the best."""
+    """Yield each candidate with better thresholds or frequencies, sought closer and closer to the
+    best."""
     for best in first:
         prior = best[1].log_prior - math.log(REFINED)
         for width in (1.0, 2.0 / (DENSE - 1)):  # then between the neighbours of the best
@@ -149,7 +155,7 @@ def _refined(
 
 
 def _around(bank: Bank, candidate: FunctionCandidate, width: float) -> Iterator[FunctionCandidate]:
-    """The same candidate with thresholds or frequencies near its own."""
+    """Yield the candidate with thresholds or frequencies near its own."""
     factors = dict.fromkeys(f for _, function in candidate.members for f in function.factors)
     bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
     if len(bent) == 1 or all(isinstance(f, Wave) for f in bent):

@@ -1,9 +1,9 @@
 """The posterior over explanations, averaged over resampled rows.
 
-A posterior that believes its own library is certain of the nearest wrong name, and its certainty
-jumps with the sample.  Averaged over samples of whole blocks, drawn with replacement, it says what
-another session of this size would say (Huggins and Miller 2023, "Reproducible model choice using
-bagged posteriors", Bayesian Analysis 18, arXiv 2007.14845).
+A posterior that takes its own library for complete is certain of the nearest wrong name, and its
+certainty jumps with the sample.  Averaged over samples of whole blocks, drawn with replacement, it
+tells what another session of this size would tell (Huggins and Miller 2023, "Reproducible model
+choice using bagged posteriors", Bayesian Analysis 18, arXiv 2007.14845).
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class Resampling:
     """A finished search, whose linear stage may be repeated on other rows.
 
     Attributes:
-        fit: geometry and what was found, without what every arm has besides.
+        fit: the fit of geometry and of what was found, without what every arm has besides.
         candidates, functions: what is on offer.
         found: what was found.
         tolerance: what moves the rows besides.
-        of_halves: what either half of the rows was explained by, in a search of its own.
-        usual: as of `offered`.
+        of_halves: what a search on either half of the rows found.
+        usual: as in `offered`.
     """
 
     fit: ModelFit
@@ -53,9 +53,9 @@ class Resampling:
     usual: frozenset[tuple[str, str]] = frozenset()
 
     def explained(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
-        """The effects that explain the rows where each counts so often, (N,).
+        """Find the effects that explain the rows if each row counts `counts` (N,) times.
 
-        Sought from nothing and from what was found; what explains the rows better stays.
+        The search starts from nothing and from what was found; the better explanation stays.
         """
         (bank,) = offered(
             self.fit, self.candidates, self.functions, self.found, [self.tolerance],
@@ -64,7 +64,8 @@ class Resampling:
         return bank.single_effects()
 
     def averaged(self, seed: int) -> tuple[FoundEffect, ...]:
-        """What was found, each effect and name with its probability over samples of the rows."""
+        """Return the found effects; the probability of each, and of its names, is a mean over
+        samples of the rows."""
         if not self.found:
             return ()
         whole = self.explained(np.ones(len(self.fit.session)))
@@ -78,11 +79,11 @@ class Resampling:
         whole: Sequence[FoundEffect],
         samples: Sequence[Sequence[FoundEffect]],
     ) -> FoundEffect:
-        """An effect with the names of what stands in its place in each sample.
+        """Return an effect with the names of what stands in its place in each sample.
 
-        Columns are those of small changes: by how much fits of all rows made a name likelier than
-        its columns did, they would in a sample.  A half of the rows names one effect, and so agrees
-        with every name of the set that this one is of.
+        The columns are those of small changes. If fits of all rows made a name likelier than its
+        columns did, the same factor is applied in each sample.  A half of the rows names only one
+        effect; it therefore agrees with every name of the set that holds this one.
         """
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
         linear = self._in_its_place(found, whole)
@@ -119,9 +120,11 @@ class Resampling:
     def _in_its_place(
         self, found: FoundEffect, effects: Sequence[FoundEffect]
     ) -> FoundEffect | None:
-        """The effect that moves the rows as it does: those that may bear its name before others.
+        """Find the effect that moves the rows as `found` does, first among those that may bear its
+        name.
 
-        They count together: a sample may find at single joints what another finds at all.
+        These are taken together, because a sample may find at single joints what another finds at
+        all.
         """
         mine = self._shift(found.terms)
         shares = {e: _correlation(mine, self._shift(e.terms)) ** 2 for e in effects}
@@ -139,13 +142,13 @@ class Resampling:
         return FitColumns(self.fit).without(places)
 
     def _shift(self, terms: Sequence[Term]) -> np.ndarray:
-        """(m,) what terms add to the rows beyond the geometry, in units of the noise."""
+        """Return the (m,) shift of the rows by terms beyond the geometry, in units of the noise."""
         shift = shift_of(self.fit, FitColumns(self.fit), terms)
         return self._geometry.project(self.fit.whitened(shift[..., None]))[:, 0]
 
 
 def _explained(y: np.ndarray, columns: np.ndarray) -> float:
-    """Share of the square of y (m,) that columns (m, k) explain."""
+    """Return the share of the square of y (m,) that columns (m, k) explain."""
     left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
     return 1.0 - float(left @ left / max(y @ y, 1e-300))
 

@@ -27,7 +27,7 @@ from longarm_comp.core.identify.posterior.offer_table import OfferTable, Product
 
 
 class _Beside(NamedTuple):
-    """Numbers of the offers that lose places to others, and what is left of them."""
+    """The offers that lose places to others: their numbers, and what is left of them."""
 
     taken: list[int]
     left: dict[int, Offer]
@@ -38,19 +38,20 @@ class OfferBank:
     """A bank of offers over common columns, with the geometry marginalised.
 
     Args:
-        offers: C of them.
+        offers: the C offers.
         gram: (K, K) products of the columns, projected off the geometry.
         along: (K,) products of the projected columns with the data.
         lower, upper: (K,) bounds of the coefficients.
-        like: (K,) numbers that coefficients share that are like each other; all alone where None.
+        like: (K,) group numbers; coefficients of one group are like each other. None: all differ.
         sites: number of places at which a cause without a name may act.
 
     Attributes:
-        again: log odds, beforehand, of a further place of a name that is there already against a
-            new name: what ails one joint ails others, so each has half of the probability.
-        together: log odds, beforehand, of a further function of a cause without a name, where that
-            cause is there, against another cause: a hose is no function of the library, and seldom
-            only one of the bank. It needs neither an effect, a cause nor a place of its own.
+        again: prior log odds of a further place of a name that is there already against a new name.
+            A fault of one joint is likely at others, so each of the two has half of the
+                probability.
+        together: prior log odds of a further function of a cause without a name that is there
+            already, against another cause. A hose, say, is no function of the library and seldom
+            only one of the bank. So a further one pays for no effect, cause or place of its own.
     """
 
     def __init__(
@@ -86,10 +87,10 @@ class OfferBank:
         return OfferTable.of(self._products, dict(enumerate(self.offers)))
 
     def has_a_name(self, offer: Offer) -> bool:
-        """Whether a function of a cause without a name moves the rows as an effect with one does.
+        """Tell whether a function without a name moves the rows as a named effect does.
 
-        Then it is that effect, described anew: within the middle one of `FORMS`, which no form of a
-        real joint is known better than.
+        Then it is that effect, described in another way. Two are the same within the middle one of
+        `FORMS`, because no form of a real joint is known better.
         """
         if not offer.site or len(offer.places) > 1:
             return False
@@ -100,16 +101,16 @@ class OfferBank:
 
     @cached_property
     def _named(self) -> np.ndarray:
-        """Columns of effects that have a name and no other column."""
+        """Columns of named effects that have a single column."""
         alone = (o.places for o in self.offers if not o.site and len(o.places) == 1)
         return np.array([k for (k,) in alone], dtype=int)
 
     def single(self, along: np.ndarray, others: Others) -> SingleEffect:
-        """The effect that explains what the others leave.
+        """Compute the effect that explains what the others leave.
 
         Args:
             along: (K,) products of the columns with what the others leave.
-            others: what else they leave to it.
+            others: which offers and places the others leave to it.
         """
         beside = self._beside_places(others.held)
         scores, found = np.full(len(self.offers), -np.inf), []
@@ -134,7 +135,7 @@ class OfferBank:
         return SingleEffect(self.offers, q, np.asarray(mean), beside.left)
 
     def _beside_places(self, held: frozenset[Hashable]) -> _Beside:
-        """What is left of the offers where others hold some places."""
+        """Return what is left of the offers where others hold some places."""
         if held not in self._beside:
             taken = [n for n, o in enumerate(self.offers) if not held.isdisjoint(o.keys)]
             rest = {n: self.offers[n].beside(held) for n in taken}
@@ -151,15 +152,20 @@ class OfferBank:
         return made
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
-        """Log evidence of some offers together, each with its prior odds against none."""
+        """Return the log evidence of some offers together, each with its prior odds against
+        none."""
         return float(self.evidences([chosen])[0])
 
     def evidences(self, sets: Sequence[Sequence[Offer]]) -> np.ndarray:
-        """(C,) `evidence` of many sets of offers at once, which is much faster."""
+        """Return the (C,) `evidence` of many sets of offers at once, which is much faster."""
         return self._joint(sets)[0]
 
     def worth_their_price(self, chosen: Sequence[Offer]) -> list[int]:
-        """Which of some offers (numbers) stay, where the least goes while the others do better."""
+        """Return the numbers of the offers that are worth their price.
+
+        The offer that contributes least is dropped as long as the evidence of the others is no
+        lower.
+        """
         kept, best = list(range(len(chosen))), self.evidence(chosen)
         while kept:
             fewer = [[n for n in kept if n != gone] for gone in kept]
@@ -170,7 +176,7 @@ class OfferBank:
         return kept
 
     def joint(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
-        """`evidence`, and the coefficients of each offer at the posterior mode."""
+        """Return `evidence`, and the coefficients of each offer at the posterior mode."""
         total, (mean,) = self._joint([chosen])
         free = [0 if offer.fixed else len(offer.places) for offer in chosen]
         parts = np.split(mean, np.cumsum(free, dtype=int))
@@ -180,14 +186,15 @@ class OfferBank:
         ]
 
     def _alike(self, chosen: Sequence[Offer]) -> float:
-        """Log odds that offers gain beside others of their name, or of their cause."""
+        """Return the log odds that offers gain beside others of their name or of their cause."""
         sites = [offer.site for offer in chosen if offer.site]
         together = len(sites) - len(set(sites))
         again = len(chosen) - len({offer.name for offer in chosen}) - together
         return self.again * again + self.together * together
 
     def _joint(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
-        """(C,) evidence of sets of offers, and the free coefficients of each, offer by offer."""
+        """Return the (C,) evidence of sets of offers, and the free coefficients of each, offer by
+        offer."""
         totals, means = np.zeros(len(sets)), [np.zeros(0) for _ in sets]
         alike: dict[tuple[int, int], list[int]] = {}
         free = [[offer for offer in chosen if not offer.fixed] for chosen in sets]
@@ -231,7 +238,8 @@ class OfferBank:
 def _solved(
     s: np.ndarray, t: np.ndarray, root: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean, standard deviation and log evidence of coefficients ``root w``, w unit normal."""
+    """Return mean, standard deviation and log evidence of coefficients ``root w``, w unit
+    normal."""
     turned = np.swapaxes(root, -1, -2)
     precision = np.eye(t.shape[-1]) + turned @ s @ root
     inverse = root @ np.linalg.inv(precision) @ turned

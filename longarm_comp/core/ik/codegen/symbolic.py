@@ -98,7 +98,7 @@ Program = tuple[Graph, Outputs]
 
 
 def _both(op: str) -> tuple[Any, Any]:
-    """Return an operation of a symbol with another number, and of that number with the symbol."""
+    """Return the two methods of an operator: ``symbol op other`` and ``other op symbol``."""
 
     def first(self: Symbol, other: Any) -> Any:
         return self.graph.apply(op, self, other)
