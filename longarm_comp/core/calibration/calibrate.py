@@ -167,8 +167,8 @@ def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
     """Return `Model.beyond` by the model's values: the parts beyond what their drawing allows.
 
     A part far beyond its tolerance pays for that only once.  Otherwise any effect that moves the
-    tip as the part does would be worth what the part's prior costs.  Tolerances are judged by what
-    is fitted with them, until they come again.
+    tip as the part does would be worth what the part's prior costs.  A fit with these parts may
+    give others, so `stages` repeats both until the same parts come again.
     """
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]
