@@ -252,8 +252,7 @@ class DriverLink:
 
     @property
     def has_answered(self) -> bool:
-        """True once the driver has answered whether it takes the trajectory, or if it never
-        answers."""
+        """True once the driver has said whether it takes the trajectory, or if it never says."""
         return self._answer is not None or not self.acknowledged
 
     @property

@@ -279,8 +279,10 @@ class BringUp:
         return [self.file(node), scratch / f"{node}.given.yaml"]
 
     def arguments(self, node: str) -> list[str]:
-        """Return a node's own arguments: the Python files that it executes. No file may name
-        them."""
+        """Return a node's own arguments: the Python files that it executes.
+
+        No parameter file may name them.
+        """
         if node == "error_predictor":
             return [NETWORK, str(self.network.absolute())] if self.network else []
         loads = self.effects if node in ("kinematics", PATHS) else ()

@@ -1,4 +1,4 @@
-"""`error_predictor`: answers with the learned error at given joints, or a refusal outside its
+"""`error_predictor`: answers with the learned error at given joints, or refuses outside its
 domain."""
 
 from __future__ import annotations
@@ -111,8 +111,10 @@ class _ErrorPredictor(ArmNode):
         self.tally.last = found.reason or self.tally.last
 
     def _reload(self) -> tuple[bool, str]:
-        """Read the file again. If that fails and the model is the same, the predictor in use
-        stays."""
+        """Read the file again.
+
+        If that fails and the model is the same, the predictor in use stays.
+        """
         if not self._path:
             return False, "no predictor file is configured"
         self._model.reload()

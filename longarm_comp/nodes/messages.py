@@ -159,8 +159,10 @@ def points_message(
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
-    """Convert a trajectory to the record of the servo side. It starts when the driver accepts
-    it."""
+    """Convert a trajectory to the record of the servo side.
+
+    It starts when the driver accepts it.
+    """
     points = tuple(
         devices.TrajectoryPoint(
             seconds(point.time_from_start), tuple(point.positions), tuple(point.velocities)

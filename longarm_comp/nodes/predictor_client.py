@@ -60,8 +60,7 @@ class PredictorClient:
 
         Returns:
             What was found; the `file_hash` of the predictor that was asked or ""; and the reason
-                why a
-            predictor that the method needs was not used.
+            why a predictor that the method needs was not used.
         """
         why = ""
         if method.learned and self._caller.present:

@@ -1,5 +1,4 @@
-"""The driver's services `~/estop`, `~/hold` and `~/reset`, which work in every state of its
-lifecycle."""
+"""The driver's services `~/estop`, `~/hold` and `~/reset`, which work in every lifecycle state."""
 
 from __future__ import annotations
 

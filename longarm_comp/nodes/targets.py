@@ -1,5 +1,4 @@
-"""Answers the targets that `kinematics` receives, in the order of their arrival, each exactly
-once."""
+"""Answers the targets that `kinematics` receives: in order of arrival, each exactly once."""
 
 from __future__ import annotations
 

@@ -109,8 +109,10 @@ _ROWS = TypeAdapter(tuple[Diagnosed, ...])
 
 
 def members(folder: Path) -> list[_Member]:
-    """List the arms of a folder: one per subfolder with arm.yaml, or one per session beside one
-    arm.yaml."""
+    """List the arms of a folder.
+
+    A folder has one arm per subfolder with arm.yaml, or one per session beside a single arm.yaml.
+    """
     if (folder / ARM).is_file():
         found = [_Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
     else:

@@ -130,8 +130,7 @@ def stages(
     progress: Callable[[str], None] | None = None,
     kind: KindOfArm | None = None,
 ) -> Iterator[tuple[str, ModelFit]]:
-    """Fit frames only, joint zeros, and full geometry on top of a model, each started from the
-    last.
+    """Fit frames only, joint zeros, and full geometry on top of a model, each from the last.
 
     The frames are placed in closed form first.  The last fit is what every command calls
     calibrated.  Errors are those of `fit`.
