@@ -62,8 +62,7 @@ class Stops:
 
     @property
     def unkept(self) -> bool:
-        """True where a standing stop would end with this process, because it could not be
-        written."""
+        """True where a standing stop would end with this process; `StopLatch` says why."""
         return bool(self._latch.trouble)
 
     @property
