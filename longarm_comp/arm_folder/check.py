@@ -233,7 +233,10 @@ def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFindin
 
 
 def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_FolderFinding]:
-    """``known``: files that were measured; ``look``: also say what the cameras see."""
+    """Check the parameter files of the camera nodes.
+
+    ``known``: files that were measured; ``look``: also say what the cameras see.
+    """
     read, found = {}, []
     for node in NODES[1:]:
         given, faults = _load(folder / f"{node}.yaml", read_parameters)

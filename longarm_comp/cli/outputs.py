@@ -85,7 +85,10 @@ URDF = with_marks(b"<robot", b"written by longarm export-urdf")
 
 
 def session(path: Path) -> bool:
-    """A session that a command wrote; one that was imported is as its mapping says."""
+    """Recognise a session that a command wrote.
+
+    An imported one is recognised by the hash in the mapping beside it.
+    """
     mapping = path.with_suffix(".mapping.yaml")
     if mapping.is_file() and path.is_file():
         told = b"session_sha256: " + hashlib.sha256(path.read_bytes()).hexdigest().encode()
@@ -123,7 +126,10 @@ def _ends(path: Path) -> bytes:
 
 
 class Output(click.Option):
-    """An option that names what is written, of a kind; ``beside``: files that are written too."""
+    """An option that names an output of a given kind.
+
+    ``beside``: returns further files that are written with it.
+    """
 
     def __init__(
         self,

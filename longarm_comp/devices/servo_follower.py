@@ -131,7 +131,7 @@ class TrajectoryFollower:
         return accepted
 
     def _taken_over(self, path: CubicPath, start: Array) -> TakenOver:
-        """A path as it is followed from the present set-point and velocity."""
+        """Return a path as it is followed from the present set-point and velocity."""
         blend_s = self._config.follower.blend_s
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 

@@ -87,7 +87,8 @@ class ServoWatch:
         return fresh, findings
 
     def standing(self, now: float) -> list[JointFault]:
-        """Faults that do not depend on a command, also what one read-back alone says."""
+        """Return the faults that do not depend on a command: silence, and what the last read-back
+        shows."""
         findings: list[JointFault] = []
         for name, seen in self._seen.items():
             findings += self._silence(name, seen, now)

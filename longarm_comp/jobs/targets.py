@@ -174,7 +174,7 @@ class TargetRunner:
 
         Returns:
             The tip (3,), m, as the cameras and as the witness see it, NaN if not seen; and the
-                status.
+            status.
         """
         client = self._client
         start = client.joints

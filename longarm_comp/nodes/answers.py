@@ -1,4 +1,4 @@
-"""Targets of `kinematics` and their answers: the records, and the messages of them."""
+"""Targets of `kinematics` and their answers: the records, and their messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Refusal(LongarmError):  # noqa: N818
 
 
 def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
-    """The target as (4, 4), or (3,) where the orientation is free (m, its own frame).
+    """Return the target as (4, 4), or (3,) where the orientation is free (m, its own frame).
 
     Raises:
         Refusal: numbers that are not finite, no unit quaternion.
@@ -56,8 +56,8 @@ class TargetRequest:
 
     Attributes:
         name: its id.
-        pose: as it came, in whichever frame.
-        execute: its joints are sent to the driver.
+        pose: the target as it came, in whichever frame.
+        execute: whether its joints are sent to the driver.
         sent_s: when it was sent (monotonic s).
         seed: joints at which the search begins; without names, where the arm is.
     """
@@ -99,7 +99,7 @@ class Answer:
 
 
 def compensation_message(answer: Answer, arm: Arm, base_frame: str) -> Compensation:
-    """The full record of one target."""
+    """Make the message with the full record of one target."""
     context = Context() if answer.arrival is None else answer.arrival.context
     sides = {float(side) for side in context.approach}
     published = Compensation(

@@ -1,4 +1,4 @@
-"""The state of a node's arm: the model, and what the graph and the driver tell of it."""
+"""The state of a node's arm: the model, and what the graph and the driver publish about it."""
 
 from __future__ import annotations
 
@@ -55,13 +55,17 @@ NO_JOINTS = "no joint_states yet"
 
 
 class ArmState:
-    """Subscribes to the arm's topics. Values are replaced whole, so other threads may read them.
+    """The state of the arm, by subscriptions to its topics.
+
+    Values are replaced whole, so other threads may read them.
 
     Attributes:
         base_frame: full name of the arm's frame.
-        readings: of circumstances. effort: (n,) N m and N, NaN where none is told.
+        readings: last readings of circumstances.
+        effort: (n,) N m and N, NaN where none is published.
         worker: the thread that computes with all this; ``capacity`` jobs may wait for it.
-        joint_listeners: get every joint reading (n,) that is believed, and its time (ROS clock, s).
+        joint_listeners: called with every joint reading (n,) that is believed, and its time (ROS
+            clock, s).
     """
 
     def __init__(self, node: ArmNode, capacity: int, *, trimmed: bool = False) -> None:
@@ -99,12 +103,12 @@ class ArmState:
         return stamp
 
     def context(self, history: History | None = None, model: Model | None = None) -> Context:
-        """Circumstances of now that a model needs, by default the one in use.
+        """Return the present circumstances that a model needs, by default the model in use.
 
-        ``history``: of the joints; by default that of what was commanded last.
+        ``history``: history of the joints; by default that after the last command.
 
         Raises:
-            StaleContext: one that the model needs is unknown or too old.
+            StaleContext: a circumstance that the model needs is unknown or too old.
         """
         return self.readings.context(
             model or self.files.loaded.model,
@@ -114,7 +118,7 @@ class ArmState:
         )
 
     def known_context(self, history: History | None = None) -> Context | None:
-        """Return the circumstances of now; None while one that the model needs is unknown."""
+        """Return the present circumstances; None while one that the model needs is unknown."""
         try:
             return self.context(history)
         except StaleContext:
@@ -122,7 +126,8 @@ class ArmState:
 
     @property
     def standing(self) -> tuple[Model, np.ndarray, Context] | None:
-        """Model in use, readings (n,) and circumstances of now; None while they are not known."""
+        """The model in use, the readings (n,) and the present circumstances; None while not
+        known."""
         q, context = self.joints, self.known_context()
         return None if q is None or context is None else (self.files.loaded.model, q, context)
 
@@ -135,8 +140,11 @@ class ArmState:
         self._read(f"inclination {row}", columns)
 
     def _read(self, source: str, columns: dict[str, float]) -> None:
-        """Take circumstances. Not finite, they are dropped; what the arm cannot be in is a doubt:
-        whoever says it knows of another circumstance than the last one."""
+        """Take in circumstances.
+
+        Values that are not finite are dropped. Values that the arm cannot be in are kept as a
+        doubt, because the sender shows that the circumstances are no longer the last ones.
+        """
         now = time.monotonic()
         if not all(math.isfinite(value) for value in columns.values()):
             self.node.tally.count_dropped(source, f"{source}: {columns} is not finite")
@@ -190,15 +198,16 @@ _SILENT_S = 3.0
 
 
 class DriverLink:
-    """Subscribes to what the driver tells, and keeps the history of the joints.
+    """The link to the driver: subscribes to what it publishes, and keeps the history of the joints.
 
-    What counts as commanded is what the driver accepted. Without acknowledgements (a driver that
-    gives none) it is what was published on `joint_trajectory`.
+    What counts as commanded is what the driver accepted. If a driver gives no acknowledgements, it
+    is what was published on `joint_trajectory`.
 
     Attributes:
-        history: of the joints, when they have come to the end of what was commanded last.
-        command_listeners: get the joints (n,) of every command and their history on arrival.
-        motion_listeners: get every message on `motion`. Both are called on the worker.
+        history: history of the joints once they have come to the end of the last command.
+        command_listeners: called with the joints (n,) of every command and their history on
+            arrival.
+        motion_listeners: called with every message on `motion`. Both are called on the worker.
     """
 
     def __init__(self, state: ArmState) -> None:
@@ -222,7 +231,7 @@ class DriverLink:
 
     @property
     def refusal(self) -> str:
-        """The reason that nothing can be sent now; empty where the driver takes trajectories."""
+        """The reason why nothing can be sent now; empty where the driver takes trajectories."""
         if not self.acknowledged:
             return ""
         now, state = time.monotonic(), self._state
@@ -238,17 +247,17 @@ class DriverLink:
         return ""
 
     def expect(self, name: str) -> None:
-        """Wait from now on for the acknowledgement of the trajectory of that id."""
+        """Wait from now on for the acknowledgement of the trajectory with this id."""
         self._asked, self._answer = name, None
 
     @property
     def has_answered(self) -> bool:
-        """True once the driver has said if it takes the trajectory, and where it never says."""
+        """True once the driver has said whether it takes the trajectory, or if it never says."""
         return self._answer is not None or not self.acknowledged
 
     @property
     def not_accepted(self) -> str:
-        """The reason that the expected trajectory is not taken up; empty where it is."""
+        """The reason why the driver has not accepted the expected trajectory; empty if it has."""
         if not self.acknowledged:
             return ""
         if self._answer is None:
@@ -281,14 +290,14 @@ class DriverLink:
         self.went(path, self._end if self._end is not None else self._arm_state.joints)
 
     def went(self, path: np.ndarray, start: np.ndarray | None) -> None:
-        """Note that the joints are on their way through (k, n) from a start (n,)."""
+        """Note that the joints are moving from a start (n,) along (k, n)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
         for listen in self.command_listeners:
             listen(path[-1], self.history)
 
     def lose(self) -> None:
-        """Forget the history of the joints: from here on it is not known."""
+        """Forget the history of the joints, which is not known from here on."""
         self.history, self._end = History.unknown(self._arm.n), None
 
     def _on_state(self, message: DriverState, sent: float) -> None:

@@ -42,7 +42,7 @@ _GENTLE_S, _FIRM_S = 6.0, 2.0
 
 @dataclass
 class Supervisor:
-    """Processes by name. Use as a context manager."""
+    """A supervisor of processes, by name. Use it as a context manager."""
 
     commands: Mapping[str, Sequence[str]]  # program and arguments of each
     respawn: bool = True  # restart a process that ends, except after exit code 2 (bad input)
@@ -66,7 +66,7 @@ class Supervisor:
         return self._children[name].pid
 
     def _start(self, name: str, why: str) -> None:
-        """Start in a session of its own, so that Ctrl-C reaches only the supervisor."""
+        """Start a process in a session of its own, so that Ctrl-C reaches only the supervisor."""
         self._begun[name] = time.monotonic()
         self._children[name] = subprocess.Popen(
             self.commands[name],
@@ -93,7 +93,7 @@ class Supervisor:
             self.look()
 
     def stop(self) -> None:
-        """End all processes by SIGINT, then SIGTERM, then SIGKILL; returns when all are gone."""
+        """End all processes by SIGINT, then SIGTERM, then SIGKILL; return when all are gone."""
         processes = list(self._children.values())
         for number, patience in ((signal.SIGINT, _GENTLE_S), (signal.SIGTERM, _FIRM_S)):
             for process in processes:
@@ -119,22 +119,23 @@ _PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s":
 
 @dataclass(frozen=True)
 class BringUp:
-    """One arm's graph.
+    """The settings of one arm's graph.
 
     Attributes:
         arm, model, predictor: files. Without a model the declared arm is used.
         effects: Python files that define further effects, executed by `kinematics`.
         network: Python file of the predictor's network, executed by `error_predictor`.
-        sim: run the simulated arm instead of hardware.
+        sim: whether the simulated arm runs instead of hardware.
         config: folder of parameter files ``<node>.yaml`` that replace the package's own; None: the
             arm's folder.
         port: serial port of the servos; empty for the one in the parameter file.
         speed: factor on all velocities in simulation.
-        set: further parameters, by node and name. without: nodes that are not started.
-        driver: run `servo_driver`; else another program drives the arm, and a camera node runs only
-            where the arm's folder has a calibrated pair.
-        paths: run `PATHS` too.
-        shaping: `servo_driver` sends moves in parts that cancel the arm's ring.
+        set: further parameters, by node and name.
+        without: nodes that are not started.
+        driver: whether `servo_driver` runs; else another program drives the arm, and a camera node
+            runs only where the arm's folder has a calibrated pair.
+        paths: whether `PATHS` runs too.
+        shaping: whether `servo_driver` sends moves in parts that cancel the arm's ring.
     """
 
     arm: Path
@@ -173,7 +174,8 @@ class BringUp:
         return tuple(n for n in every if n not in (*self.without, *unasked))
 
     def file(self, node: str) -> Path:
-        """A node's parameter file: from ``config`` or the arm's folder, else the package's."""
+        """Return a node's parameter file: from ``config`` or the arm's folder, else the
+        package's."""
         name = f"{node}.yaml"
         own = (self.config or self.arm.absolute().parent) / name
         return own if own.is_file() else folder("config") / name
@@ -185,10 +187,10 @@ class BringUp:
         return own if all((own / f"{side}.yaml").is_file() for side in SIDES) else None
 
     def fitted(self, scratch: Path) -> BringUp:
-        """This graph with servos of the arm's joints.
+        """Return this graph with servos that fit the arm's joints.
 
-        Where the simulated arm would get the package's own files and is not theirs, files that
-        fit it are written to ``scratch``, with those that the arm's folder has.
+        If the package's own files for the simulated arm do not fit this arm, files that do are
+        written to ``scratch``, together with those that the arm's folder has.
         """
         for node in self.nodes:
             _refuse_code(self.file(node))
@@ -215,7 +217,8 @@ class BringUp:
         return replace(self, config=scratch)
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
-        """Parameters that override the file; ``bus``: link to the simulated servo bus."""
+        """Return the parameters that override the file; ``bus``: link to the simulated servo
+        bus."""
         arm, model = _path("arm", self.arm), _path("model", self.model)
         if not self.driver and node in ("kinematics", PATHS):
             return arm | model | {"acknowledged": False} | dict(self.set.get(node, {}))
@@ -244,11 +247,11 @@ class BringUp:
         return values | dict(self.set.get(node, {}))
 
     def _faster(self, node: str) -> dict[str, Any]:
-        """Velocities of the servos and the driver's limits, scaled by the same factor.
+        """Return velocities of the servos and limits of the driver, scaled by the same factor.
 
-        So is the error at which a joint counts as not following: a moving joint is behind by its
-        velocity times the driver's cycle.  A late cycle must not pass over the turn of a run-up:
-        the step in time is shorter by the same factor, down to two cycles.
+        The error at which a joint counts as not following is scaled too, because a moving joint is
+        behind by its velocity times the driver's cycle.  The time step is shortened by the same
+        factor, down to two cycles, so that a late cycle does not miss the turn of a run-up.
         """
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
@@ -269,20 +272,25 @@ class BringUp:
         }
 
     def files(self, node: str, bus: str, scratch: Path) -> list[Path]:
-        """Parameter files of a node: its own, then one in ``scratch`` of what overrides it."""
+        """Return the parameter files of a node: its own, then one in ``scratch`` that overrides
+        it."""
         values = {f"/**/{node}": {"ros__parameters": self.parameters(node, bus)}}
         write_text(scratch / f"{node}.given.yaml", yaml.safe_dump(values))
         return [self.file(node), scratch / f"{node}.given.yaml"]
 
     def arguments(self, node: str) -> list[str]:
-        """A node's own arguments: the Python files that it executes. No file names them."""
+        """Return a node's own arguments: the Python files that it executes.
+
+        No parameter file may name them.
+        """
         if node == "error_predictor":
             return [NETWORK, str(self.network.absolute())] if self.network else []
         loads = self.effects if node in ("kinematics", PATHS) else ()
         return [word for path in loads for word in (EFFECTS, str(path.absolute()))]
 
     def commands(self, scratch: Path) -> dict[str, list[str]]:
-        """Program and arguments of every node, by its name; ``scratch``: folder for files."""
+        """Return program and arguments of every node, by its name; ``scratch``: folder for
+        files."""
         bus = str(scratch / "servo_bus")
         space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []
         made = {}
@@ -296,7 +304,8 @@ class BringUp:
 
 
 def _apart() -> dict[str, str]:
-    """Return the folder of a simulated arm's stops: no reset there is one of the real arm."""
+    """Return a folder of its own for a simulated arm's stops, so that a reset there ends no real
+    one."""
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     return {"state": str(state_folder() / "simulated" / domain)}
 
@@ -323,7 +332,7 @@ def _refuse_code(file: Path) -> None:
 def running(
     graph: BringUp, *, respawn: bool = True, say: Callable[[str], None] = lambda text: None
 ) -> Iterator[Supervisor]:
-    """Start the graph's processes; on exit all of them are ended, also after an exception."""
+    """Start the graph's processes; end all of them on exit, also after an exception."""
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
         graph = graph.fitted(Path(scratch))
         with Supervisor(graph.commands(Path(scratch)), respawn=respawn, say=say) as supervisor:

@@ -1,4 +1,4 @@
-"""Stamps of messages as whole nanoseconds, and coroutines of a node that wait for the next tick."""
+"""Stamps of messages as whole nanoseconds, and timers of a steady clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def stamp_ns(stamp: Time) -> int:
 
 
 def sent_s(source_ns: int) -> float:
-    """Monotonic seconds at which a message was sent, from the middleware's time of sending."""
+    """Return the monotonic time (s) at which a message was sent, by the middleware's time of
+    sending."""
     return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)
 
 
@@ -26,12 +27,12 @@ def stamp_of(ns: int) -> Time:
 
 
 def steady_timer(node: Node, period_s: float, callback: Callable[[], Any]) -> Any:
-    """Call back every ``period_s`` of a steady clock."""
+    """Make a timer that calls back every ``period_s`` of a steady clock."""
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class Ticks:
-    """Ticks of a steady timer, which rests while no coroutine waits for one."""
+    """The ticks of a steady timer, which rests while no coroutine waits for one."""
 
     def __init__(self, node: Node, period_s: float) -> None:
         self._node = node

@@ -1,4 +1,4 @@
-"""From the request of one target to its answer, and what is kept at hand for the next one."""
+"""Computes the answer to the request of one target, and prepares the next one."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ PARAMS = (
 
 
 class Compensator:
-    """Answers requests, one at a time."""
+    """Computes the answers to requests, one at a time."""
 
     def __init__(self, state: ArmState, twins: Twins, frames: FrameListener) -> None:
         self._node, self._files, self._state = state.node, state.files, state
@@ -53,7 +53,8 @@ class Compensator:
         self._base_frame = state.base_frame
 
     def kind(self) -> Hashable:
-        """Return what a target's programs depend on: model, options, the circumstances known.
+        """Return what a target's programs depend on: model, options, and which circumstances are
+        known.
 
         Raises:
             StaleContext: a circumstance that the model needs is not known.
@@ -65,7 +66,8 @@ class Compensator:
         return loaded.file_hash, loaded.learned, *asked, known
 
     def rehearse(self) -> None:
-        """Compute a target that nobody asked for: the next one finds everything compiled."""
+        """Compute a target that nobody asked for, so that everything is compiled for the next
+        one."""
         mid = self._files.arm.mid
         seed = joints_message(self._files.arm, mid)
         frame = Header(frame_id=self._base_frame)
@@ -73,7 +75,7 @@ class Compensator:
         self.answer(TargetRequest("", target, False, False, 0.0, seed))
 
     def answer(self, target: TargetRequest) -> Answer:
-        """Compute a target; a refusal is an answer too."""
+        """Compute a target; return its answer, which may be a refusal."""
         try:
             return self._compensate(target)
         except Refusal as refusal:
@@ -157,8 +159,8 @@ class Compensator:
     def _start(self, target: TargetRequest) -> tuple[np.ndarray, np.ndarray | None]:
         """Return where the move starts and where the search does, (n,) each.
 
-        Without a seed both are the joints. A move that is executed starts at the joints also with
-        one; only a computation may start elsewhere.
+        Without a seed both start at the present joints. With a seed only a computation may start
+        there; a move that is executed starts at the joints.
 
         Raises:
             Refusal: the joints are not known, too old or doubtful.
@@ -179,7 +181,7 @@ class Compensator:
 class Readiness:
     """Prepares on the worker, between targets, whatever has changed since the last look.
 
-    A new model, another method, or a circumstance that is told for the first time needs other
+    A new model, another method, or a circumstance that is received for the first time needs other
     programs. `Compensator.rehearse` compiles them: it computes a target that nobody asked for.
     """
 
@@ -192,12 +194,12 @@ class Readiness:
         self.look()
 
     def look(self) -> None:
-        """Have the worker prepare what is not at hand."""
+        """Let the worker prepare what the next target needs and is not ready."""
         if self._programs_needed()[0] != self._prepared or not self._predictor.answers:
             self._worker.submit_once(self._prepare)
 
     def _programs_needed(self) -> tuple[Hashable, str]:
-        """Return what the next target's programs depend on; and why that is not known, or ""."""
+        """Return what the next target's programs depend on, and why that is not known, or ""."""
         try:
             return (self._compute.kind() if self._compiled else "not compiled"), ""
         except StaleContext as unknown:
@@ -215,7 +217,7 @@ class Readiness:
             self._prepared = needed  # also after a fault, which every target would repeat
 
     def report(self) -> Report:
-        """Report whether the next target takes its ordinary time."""
+        """Report whether the next target will take its usual time."""
         facts = {"programs compiled": Compiled.programs}
         needed, unknown = self._programs_needed()
         if unknown:

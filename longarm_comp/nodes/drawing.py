@@ -1,4 +1,4 @@
-"""Pictures of the arm: its links and URDF on /tf, markers for RViz."""
+"""Publishes pictures of the arm: its links and URDF on /tf, markers for RViz."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TIP_PREDICTED = "tip_predicted"
 
 
 class ArmFrames:
-    """Publishes where the links and other frames stand, and the arm's URDF once."""
+    """Publishes the poses of the links and other frames, and the arm's URDF once."""
 
     def __init__(self, state: ArmState) -> None:
         self._state, node = state, state.node
@@ -52,7 +52,7 @@ class ArmFrames:
             node.every("frames.period_s", self._tell)
 
     def tell_standing(self, frames: Sequence[Placed]) -> None:
-        """Say where frames are beside the arm's foot; `standing` are their names."""
+        """Publish fixed frames relative to the arm's foot; `standing` holds their names."""
         self.standing = {frame.name for frame in frames}
         foot = Placed.at(self._state.base_frame, self._prefix + BASE_LINK, np.eye(4))
         if self._tells:
@@ -80,7 +80,7 @@ TIP: Colour = (0.9, 0.1, 0.1, 1.0)
 
 
 class Markers:
-    """Keeps the latest target and tip, and draws them with the arm every so often."""
+    """Keeps the latest target and tip, and draws them with the arm at a constant interval."""
 
     def __init__(self, state: ArmState) -> None:
         self._state, self._node = state, state.node
@@ -134,7 +134,7 @@ class Markers:
         self, number: int, name: str, kind: int, colour: Colour, size: float,
         points: Sequence[np.ndarray] | np.ndarray,
     ) -> Marker:  # fmt: skip
-        """A marker. Without points it is removed."""
+        """Make a marker. One without points removes it."""
         marker = Marker(ns=name, id=number, type=kind, action=Marker.ADD)
         marker.header.frame_id = self._state.base_frame
         marker.header.stamp = self._state.stamp

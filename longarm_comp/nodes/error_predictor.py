@@ -1,4 +1,5 @@
-"""`error_predictor`: the learned error at given joints, or a refusal outside the training data."""
+"""`error_predictor`: answers with the learned error at given joints, or refuses outside its
+domain."""
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ class _Loaded:
 
 
 class _ErrorPredictor(ArmNode):
-    """Answers requests on one thread and loads files on another."""
+    """The node, which answers requests on one thread and loads files on another."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "error_predictor", PARAMS)
@@ -110,7 +111,10 @@ class _ErrorPredictor(ArmNode):
         self.tally.last = found.reason or self.tally.last
 
     def _reload(self) -> tuple[bool, str]:
-        """Read the file. If that fails and the model is the same, the one in use stays."""
+        """Read the file again.
+
+        If that fails and the model is the same, the predictor in use stays.
+        """
         if not self._path:
             return False, "no predictor file is configured"
         self._model.reload()

@@ -1,7 +1,7 @@
-"""Frames on /tf: what a node says of its own, and where others say that theirs are.
+"""Frames on /tf: publishes those of a node, and listens to those of others.
 
-Without tf2_msgs nothing is said, and no frame but the arm's base is known. Frames of an arm in a
-namespace start with it: ``left_arm/base``.
+Without tf2_msgs nothing is published, and no frame but the arm's base is known. Frames of an arm in
+a namespace start with it: ``left_arm/base``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from longarm_comp.nodes.messages import quaternion_message, vector_message
 
 
 def prefix_of(node: Node) -> str:
-    """Return what the names of a node's frames start with: nothing without a namespace."""
+    """Return the prefix of the names of a node's frames; "" without a namespace."""
     namespace = node.get_namespace().strip("/")
     return f"{namespace}/" if namespace else ""
 
@@ -44,7 +44,7 @@ class FrameTeller:
             self._moving.publish(self._message(frames, stamp))
 
     def tell_static(self, frames: Sequence[Placed]) -> None:
-        """Publish where frames are at all times, instead of those that were told before."""
+        """Publish frames that stand still, in the place of those published before."""
         if self._standing is not None:
             self._standing.publish(self._message(frames, self._clock.now().to_msg()))
 
@@ -70,10 +70,11 @@ class FrameTeller:
 
 
 class FrameListener:
-    """Keeps what /tf and /tf_static tell. Frames may be asked for from any thread.
+    """Keeps what /tf and /tf_static publish. Frames may be asked for from any thread.
 
-    ``wait_s``: patience with what is told late. ``refused``: called with every refusal's kind and
-    reason.
+    Args:
+        wait_s: how long to wait for a frame that is published late.
+        refused: called with the kind and the reason of every refusal.
     """
 
     def __init__(self, node: Node, wait_s: float, refused: Callable[[str, str], None]) -> None:
@@ -84,7 +85,7 @@ class FrameListener:
             graph.TF_STATIC.subscription(node, lambda message: self._hear(message, static=True))
 
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
-        """Pose (4, 4) of a frame in another one at a time (ns); 0: the latest known.
+        """Return the pose (4, 4) of a frame in another one at a time (ns); 0: the latest known.
 
         Raises:
             UnknownPlace: it is not known.
@@ -99,7 +100,7 @@ class FrameListener:
                         raise
 
     def know(self, frames: Sequence[Placed]) -> None:
-        """Take frames that stand, as if tf had told them."""
+        """Take over frames that stand still, as if tf had published them."""
         with self._told:
             for each in frames:
                 self._tree.hear(each.parent, each.name, each.position, each.turn, 0, static=True)

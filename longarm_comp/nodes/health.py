@@ -73,7 +73,7 @@ THIS_INSTANCE = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
 @dataclass(frozen=True)
 class Report:
-    """State of one part of a node: level, message and values by name."""
+    """The state of one part of a node: level, message and values by name."""
 
     level: bytes
     message: str
@@ -91,7 +91,7 @@ _WARNED_S = 10.0
 
 
 class Tally:
-    """Counts what happened, by name, and keeps the last reason. Each reason is logged too."""
+    """Counts events by name, and keeps the last reason. Each reason is logged too."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -107,12 +107,12 @@ class Tally:
             self._node.get_logger().warning(why, throttle_duration_sec=1.0)
 
     def count_dropped(self, topic: str, why: str) -> None:
-        """Count a message that is not used, and warn of it for a while."""
+        """Count a message that is not used, and warn about it for a while."""
         self.count(f"bad {topic}", why)
         self._dropped = why, time.monotonic()
 
     def report(self) -> Report:
-        """Report whether messages were not used of late."""
+        """Report whether messages were dropped lately."""
         why, at_s = self._dropped
         if time.monotonic() - at_s < _WARNED_S:
             return Report(WARN, f"not used: {why}")

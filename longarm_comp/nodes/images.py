@@ -1,4 +1,4 @@
-"""Images of cameras: heard with losses counted, as messages and as arrays; calibrations."""
+"""Images of cameras: subscriptions that count losses, conversions of messages, calibrations."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Samples = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class _PixelFormat:
-    """The form in which an image's bytes are pixels."""
+    """A format of an image's bytes, with its conversion to pixels."""
 
     samples: int  # numbers per pixel
     convert: Callable[[Grey], Grey]
@@ -61,7 +61,7 @@ for _order in ("rggb", "bggr", "gbrg", "grbg"):
 
 
 def pixels_of(message: Image) -> Grey:
-    """(H, W) grey or (H, W, 3) BGR.
+    """Return the pixels of an image: (H, W) grey or (H, W, 3) BGR.
 
     Raises:
         StereoRefusal: BAD_IMAGE, for an unsupported encoding or data of another size than stated.
@@ -81,7 +81,7 @@ def pixels_of(message: Image) -> Grey:
 
 
 def decode(message: CompressedImage) -> Grey:
-    """Pixels (H, W), grey, of a compressed image; ``format`` as image_transport writes it.
+    """Decode a compressed image to grey pixels (H, W); ``format`` as image_transport writes it.
 
     Raises:
         StereoRefusal: BAD_IMAGE, where the data are no image.
@@ -102,7 +102,7 @@ def decode(message: CompressedImage) -> Grey:
 
 
 def _narrow(numbers: Samples) -> Grey:
-    """8-bit numbers: of wider ones the 8 bits from the highest that the image uses.
+    """Reduce numbers to 8 bits: those from the highest bit that the image uses.
 
     Cameras of 10, 12 and 14 bits leave the upper bits of 16 empty.
     """
@@ -113,7 +113,7 @@ def _narrow(numbers: Samples) -> Grey:
 
 
 def image_message(grey: Grey, ns: int, frame: str) -> Image:
-    """Message of a grey image (H, W), uint8."""
+    """Make the message of a grey image (H, W), uint8."""
     height, width = grey.shape
     return Image(
         header=Header(stamp=stamp_of(ns), frame_id=frame), height=height, width=width, step=width,
@@ -138,8 +138,8 @@ def same_camera(a: Calibration, b: Calibration) -> bool:
 class ImageInlet:
     """A subscription that is ``reliable`` where that is wanted and the publishers offer it.
 
-    A reliable subscription hears no best-effort publisher, and says nothing of it. ``watch``: of
-    images that the middleware has lost or that a full queue has dropped.
+    A reliable subscription receives nothing from a best-effort publisher, without any message about
+    it. ``watch``: counts images that the middleware has lost or that a full queue has dropped.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class ImageInlet:
         return "reliable" if self._how is RELIABLE else "best effort"
 
     def adapt(self) -> None:
-        """Subscribe again if the publishers that there are now cannot be heard as before."""
+        """Subscribe again if the present publishers need another reliability than that in use."""
         name = self._node.resolve_topic_name(self._topic.name)
         ends = self._node.get_publishers_info_by_topic(name)
         offered = all(end.qos_profile.reliability is not BEST_EFFORT for end in ends)

@@ -1,4 +1,4 @@
-"""Table of all topics and services of the graph: name, type, quality of service.
+"""The table of all topics and services of the graph: name, type, quality of service.
 
 All names are relative, so that arms can be separated by namespaces; only /diagnostics is shared.
 Programs that talk to the graph use this table too, so that their QoS is compatible: for instance
@@ -51,13 +51,14 @@ _PATIENT = QoSProfile(depth=200)
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic.
+    """One topic of the graph.
 
     Attributes:
         name: relative to the namespace of the arm.
+        type: type of its messages.
         depth: messages kept on either side.
         listens: reliability of subscriptions; publishers are reliable, which fits both kinds.
-        latched: who subscribes later receives the last message too.
+        latched: whether a later subscriber also receives the last message.
     """
 
     name: str
@@ -84,7 +85,10 @@ class Topic:
         *,
         raw: bool = False,
     ) -> Any:
-        """``listens`` and ``depth`` replace the topic's own; ``raw``: messages come as bytes."""
+        """Subscribe to the topic.
+
+        ``listens`` and ``depth`` replace the topic's own; ``raw``: messages come as bytes.
+        """
         qos = QoSProfile(
             depth=depth or self.depth,
             reliability=listens or self.listens,
@@ -124,7 +128,7 @@ class Service:
         )
 
     def client(self, node: Node, group: CallbackGroup | None = None, of: str = "") -> Any:
-        """``of`` names the node that offers a private service."""
+        """Make a client of the service; ``of`` names the node that offers a private one."""
         name = self.name.replace("~", of) if of else self.name
         return node.create_client(self.type, name, qos_profile=_PATIENT, callback_group=group)
 

@@ -1,4 +1,4 @@
-"""`kinematics`: a target in, compensated joints out; publishes how they were computed."""
+"""`kinematics`: turns targets into compensated joints, and publishes how they were computed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,10 @@ PARAMS = (
 
 
 class Kinematics(ArmNode):
-    """Computes one target after another on a worker thread, so that the executor stays free."""
+    """The node, which computes one target after another on a worker thread.
+
+    So the executor stays free.
+    """
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "kinematics", PARAMS)
@@ -124,7 +127,7 @@ class Kinematics(ArmNode):
             self._arm.worker.submit(partial(self._monitor.judge_servos, *now))
 
     def _graph_report(self) -> Report:
-        """Report others on the graph that must not be there, or cannot be heard."""
+        """Report a second `kinematics`, and publishers of targets that cannot be received."""
         if self._twins.refusal:
             return Report(ERROR, self._twins.refusal)
         ends = self.get_publishers_info_by_topic(self.resolve_topic_name(graph.TARGET_POSE.name))

@@ -1,4 +1,4 @@
-"""Learns the model at work from rest poses, and keeps what it learned in a file."""
+"""Lets the model at work learn from rest poses, and keeps what it learned in a file."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ PARAMS = (
 
 
 class Learning:
-    """Puts what is learned in the place of the model in use, and keeps it beside it.
+    """Replaces the model in use by the learned one, and keeps that in a file beside it.
 
-    All but `report` is called on the worker.
+    All methods but `report` are called on the worker.
     """
 
     def __init__(self, state: ArmState) -> None:
@@ -38,7 +38,7 @@ class Learning:
         self.begin()
 
     def begin(self) -> None:
-        """Go on from the file, if it is of the model that was loaded."""
+        """Continue from the file, if it belongs to the model that was loaded."""
         if not self._state.p["learning"]:
             return
         from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
@@ -49,7 +49,7 @@ class Learning:
         self._files.replace_model(self.learner.model)
 
     def learn_from(self, rest: RestPose, context: Context, learned: np.ndarray | None) -> None:
-        """Learn from a rest pose, less what a predictor says of it, (3,) m."""
+        """Learn from a rest pose, less the error (3,) m that a predictor expects there."""
         if self.learner is None or self.learner.frozen:
             return
         tip = rest.tip if learned is None else rest.tip - learned
@@ -66,7 +66,7 @@ class Learning:
         return True, "frozen" if frozen else "learning"
 
     def undo(self) -> tuple[bool, str]:
-        """Serve the version before the last change, and learn no more."""
+        """Serve the version before the last change, and stop learning."""
         if self.learner is None:
             return False, _OFF
         self._take(self.learner.undo())

@@ -36,7 +36,7 @@ STRONGEST = 1e6
 
 
 def pose_message(target: np.ndarray) -> Pose:
-    """A (4, 4) pose, or a (3,) position with the identity as orientation."""
+    """Make the message of a (4, 4) pose, or of a (3,) position with the identity as orientation."""
     x, y, z = position_of(target).tolist()
     message = Pose(position=Point(x=x, y=y, z=z))
     if target.ndim == 2:
@@ -45,7 +45,7 @@ def pose_message(target: np.ndarray) -> Pose:
 
 
 def quaternion_message(turn: np.ndarray) -> Quaternion:
-    """x, y, z, w."""
+    """Make the message of a quaternion (x, y, z, w)."""
     x, y, z, w = turn.tolist()
     return Quaternion(x=x, y=y, z=z, w=w)
 
@@ -62,7 +62,7 @@ def joints_message(arm: Arm, q: np.ndarray, stamp: Time | None = None) -> JointS
 
 
 def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
-    """Joints (n,) in the order of the arm. Names of other joints are ignored."""
+    """Return joints (n,) in the order of the arm. Names of other joints are ignored."""
     if len(message.name) != len(message.position):
         found = f"{len(message.name)} names, {len(message.position)} positions"
         raise InputError(where, "position", found, "one position a name")
@@ -77,7 +77,8 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
 
 
 def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
-    """Efforts (n,) in the order of the arm, N m and N; NaN where none is said that can be."""
+    """Return efforts (n,) in the order of the arm, N m and N; NaN where none or an impossible
+    one."""
     if len(message.effort) != len(message.name):
         return np.full(arm.n, np.nan)
     at = dict(zip(message.name, message.effort, strict=True))
@@ -86,7 +87,7 @@ def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
 
 
 def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str) -> np.ndarray:
-    """Side (n,) of -1, 0, +1 that each joint arrives from, in the order of the arm."""
+    """Return the side (n,) of -1, 0, +1 that each joint arrives from, in the order of the arm."""
     sides = [float(side) for side in approach]
     if any(side not in (-1.0, 0.0, 1.0) for side in sides):
         raise InputError(where, "approach", sides, "-1, 0 or +1")
@@ -111,7 +112,7 @@ def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
 
 
 def motion_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """Start (n,) and way-points (k, n) of an accepted trajectory."""
+    """Return start (n,) and way-points (k, n) of an accepted trajectory."""
     start = joints_of(message.start, arm, "start of motion")
     check_inside(start, arm, "start of motion")
     way = JointTrajectory(joint_names=message.start.name, points=message.points)
@@ -119,7 +120,7 @@ def motion_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
 
 
 def duration(value_s: float) -> Duration:
-    """A duration of some seconds, 0 or more."""
+    """Make a duration of some seconds, 0 or more."""
     whole, rest = divmod(round(value_s * 1e9), 10**9)
     return Duration(sec=whole, nanosec=rest)
 
@@ -149,7 +150,7 @@ def trajectory_message(
 def points_message(
     points: np.ndarray, times: np.ndarray, velocities: np.ndarray | None = None
 ) -> list[JointTrajectoryPoint]:
-    """Way-points (k, n) that are due at times (k,), s, perhaps with velocities (k, n)."""
+    """Make way-points (k, n) that are due at times (k,), s, perhaps with velocities (k, n)."""
     speeds = np.zeros((len(points), 0)) if velocities is None else velocities
     return [
         JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
@@ -158,7 +159,10 @@ def points_message(
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
-    """The trajectory for the servo side. It starts when it is taken up."""
+    """Convert a trajectory to the record of the servo side.
+
+    It starts when the driver accepts it.
+    """
     points = tuple(
         devices.TrajectoryPoint(
             seconds(point.time_from_start), tuple(point.positions), tuple(point.velocities)
@@ -169,7 +173,8 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
 
 
 def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
-    """Row that the sensor is mounted on, and the columns of its tilt (rad) as in sessions."""
+    """Return the row that the sensor is mounted on, and the columns of its tilt (rad) as in
+    sessions."""
     if message.orientation_covariance[0] < 0:
         where = "orientation_covariance[0]"
         raise InputError("inclination", where, "-1: no orientation", "a sensor that gives one")
@@ -183,7 +188,7 @@ def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
 
 
 def wrench_of(message: WrenchStamped, arm: Arm) -> tuple[int, np.ndarray]:
-    """Row whose axes a wrist sensor measures in, and its force (3,), N."""
+    """Return the row in whose axes a wrist sensor measures, and its force (3,), N."""
     name, f = message.header.frame_id, message.wrench.force
     rows = [str(row) for row in range(len(arm.joints) + 1)]
     if name not in rows:
@@ -195,14 +200,14 @@ def wrench_of(message: WrenchStamped, arm: Arm) -> tuple[int, np.ndarray]:
 
 
 def sighting_of(message: PoseWithCovarianceStamped) -> tuple[np.ndarray, np.ndarray]:
-    """Tip (3,) m and its variance (3,) m^2. The tip is NaN where the marker was lost."""
+    """Return the tip (3,) m and its variance (3,) m^2. The tip is NaN where the marker was lost."""
     p = message.pose.pose.position
     covariance = np.asarray(message.pose.covariance, dtype=float)
     return np.array([p.x, p.y, p.z]), covariance[[0, 7, 14]]
 
 
 def check_sighting(tip: np.ndarray, variance: np.ndarray) -> None:
-    """Refuse a sighting (m, m^2) of a marker that was not lost, and can be nowhere."""
+    """Refuse an impossible sighting (m, m^2); that of a lost marker, NaN, is allowed."""
     if (np.abs(tip) > FARTHEST).any():
         raise InputError("tip_measured", "position", tip.tolist(), f"NaN, or up to {FARTHEST:g} m")
     sure = (variance >= 0.0) & (variance <= FARTHEST**2)
@@ -214,7 +219,8 @@ def check_sighting(tip: np.ndarray, variance: np.ndarray) -> None:
 def tip_message(
     tip: np.ndarray, covariance: np.ndarray, stamp: Time, frame: str
 ) -> PoseWithCovarianceStamped:
-    """A tip (3,), m, with the covariance (6, 6) of its pose; `sighting_of` reads it."""
+    """Make a message of a tip (3,), m, with the covariance (6, 6) of its pose; `sighting_of` reads
+    it."""
     message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=frame))
     x, y, z = tip.tolist()
     message.pose.pose.position = Point(x=x, y=y, z=z)
@@ -225,7 +231,7 @@ def tip_message(
 def carried_tip(
     message: PoseWithCovarianceStamped, place: np.ndarray, frame: str
 ) -> PoseWithCovarianceStamped:
-    """A sighting in another frame, in which its own one has the pose ``place`` (4, 4)."""
+    """Express a sighting in another frame, in which its own frame has the pose ``place`` (4, 4)."""
     tip, o = sighting_of(message)[0], message.pose.pose.orientation
     turn = np.array([o.x, o.y, o.z, o.w])
     seen = quaternion.pose(tip, turn) if quaternion.is_unit(turn) else tip
@@ -252,7 +258,7 @@ def driver_words(state: int) -> str:
 
 
 def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> JointState:
-    """Read-back of joints, by name; efforts where any is known."""
+    """Make a message of the read-back of joints, by name; with efforts where any is known."""
     joints = readings.values()
     efforts = [joint.effort for joint in joints]
     return JointState(

@@ -32,7 +32,8 @@ class _LoadedModel:
 
 
 class ModelFiles:
-    """arm.yaml, read once, and model.yaml, read again on demand.
+    """The files of the arm and its model: arm.yaml, read once, and model.yaml, read again on
+    demand.
 
     Effects of circumstances that no topic tells are left out, as in the expected error of commands.
     """
@@ -51,7 +52,7 @@ class ModelFiles:
         self.reload()
 
     def reload(self) -> tuple[bool, str]:
-        """Read model.yaml again; on failure the old model stays. Returns success and message."""
+        """Read model.yaml again; on failure the old model stays. Return success and message."""
         if not self._path:
             return True, "the arm as declared: no model.yaml is configured"
         try:
@@ -70,7 +71,7 @@ class ModelFiles:
         return True, f"{self._path} {self.loaded.file_hash[:12]}"
 
     def replace_model(self, model: Model) -> None:
-        """Serve what was learned in place of the model of the file."""
+        """Serve a learned model in the place of the file's model."""
         if model is not self.loaded.model:
             self.loaded = replace(self.loaded, model=model, learned=self.loaded.learned + 1)
 

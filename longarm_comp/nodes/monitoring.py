@@ -1,4 +1,4 @@
-"""Monitors of the tip: by the joints' readings, and as seen, beside prediction and target."""
+"""Monitors of the tip, by the joints' readings and as seen, beside prediction and target."""
 
 from __future__ import annotations
 
@@ -49,7 +49,10 @@ PARAMS = (
 
 
 class ReadingsTeller:
-    """Publishes it every so often while the arm rests, computed on the worker's thread."""
+    """Publishes the tip by the joints' readings at a constant interval while the arm rests.
+
+    It is computed on the worker's thread.
+    """
 
     def __init__(self, state: ArmState) -> None:
         self._state = state
@@ -59,7 +62,8 @@ class ReadingsTeller:
         state.node.every("readings.period_s", self._tick)
 
     def _tick(self) -> None:
-        """One waits at most: targets must not wait behind many."""
+        """Queue the computation if the arm rests; at most one waits, so that targets are not
+        delayed."""
         now = self._state.standing
         q, before = None if now is None else now[1], self._before
         self._before = q
@@ -68,7 +72,7 @@ class ReadingsTeller:
             self._state.worker.submit_once(self.tell)
 
     def tell(self) -> TipByReadings | None:
-        """Compute and publish it now; None while joints or circumstances are not known."""
+        """Compute and publish the tip now; None while joints or circumstances are not known."""
         now = self._state.standing
         if now is None:
             return None
@@ -113,7 +117,7 @@ class Sighted:
 class TipMonitor:
     """Collects rest poses and tests their residuals; `sighted` is the last one at a target.
 
-    Sightings come in the frame of the model. `unplaced`: why none do.
+    Sightings come in the frame of the model. `unplaced`: why none come.
 
     The ``on_...`` methods may be called from any thread; `judge` on the worker's.
     """
@@ -136,11 +140,11 @@ class TipMonitor:
         self._monitor = self._at_target = self._servos = Monitor(self._run_length)
 
     def aim_at(self, q: np.ndarray, target: np.ndarray) -> None:
-        """Take a command for a target: joints (n,) that bring the tip to it, (3,) m."""
+        """Note a command for a target: joints (n,) that bring the tip to it, (3,) m."""
         self._aim = q, target
 
     def on_command(self, q: np.ndarray, history: History) -> None:
-        """Take a command: joints (n,) and their history on arrival."""
+        """Note a command: joints (n,) and their history on arrival."""
         self._sent = q
         with self._feeding:
             self._watch.commanded(q, history)
@@ -151,12 +155,12 @@ class TipMonitor:
                 self._watch.reached()
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
-        """Take a joint reading (n,) of a time (ROS clock, s)."""
+        """Take in a joint reading (n,) of a time (ROS clock, s)."""
         with self._feeding:
             self._watch.joints(q, at_s)
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> RestPose | None:
-        """Take a sighting; returns the rest pose that it completes, if it does.
+        """Take in a sighting; return the rest pose that it completes, if any.
 
         It counts for the time of its images, which may come late: a picture of the arm on its way
         is no rest pose. Without a stamp it counts for now.
@@ -174,7 +178,7 @@ class TipMonitor:
     def judge(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """Add a rest pose to the sequential tests.
 
-        Returns the learned error (3,) m that was expected there; None where no predictor speaks.
+        Return the learned error (3,) m that was expected there; None where no predictor answers.
         """
         missed = self._miss_at_target(rest, model, context)
         learned, sigma = None, self._promised_sigma(model, rest.q, context)
@@ -199,7 +203,8 @@ class TipMonitor:
         return learned
 
     def _promised_sigma(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
-        """Return the standard deviation (3,) m at joints, by parameter or the model's promise."""
+        """Return the standard deviation (3,) m that is expected at joints: a parameter or the
+        model's."""
         if self._sigma_m:
             return np.full(3, self._sigma_m)
         promised = expected_miss(model, q, context, model.tip(q, context)).covariance
@@ -207,7 +212,7 @@ class TipMonitor:
         return np.full(3, max(float(each), _LEAST_M))
 
     def _miss_at_target(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
-        """Return tip - target (3,) m without the measuring side; None where it rests elsewhere."""
+        """Return tip - target (3,) m without biases; None where the arm rests elsewhere."""
         if self._aim is None or np.abs(rest.q - self._aim[0]).max() >= SAME_POSE:
             return None
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
@@ -219,7 +224,7 @@ class TipMonitor:
     def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:
         """Add the readings (n,) at the end of a move to the test of the servos.
 
-        What they say of the tip against what the command promised, without a sighting.
+        The tip by the readings is compared with that of the command, without a sighting.
         """
         if self._sent is None:
             return
@@ -228,7 +233,7 @@ class TipMonitor:
         self._servos = self._servos.seen(off, np.full(3, self._sigma_m or _LEAST_M))
 
     def servo_report(self) -> Report:
-        """Report whether joints stand where they were sent."""
+        """Report whether the joints stand where they were sent."""
         verdict = self._servos.verdict()
         facts = _facts("moves", verdict)
         if verdict.drifted:
@@ -251,7 +256,7 @@ class TipMonitor:
 
     @property
     def _advice(self) -> str:
-        """Shell commands that find what has changed: plan poses, collect, diagnose."""
+        """Shell commands that find out what has changed: plan poses, collect, diagnose."""
         state = self._state
         arm, model = (shlex.quote(state.p[name]) for name in ("arm", "model"))
         where = state.node.get_namespace().strip("/")
@@ -275,9 +280,9 @@ class TipMonitor:
 
 
 class RingTeller:
-    """Computes on the worker, when a move has ended and as soon as nothing else waits.
+    """Computes the ring of the arm on the worker, after a move and once nothing else waits.
 
-    ``shaped``: the driver splits moves so that they leave little ring.
+    ``shaped``: whether the driver splits moves so that they leave little ring.
     """
 
     def __init__(self, state: ArmState, shaped: bool) -> None:

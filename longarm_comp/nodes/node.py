@@ -1,4 +1,4 @@
-"""The base of all nodes: checked parameters, workers, health, and the process they run in."""
+"""The base of all nodes: checked parameters, workers, health, and the process that runs them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ArmNode(Node):
     """A node of an arm's graph.
 
     Args:
-        executor: that the node will be in.
+        executor: the executor that the node will be in.
         sections: prefixes of parameters that are not in the ``table`` and are checked elsewhere.
 
     Attributes:
@@ -81,7 +81,7 @@ class ArmNode(Node):
         return all(ended)
 
     def every(self, name: str, callback: Callable[[], Any]) -> None:
-        """Call back every so many seconds, as a parameter says; never where it says 0."""
+        """Call back at the interval (s) that a parameter gives; never where it is 0."""
         if self.p[name]:
             steady_timer(self, self.p[name], callback)
 
@@ -121,11 +121,12 @@ class ArmNode(Node):
 
 
 def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] = ()) -> int:
-    """Spin the node that is made, until a signal.
+    """Run a node until a signal comes.
 
     Signals only set an event, so a second one does not interrupt the clean-up.
 
     Args:
+        make: makes the node.
         words: ``--effects FILE`` and ``--network FILE`` of the command line, as often as needed.
             No parameter names such a file, because parameters come from files of data.
 
@@ -196,5 +197,5 @@ def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event)
 
 
 def program(make: Callable[[SingleThreadedExecutor], ArmNode]) -> Callable[[], None]:
-    """Make the main of a module: a process that runs what ``make`` makes."""
+    """Make the main function of a module: a process that runs the node that ``make`` makes."""
     return lambda: sys.exit(run(make, remove_ros_args(sys.argv)[1:]))

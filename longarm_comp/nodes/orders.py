@@ -1,8 +1,8 @@
-"""Orders that move joints: stamp, id, age, and which ones a driver carries out.
+"""Orders that move joints: their stamp, id and age, and which of them a driver carries out.
 
 They come on `joint_trajectory`, or as goals of `follow_joint_trajectory`, as joint trajectory
-controllers offer it. A goal goes the way of a message: the same checks, and what the driver tells
-on `motion` of its id is the result.
+controllers offer it. A goal is treated like a message: it passes the same checks, and its result is
+what the driver publishes on `motion` about its id.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ def order_id(message: JointTrajectory) -> str:
 
 
 class Stamps:
-    """Stamps of a node's orders: now; while its clock stands, each 1 ns after the one before."""
+    """The stamps of a node's orders: now; while its clock stands, each 1 ns after the one
+    before."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self._read, self._last = clock, 0, 0
@@ -64,10 +65,11 @@ def untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
 
 
 class Freshness:
-    """A limit of the age of the orders that a node takes.
+    """A limit on the age of the orders that a node takes.
 
-    A stamp tells it, on a clock that runs. Without one it waited at most for as long as the node
-    was away, stopped or overloaded: a timer on the node's executor watches that.
+    If an order has a stamp and the clock runs, these tell its age. Otherwise it waited at most for
+    as long as the node was away, stopped or overloaded: a timer on the node's executor watches
+    that.
     """
 
     def __init__(self, node: Node, max_age_s: float) -> None:
@@ -85,9 +87,10 @@ class Freshness:
 
     @property
     def away_s(self) -> float:
-        """The longest time that what is taken now may have waited, s.
+        """The longest time that an order taken now may have waited, s.
 
-        After an absence that holds for as long as the absence was: by then all has been delivered.
+        It stays so for as long after an absence as the absence lasted: by then all has been
+        delivered.
         """
         now = time.monotonic()
         late = self._away_s if now - self._back < self._away_s else 0.0
@@ -129,7 +132,7 @@ class Driver(Protocol):
 
 
 class Intake:
-    """Hears `joint_trajectory` and `withdrawn`."""
+    """Receives `joint_trajectory` and `withdrawn`."""
 
     def __init__(self, node: Node, site: Driver, max_age_s: float, *, unstamped: bool) -> None:
         self._site, self._unstamped = site, unstamped
@@ -160,7 +163,7 @@ class Intake:
 
 
 class FollowServer:
-    """Serves goals. A new one replaces the one before, as a new message does."""
+    """Serves goals. A new goal replaces the one before, as a new message does."""
 
     def __init__(self, node: Node, site: Driver) -> None:
         self._node, self._site = node, site
@@ -170,7 +173,7 @@ class FollowServer:
         self._server = graph.FOLLOW.server(node, self._serve)
 
     def on_event(self, event: int, name: str, why: str) -> None:
-        """Take what the driver tells of a trajectory: an event of `Motion`."""
+        """Note what the driver publishes about a trajectory: an event of `Motion`."""
         if name in self._told and event != Motion.ACCEPTED:
             self._told[name] = self._told[name] or (event, why)
 
@@ -259,13 +262,13 @@ class FollowServer:
 
 
 def abort(goal: Any, code: int, why: str) -> Any:
-    """Give up a goal to follow a trajectory; its result, by the codes of its type."""
+    """Abort a goal to follow a trajectory; return its result, by the codes of its type."""
     goal.abort()
     return graph.FOLLOW.type.Result(error_code=code, error_string=why)
 
 
 def _not_offered(asked: Any) -> str:
-    """Say what of a goal this driver cannot do; empty if nothing."""
+    """Say which part of a goal this driver cannot do; empty if none."""
     if asked.multi_dof_trajectory.points:
         return "multi_dof_trajectory: joints of several degrees of freedom; allowed: none"
     for kind in ("path_tolerance", "goal_tolerance"):

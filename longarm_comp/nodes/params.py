@@ -1,4 +1,5 @@
-"""Parameters of a node: declared with description and range, checked; unknown ones are refused."""
+"""Parameters of a node: declared with description and range, and checked; unknown ones are
+refused."""
 
 from __future__ import annotations
 
@@ -24,13 +25,13 @@ ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 @dataclass(frozen=True)
 class Param:
-    """One parameter.
+    """One parameter of a node.
 
     Attributes:
-        default: its type is the parameter's.
+        default: its default; its type is the parameter's.
         lower, upper: allowed range of a number, or of each of several.
         choices: allowed texts.
-        live: may be set while the node runs; everything else is read-only.
+        live: whether it may be set while the node runs; all others are read-only.
     """
 
     name: str
@@ -74,7 +75,7 @@ class Param:
         return self.description + (f" ({self.allowed})" if self.is_bounded else "") + live
 
     def check(self, value: Any) -> Any:
-        """The value in the parameter's own type. Raises ValueError."""
+        """Return the value in the parameter's own type. Raises ValueError."""
         if isinstance(self.default, float) and type(value) is int:
             value = float(value)
         if isinstance(self.default, list):
@@ -93,7 +94,8 @@ class Param:
 
 
 def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) -> dict[str, Any]:
-    """Declare a node's parameters (it has those given already); values by name.
+    """Declare a node's parameters, including those that it was given already; return values by
+    name.
 
     ``sections``: prefixes of names that are checked elsewhere.
     """
@@ -112,7 +114,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
         values[name] = value
 
     def check_set(asked: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse what a parameter does not allow while the node runs, in words."""
+        """Refuse, in words, what a parameter does not allow while the node runs."""
         for given in asked:  # others are of ROS, or of a section that is checked elsewhere
             if given.name in known:
                 param = known[given.name]
@@ -137,7 +139,7 @@ def _redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescripto
 def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
     """Declare what was given below some prefixes, each field with its meaning and range.
 
-    Returns it nested; a model of the section checks it.
+    Return it as nested dictionaries; the model of each section checks it.
     """
     tree: dict[str, Any] = {}
     for name, value in overrides(node).items():
@@ -177,7 +179,7 @@ _LIMITS = (
 
 
 def overrides(node: Node) -> dict[str, Any]:
-    """Parameters given on the command line and in its files, without ROS's own."""
+    """Return the parameters given on the command line and in its files, without ROS's own."""
     names = node.list_parameters([], 0).names
     own = [name for name in names if name.split(".")[0] not in ROS_OWN]
     return {name: node.get_parameter(name).value for name in own}

@@ -33,7 +33,7 @@ PARAMS = (
 
 
 class Weigher:
-    """Weighs once a move, after the driver has said that it is done."""
+    """Weighs the payload once per move, after the driver has reported its end."""
 
     def __init__(self, state: ArmState) -> None:
         self._arm, self._state, p = state.arm, state, state.p
@@ -55,7 +55,7 @@ class Weigher:
             self._due = time.monotonic() + self._settle_s
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
-        """Weigh where it is due, and tell what was found."""
+        """Weigh if it is due, and publish the result."""
         now = time.monotonic()
         standing = self._state.standing if now >= self._due else None
         if standing is not None:
@@ -90,7 +90,7 @@ class Weigher:
         self._weighing = self._weighing.with_rest(rest)
 
     def _tell(self, now: float) -> None:
-        """The payload that was felt, where nobody else tells one."""
+        """Publish the weighed payload, unless somebody else publishes one."""
         found, readings = self._weighing.payload, self._state.readings
         if found is None or not found.tells(self._reference):
             return
@@ -123,7 +123,7 @@ class Weigher:
 
 
 def drives(servos: str, arm: Arm) -> Drives:
-    """Read how a driver's servos tell loads; NaN for joints of which it is not known."""
+    """Read how a driver's servos measure loads; NaN for joints of which this is not known."""
     config = ServoConfig.load(servos).joints if servos else {}
     friction, step = np.full((2, arm.n), np.nan)
     for k, name in enumerate(arm.joint_names):

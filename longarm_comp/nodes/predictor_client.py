@@ -1,4 +1,4 @@
-"""Client of the `predict_error` service: the learned error computed by another process."""
+"""The client of the `predict_error` service: the learned error, computed by another process."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PredictorClient:
         timeout_s: without an answer within this time there is no predictor.
 
     Attributes:
-        file_hash: of the predictor that answered last.
+        file_hash: hash of the file of the predictor that answered last.
     """
 
     def __init__(self, caller: ServiceCaller, arm: Arm, timeout_s: float) -> None:
@@ -55,10 +55,12 @@ class PredictorClient:
     def compensate_with(
         self, method: Method, compensate: Callable[[Nearby | None], Found]
     ) -> tuple[Found, str, str]:
-        """Compensate with what answers, or without where none does or the method needs none.
+        """Compensate with a predictor that answers; without, if none answers or the method needs
+        none.
 
-        Returns what was found, the `file_hash` of the predictor that was asked or "", and why one
-        that the method needs was not.
+        Returns:
+            What was found; the `file_hash` of the predictor that was asked or ""; and the reason
+            why a predictor that the method needs was not used.
         """
         why = ""
         if method.learned and self._caller.present:
@@ -72,7 +74,7 @@ class PredictorClient:
         return compensate(None), "", why
 
     def ask(self, q: np.ndarray, context: Context, *, deflection: bool = True) -> Expansion:
-        """Expected error at joints (n,) and its expansion around them, for one context.
+        """Return the expected error at joints (n,) and its expansion around them, for one context.
 
         Args:
             deflection: whether the physics that it is added to includes link deflection.

@@ -1,4 +1,5 @@
-"""Action `reach`: a target, feedback while the arm moves, and where the tip came to rest."""
+"""The action `reach`: takes a target, gives feedback while the arm moves, and tells where the tip
+came to rest."""
 
 from __future__ import annotations
 
@@ -44,13 +45,13 @@ class ReachServer:
         self._server = graph.REACH.server(node, self._serve)
 
     def on_motion(self, motion: Motion) -> None:
-        """Take what the driver says of a trajectory; from any thread."""
+        """Note what the driver publishes about a trajectory; may be called from any thread."""
         if self._turns and motion.event != Motion.ACCEPTED:
             self._told.setdefault(motion.id, motion)
 
     @property
     def _no_driver(self) -> str:
-        """The reason that no driver will say that a move is done; empty where it does."""
+        """The reason why no driver will report the end of a move; empty where one does."""
         if not self._state.driver.acknowledged:
             return "the driver does not report what is reached: acknowledged is false"
         return self._state.driver.refusal
@@ -105,7 +106,7 @@ class ReachServer:
     async def _follow(
         self, goal: Any, name: str, command: np.ndarray, result: Reach.Result
     ) -> bool:
-        """Wait until the driver says what became of the move; return whether it was reached."""
+        """Wait until the driver reports the end of the move; return whether it was reached."""
         halted = False
         while (motion := self._told.get(name)) is None and not self._no_driver:
             if goal.is_cancel_requested and not halted:
@@ -126,7 +127,7 @@ class ReachServer:
     async def _look(
         self, goal: Any, command: np.ndarray, before: Sighted | None, result: Reach.Result
     ) -> None:
-        """Wait for the tip to be seen at rest, where anybody looks."""
+        """Wait until the tip is seen at rest, if anything measures it."""
         node = self._state.node
         seen_by = node.count_publishers(node.resolve_topic_name(graph.TIP_MEASURED.name))
         if seen_by and self._monitor.unplaced:
@@ -161,7 +162,7 @@ class ReachServer:
 
 
 def _unseen(message: str, status: int = 0) -> Reach.Result:
-    """A result without a sighting: tip and miss are NaN."""
+    """Make a result without a sighting: tip and miss are NaN."""
     result = Reach.Result(message=message, status=status, miss=vector_message([math.nan] * 3))
     result.tip.x = result.tip.y = result.tip.z = math.nan
     return result

@@ -1,8 +1,8 @@
-"""`servo_driver` (lifecycle): joint trajectories to a servo bus, read-back to joint states.
+"""`servo_driver` (lifecycle): sends joint trajectories to a servo bus, publishes joint states.
 
 When configured, the port is open and the servos are read. When active, their torque is on. It is
 switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process. A stop
-or hold outlasts the process (`StopLatch`): while one stands, no torque is switched on, and no
+or hold outlasts the process (`StopLatch`): while it stands, no torque is switched on, and no
 trajectory is taken, in any state.
 """
 
@@ -80,8 +80,10 @@ Change = Callable[[ChangeState.Request, ChangeState.Response], Any]
 
 
 def reporting_faults(transition: Transition) -> Transition:
-    """A transition that tells of an exception: rclpy drops it, and the driver would wait for ever
-    for a reason that nobody sees."""
+    """Wrap a transition so that it reports an exception.
+
+    rclpy drops the exception, and the driver would wait for ever for a reason that nobody sees.
+    """
 
     @wraps(transition)
     def tell(driver: _ServoDriver, state: LifecycleState) -> TransitionCallbackReturn:
@@ -96,9 +98,9 @@ def reporting_faults(transition: Transition) -> Transition:
 
 
 def _refusing(change: Change) -> Change:
-    """A service that refuses a transition that the state does not have.
+    """Wrap a service so that it refuses a transition that the state does not have.
 
-    rclpy raises there and answers nothing, so whoever asked would wait for ever.
+    rclpy raises there and answers nothing, so the client would wait for ever.
     """
 
     @wraps(change)
@@ -151,7 +153,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().close()
 
     def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
-        """Check the declared steps; how moves are kept out of boxes, and shaped."""
+        """Check the declared steps; return how moves are kept out of boxes, and how they are
+        shaped."""
         file, names = p["arm"], list(self._config.joints)
         if not file:
             if p["shaping"]:
@@ -185,7 +188,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @reporting_faults
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque on, unless a stop stands; the arm holds its present position."""
+        """Switch torque on, unless a stop stands; the arm holds its present position."""
         try:
             if not self._stops.standing:
                 self._machine.power(True)
@@ -206,7 +209,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @reporting_faults
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque off, back to unconfigured."""
+        """Switch torque off and go back to unconfigured."""
         self._release()
         return super().on_cleanup(state)
 
@@ -296,7 +299,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return self._motion if moving else ""
 
     def take(self, message: JointTrajectory, name: str) -> None:
-        """Check and follow a trajectory; what becomes of it is told by its id ``name``."""
+        """Check and follow a trajectory; its progress is published under its id ``name``."""
         if self._stops.standing:
             self.refuse(name, self._stops.standing)
             return
@@ -346,7 +349,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def state(self) -> tuple[int, str]:
-        """State as in `DriverState`, and why."""
+        """The state as in `DriverState`, and the reason."""
         unready = "" if self.arm else self.fault or self._waiting or "not configured"
         follower = self.arm.follower.state if self.arm else None
         held, (stopped, why) = self._stops.standing, self._stops.state

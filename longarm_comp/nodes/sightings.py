@@ -1,7 +1,7 @@
-"""Sightings of the tip and the arm's base: the one place that carries between their frames.
+"""Sightings of the tip, and the arm's base: the only module that converts between their frames.
 
-A tracker may stand anywhere. Once a model knows where its frame lies, sightings are told in the
-base on `tip_seen`, and tf tells its frame, so that targets may be given in it.
+A tracker may stand anywhere. Once a model knows where its frame lies, sightings are published in
+the base on `tip_seen`, and tf gets its frame, so that targets may be given in it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from longarm_comp.nodes.messages import carried_tip
 
 
 class TipSightings:
-    """Takes what `tip_measured` says, and tells where its frame lies.
+    """Receives the sightings on `tip_measured`, and publishes where their frame lies.
 
     Attributes:
-        unplaced: why they are not compared, where nobody knows the place of their frame.
+        unplaced: why they are not compared, where the place of their frame is not known.
     """
 
     def __init__(self, state: ArmState, frames: FrameListener, drawn: ArmFrames) -> None:
@@ -36,7 +36,7 @@ class TipSightings:
         self.tell()
 
     def tell(self) -> None:
-        """Say where the measurements' frame lies, where a model knows it and it has changed."""
+        """Publish where the measurements' frame lies, if a model knows it and it has changed."""
         stands = self._state.files.loaded.stands
         if stands is self._told or not stands.solved:
             return
@@ -49,7 +49,7 @@ class TipSightings:
 
     @property
     def _is_unknown(self) -> bool:
-        """True where nobody has said where the sightings' frame lies."""
+        """True where tf does not know where the sightings' frame lies."""
         try:
             self._frames.place(self._seen_in, self._state.base_frame, 0)
         except UnknownPlace:
@@ -59,11 +59,11 @@ class TipSightings:
     def take(
         self, message: PoseWithCovarianceStamped
     ) -> tuple[PoseWithCovarianceStamped, PoseWithCovarianceStamped | None]:
-        """Tell a sighting on `tip_seen`.
+        """Publish a sighting on `tip_seen`.
 
         Returns:
-            It as told, in the base, or as it came where its place is unknown; and in the frame of
-            the model, or None.
+            The sighting as published, in the base, or unchanged where its place is unknown; and the
+            sighting in the frame of the model, or None.
         """
         frame, base = message.header.frame_id.lstrip("/"), self._state.base_frame
         if frame not in (self._seen_in, self._measured, *self._own):

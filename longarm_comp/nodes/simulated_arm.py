@@ -75,13 +75,13 @@ PARAMS = (
 
 
 def sizes(text: str) -> dict[str, float]:
-    """Effects and sizes, mm, of ``name=mm name=mm``."""
+    """Read effects and sizes, mm, from ``name=mm name=mm``."""
     found = numbers("hidden", text, 1, "name=mm, for instance backlash=2.0")
     return {name: size for name, (size,) in found.items()}
 
 
 def numbers(field: str, text: str, count: int, allowed: str) -> dict[str, list[float]]:
-    """So many numbers by name, of ``name=number,number name=...``."""
+    """Read `count` numbers by name from ``name=number,number name=...``."""
     by_name = {}
     for part in text.split():
         name, _, said = part.partition("=")
@@ -103,7 +103,10 @@ def _check_names(field: str, text: str, known: Iterable[str]) -> list[str]:
 
 
 class _SimulatedArm(ArmNode):
-    """Renders images on a thread. A frame is skipped while the last one is being rendered."""
+    """The node, which renders images on a thread.
+
+    A frame is skipped while the last one is being rendered.
+    """
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "simulated_arm", PARAMS)
@@ -202,7 +205,10 @@ class _SimulatedArm(ArmNode):
             self._late += 1
 
     def _frame(self) -> None:
-        """Render where somebody looks, on the worker's thread; both images carry one time."""
+        """Render and publish both images, if anybody subscribes, on the worker's thread.
+
+        Both carry the same time.
+        """
         ns = self.get_clock().now().nanoseconds
         t_s = self._t_s
         looked_at = any(image.get_subscription_count() for image in self._images)

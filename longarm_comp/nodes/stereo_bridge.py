@@ -1,4 +1,4 @@
-"""`stereo_bridge`: left and right images in, the tip in the base frame with covariance out."""
+"""`stereo_bridge`: turns left and right images into the tip in the base frame, with covariance."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class _StereoBridge(ArmNode):
             self._refuse(error, None)
 
     def _calibrate(self, cameras: Mapping[Side, Calibration]) -> None:
-        """Measure with this calibration from now on.
+        """Use this calibration from now on.
 
         Raises:
             StereoRefusal, InputError: the calibration cannot be used.

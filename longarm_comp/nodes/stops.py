@@ -1,4 +1,4 @@
-"""The driver's services `~/estop`, `~/hold` and `~/reset`, in every state of its lifecycle."""
+"""The driver's services `~/estop`, `~/hold` and `~/reset`, which work in every lifecycle state."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Stoppable(Protocol):
 
 
 class Stops:
-    """Stops the arm and lets it go on; what stands, stands for the driver's successors too.
+    """Stops the arm and lets it go on. A stop also stands for the driver's next process.
 
     While one stands the driver switches no torque on and takes no trajectory.
     """
@@ -57,24 +57,24 @@ class Stops:
 
     @property
     def standing(self) -> str:
-        """The reason that the arm is stopped or held; empty where it is not."""
+        """The reason why the arm is stopped or held; empty where it is not."""
         return self._latch.words
 
     @property
     def unkept(self) -> bool:
-        """True where a stop that stands would end with this process."""
+        """True where a standing stop would end with this process; `StopLatch` says why."""
         return bool(self._latch.trouble)
 
     @property
     def state(self) -> tuple[int, str]:
-        """State as in `DriverState` while one stands, and why."""
+        """The state as in `DriverState` while a stop stands, and the reason."""
         stopped = Stop.ESTOP in self._latch.standing
         torque = self._torque_yet(Stop.ESTOP if stopped else Stop.HOLD)
         why = "; ".join(filter(None, (self.standing, torque)))
         return (DriverState.ESTOP if stopped else DriverState.HOLDING), why
 
     def let_go(self) -> None:
-        """Torque off under an emergency stop. Where no servo hears it, it is sent again."""
+        """Switch torque off under an emergency stop; send it again where no servo received it."""
         if self._site.arm is not None and Stop.ESTOP in self._latch.standing:
             with suppress(LongarmError):
                 self._site.arm.estop()
@@ -91,12 +91,12 @@ class Stops:
         return self._kept(Stop.HOLD, "held: torque on, trajectories refused")
 
     def _kept(self, stop: Stop, done: str) -> str:
-        """Write a stop down; what was done, or what of it was not."""
+        """Write a stop to the latch; return what was done, or which part of it was not."""
         self._latch.keep()
         return self.state[1] if self._torque_yet(stop) or self.unkept else done
 
     def _torque_yet(self, stop: Stop) -> str:
-        """Say what of the torque is not yet as a stop wants it; empty where it is."""
+        """Say how the torque still differs from what a stop wants; empty where it does not."""
         arm = self._site.arm
         if stop is Stop.ESTOP:
             off = arm is not None and not arm.owing_off
@@ -112,14 +112,14 @@ class Stops:
         return self._now()
 
     def _reset(self) -> str:
-        """End what stops the arm. An arm that is only held is driven on as it is."""
+        """End everything that stops the arm. If it is only held, the hold ends as in `_go_on`."""
         arm = self._site.arm
         well = arm is None or arm.follower.state not in (FollowerState.FAULT, FollowerState.ESTOP)
         only_held = set(self._latch.standing) == {Stop.HOLD}
         return self._go_on() if well and only_held else self._end(*Stop)
 
     def _end(self, *ends: Stop) -> str:
-        """End stops, and a fault; torque on where the driver is active."""
+        """End stops, and a fault; torque goes on where the driver is active."""
         arm = self._site.arm
         if arm is None and not self._latch.standing.keys() & set(ends):
             raise LongarmError("the driver is not configured")
@@ -134,7 +134,7 @@ class Stops:
 
 
 def _offer(node: Node, service: graph.Service, action: Callable[[Any], str]) -> None:
-    """Serve what an action does with a request: what it says, or why it cannot."""
+    """Offer a service that answers with the text of an action, or with why it failed."""
 
     def serve(request: Any, response: Any) -> Any:
         try:

@@ -1,5 +1,4 @@
-"""Answers the targets that `kinematics` receives, in the order of their arrival, each exactly
-once."""
+"""Answers the targets that `kinematics` receives: in order of arrival, each exactly once."""
 
 from __future__ import annotations
 
@@ -42,8 +41,9 @@ PARAMS = (
 class TargetInlet:
     """Takes targets of the topic, the service and the action, and answers them on a worker.
 
-    The latest target on the topic wins: one that waits is superseded when another one comes. It
-    is told of when nothing else waits. The service and the action come first, in their order.
+    The latest target on the topic wins: one that waits is superseded when another one comes. Its
+    answer is published when nothing else waits. The service and the action come first, in their
+    order.
     """
 
     def __init__(
@@ -96,9 +96,9 @@ class TargetInlet:
         self._latest = message, sent
 
     def serve_topic(self) -> bool:
-        """Serve the latest target of the topic, else tell of one that it has superseded.
+        """Serve the latest target of the topic, else answer one that it has superseded.
 
-        Returns whether there was one.
+        Return whether there was one.
         """
         latest = self._latest is not None
         if not latest and not self._superseded:
@@ -134,7 +134,8 @@ class TargetInlet:
             respond(refused)
 
     def execute(self, target: TargetRequest) -> Future | None:
-        """Compute and send a target in its turn: its `Answer`; None where too many wait."""
+        """Queue a target to compute and send; return its future `Answer`; None where too many
+        wait."""
         return self._worker.ask(partial(self._serve, target))
 
     def _serve(
@@ -175,7 +176,7 @@ class TargetInlet:
                 self._publish_answer(answer)
 
     def _publish_answer(self, answer: Answer) -> None:
-        """Count the answer, then publish it: who hears of it finds it counted."""
+        """Count the answer, then publish it, so that a receiver finds it counted."""
         if answer.status is Status.INTERNAL_ERROR:
             self._broken = answer.message
         elif answer.status.success:
@@ -187,7 +188,7 @@ class TargetInlet:
         self._markers.on_answer(answer)
 
     def halt(self) -> str:
-        """Stop the arm smoothly: a trajectory without points. Its id."""
+        """Stop the arm smoothly by a trajectory without points; return its id."""
         message = trajectory_message(self._arm, np.empty((0, 0)), 0.0, self._stamps.next())
         self._trajectory.publish(message)
         return order_id(message)

@@ -1,4 +1,4 @@
-"""`trajectory_compensator`: a planned trajectory in, its compensated one to the controller.
+"""`trajectory_compensator`: compensates a planned trajectory and sends it to the controller.
 
 It offers the action `follow_joint_trajectory` and forwards each goal to another one of that type:
 of our driver, or of any joint trajectory controller. Nothing is sent of a goal that is refused.
@@ -75,7 +75,7 @@ PARAMS = (
 
 
 class _TrajectoryCompensator(ArmNode):
-    """Computes on a worker thread, so that the executor stays free."""
+    """The node, which computes on a worker thread, so that the executor stays free."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "trajectory_compensator", PARAMS)
@@ -101,7 +101,7 @@ class _TrajectoryCompensator(ArmNode):
         self._worker.start()
 
     def _limits_of(self, p: Mapping[str, Any]) -> MotionLimits:
-        """Limits by joint. A controller that is not ours gets no trajectory without them."""
+        """Return the limits by joint. They are required for a controller that is not ours."""
         found = []
         for name in ("max_velocity", "max_acceleration"):
             given = p[name] * self._arm.n if len(p[name]) == 1 else p[name]
@@ -136,7 +136,7 @@ class _TrajectoryCompensator(ArmNode):
             self._following -= 1
 
     def _not_now(self, asked: JointTrajectory) -> str:
-        """Say why nothing can be followed now; empty if it can."""
+        """Say why no trajectory can be followed now; empty if one can."""
         if not asked.points:
             return "a trajectory without points"
         if not self._out.server_is_ready():
@@ -145,7 +145,7 @@ class _TrajectoryCompensator(ArmNode):
         return self._fresh.too_old(asked.header.stamp) or why
 
     async def _forward(self, goal: Any, made: CompensatedPath) -> Any:
-        """Send the path to the controller, and return what became of it."""
+        """Send the path to the controller, and return its result."""
         timed = made.timed
         message = trajectory_message(
             self._arm, timed.joints, timed.times, self._stamps.next(), timed.velocities
@@ -237,7 +237,7 @@ class _TrajectoryCompensator(ArmNode):
     def _tell_planned(self) -> None:
         """Publish the joints at which the declared arm's tip is where the real one is.
 
-        What the next path needs is compiled then.
+        This also compiles what the next path needs.
         """
         q, loaded = self._state.joints, self._files.loaded
         model = physics_of(loaded.model, self._method)

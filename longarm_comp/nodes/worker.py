@@ -68,9 +68,9 @@ def check_rclpy(implementation: Any = rclpy_implementation) -> None:
 class SequenceWatch:
     """Finds gaps in the numbers that publishers give their messages.
 
-    A message tells its number, not its publisher. Each number is taken to go on with the nearest
-    one below it. Gaps count only where the queue was full: elsewhere they are a publisher that
-    was heard for the first time.
+    A message tells its number, not its publisher. Each number is taken to follow the nearest one
+    below it. Gaps count only where the queue was full; elsewhere they mean a publisher that was
+    heard for the first time.
     """
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class SequenceWatch:
 
 
 class _NotOfTheExecutor(CallbackGroup):
-    """Callback group of entities that a worker takes; the executor ignores them."""
+    """The callback group of entities whose messages a worker takes; the executor ignores them."""
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -143,12 +143,12 @@ class Worker:
 
     @property
     def lost(self) -> int:
-        """Messages that were lost, by the numbers of those that came."""
+        """Number of messages that were lost, by the numbers of those that came."""
         return sum(watch.lost for _, watch, _ in self._topics)
 
     @property
     def failing(self) -> str:
-        """The failure of a job that has not succeeded since; empty if there is none of late."""
+        """The failure of a job that has not succeeded since; empty if there is no recent one."""
         recent = time.monotonic() - _FAILING_S
         return next((why for why, at_s in self._failed.values() if at_s > recent), "")
 
@@ -157,10 +157,11 @@ class Worker:
         return len(self._jobs)
 
     def start(self, idle: Callable[[], bool] = lambda: False) -> None:
-        """Begin to work.
+        """Start the thread.
 
         Args:
-            idle: called while no job waits; does a piece of what can wait, and returns whether it
+            idle: called while no job waits; does a piece of work that can wait, and returns whether
+                it
                 did.
         """
         with self._node.context.handle:

@@ -238,7 +238,7 @@ def _read_run_up(table: Table, q: np.ndarray, sides: np.ndarray) -> np.ndarray |
 
 
 def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarray]:
-    """Return sides (N, n) as `read_approach` reads them: one column where the joints' agree."""
+    """Return the columns of sides (N, n) that `read_approach` reads: one if all joints agree."""
     if (sides == sides[:, :1]).all():
         return {"approach": [None if side == 0 else int(side) for side in sides[:, 0]]}
     return dict(zip(approach_names(sides.shape[1]), sides.T, strict=True))

@@ -224,7 +224,7 @@ def target(state: PageState) -> str:
 
 
 def millimetres(vector: np.ndarray | str) -> str:
-    """Length and components of a vector (3,) in m; a text as it is."""
+    """Write the length and components of a vector (3,), m, in mm; a text stays as it is."""
     if isinstance(vector, str):
         return vector
     parts = ", ".join(

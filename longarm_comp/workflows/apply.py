@@ -45,7 +45,7 @@ class _Change:
             place, stand for all of their terms.
         kind: ``added``, ``changed`` or ``removed``.
         values: (parameter, unit, before, after), NaN where it was or is not there.
-        tip_mm: RMS of what it moves the seen tip by, 3-D, over the poses given.
+        tip_mm: RMS by which it moves the seen tip, 3-D, over the poses given.
     """
 
     what: str
@@ -71,7 +71,7 @@ class Applied:
 
     Attributes:
         model, version: file of the model at work, and its version.
-        changes: largest at the tip first.
+        changes: what changed, largest at the tip first.
         predictor: file of the predictor that was trained; None: none, so physics only.
         refused: why a network that was trained is not put to work; empty if it is.
         set_aside: file of the predictor that no longer fits.
@@ -90,7 +90,7 @@ class Applied:
 
     @property
     def undo(self) -> str:
-        """The command that takes it back."""
+        """The shell command that restores the version before."""
         return f"longarm undo {self.model}"
 
 
@@ -109,16 +109,16 @@ def apply(
     """Put a diagnosis to work.
 
     Args:
-        diagnosis: its folder.
+        diagnosis: folder of the diagnosis.
         model: file at work; it may not exist yet, then the declared arm is at work.
         predictor: file at work; ``predictor.npz`` beside the model by default.
-        session: that was diagnosed; by default the one that the diagnosis names.
-        network: train a predictor on what the model leaves of the session.
-        seed, note, progress: as for `train`.
+        session: session that was diagnosed; by default the one that the diagnosis names.
+        network: whether to train a predictor on the residual of the model in the session.
+        seed, note, progress: as in `train`.
 
     Raises:
-        InputError: no diagnosis; of another arm; not made with the model at work; the session is
-            missing or another one.
+        InputError: there is no diagnosis; it is of another arm, or was not made with the model at
+            work; the session is missing or another one.
         JobError: the diagnosis adds nothing.
     """
     report, made = read_report(diagnosis), diagnosis / inputs.MODEL
@@ -157,7 +157,8 @@ def apply(
 
 
 def take_back(diagnosis: Path, model: Path) -> None:
-    """Undo a diagnosis that is at work, because what put it to work was broken off thereafter."""
+    """Undo a diagnosis that is at work, because the job that put it to work was interrupted
+    later."""
     made = diagnosis / inputs.MODEL
     if model.is_file() and made.is_file() and model.read_bytes() == made.read_bytes():
         undo(model)
@@ -185,7 +186,10 @@ Pair = tuple[float, float]
 
 
 def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
-    """Mean held-out error, mm, before and after, as commanded and as seen; None: not recorded."""
+    """Return the mean held-out error, mm, before and after, as commanded and as seen.
+
+    A pair is None where it was not recorded.
+    """
     rows = {row.model: row for row in report.held_out.rows}
     before = rows.get("nominal")
     after = None if report.written is None else rows.get(report.written.model)
@@ -198,7 +202,7 @@ def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
 
 
 def _before(provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm) -> Model:
-    """The model at work, which must be the one that was diagnosed."""
+    """Return the model at work, which must be the one that was diagnosed."""
     diagnosed = provenance.get(inputs.MODEL_BEFORE)
     if diagnosed is None:
         raise InputError(made, f"provenance.{inputs.MODEL_BEFORE}", "missing", "diagnose again")
@@ -266,7 +270,10 @@ def put_to_work(
 ) -> Path | None:
     """Replace the model at work by a new version's content, and the predictor by its `trained` one.
 
-    Without one no predictor is at work then. Returns where the predictor before is kept, if any.
+    Without a trained predictor none is at work afterwards.
+
+    Returns:
+        The file in which the predictor before is kept, if there was one.
     """
     finish(model, predictor)
     aside = _keep(predictor)
@@ -289,10 +296,14 @@ def put_to_work(
 
 
 def undo(model: Path) -> Path | None:
-    """Restore the version of a model before, byte for byte, and the predictor that belonged to it.
+    """Restore the previous version of a model, byte for byte, and the predictor that belonged to
+    it.
 
-    Predictors are looked for beside the model. One that belonged to the version taken back is
-    set aside. Broken off, it is finished by calling it again. Returns the predictor that came back.
+    Predictors are sought beside the model. One that belonged to the version taken back is set
+    aside. An interrupted undo is finished by calling it again.
+
+    Returns:
+        The file of the predictor that came back, if any.
     """
     beside = [followed(p) for p in model.parent.glob("[!.]*.npz")
               if p.is_symlink() or _trained_with(p) is not None]  # fmt: skip
@@ -309,7 +320,7 @@ def undo(model: Path) -> Path | None:
 
 
 def finish(model: Path, predictor: Path) -> bool:
-    """Finish a change that was broken off; whether a predictor is at work again by it."""
+    """Finish a change that was interrupted; return whether that puts a predictor to work again."""
     file_versions.settle(model)
     fits = _kept_as(predictor, inputs.file_hash(model)) if model.is_file() else None
     if fits is None or not fits.is_file():
@@ -320,7 +331,8 @@ def finish(model: Path, predictor: Path) -> bool:
 
 
 def _keep(predictor: Path) -> Path | None:
-    """A copy of the predictor at work under its model's name; None where there is none."""
+    """Copy the predictor at work to a file named after its model; None where there is no
+    predictor."""
     if not predictor.is_file():
         return None
     aside = _kept_as(predictor, _trained_with(predictor) or inputs.file_hash(predictor))
@@ -333,7 +345,8 @@ def _kept_as(predictor: Path, of: str) -> Path:
 
 
 def _trained_with(path: Path) -> str | None:
-    """SHA-256 of the model that a predictor was trained with; None: another kind of file."""
+    """Return the SHA-256 of the model that a predictor was trained with; None for any other
+    file."""
     try:
         settings = predictor_file.load(path).provenance.settings
     except InputError:

@@ -37,7 +37,7 @@ from longarm_comp.workflows.evaluate import ErrorTable
 
 
 def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, str]:
-    """Derive what arms of a kind say of a further one, and which they are."""
+    """Derive the prior of a further arm from models of arms of its kind, and name these models."""
     models, names, origins = [], [], []
     noise: dict[str, list[float]] = {}
     for number, each in enumerate(given, 1):
@@ -60,13 +60,17 @@ def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, s
 
 
 def _noise_key(kind: str) -> str:
-    """Key of a model.yaml's provenance: the noise of a kind of measurement, m or rad."""
+    """Return the key of the noise of a kind of measurement (m or rad) in model.yaml's
+    provenance."""
     return f"noise_{kind}"
 
 
 @dataclass(frozen=True)
 class _FittedParameter:
-    """One fitted parameter with its 95 % interval; `geometry`: not of another effect."""
+    """One fitted parameter with its 95 % interval.
+
+    `geometry`: whether it belongs to the geometry, not to another effect.
+    """
 
     effect: str
     where: str
@@ -115,7 +119,8 @@ class Calibration:
 
     @property
     def placed(self) -> bool:
-        """True where the rows placed the nominal arm first, as they see it somewhere else."""
+        """True where the rows placed the nominal arm first, because they show it at another
+        place."""
         return any(isinstance(e, BasePose) for e in self.rungs[0].model.effects)
 
     @property
@@ -125,7 +130,7 @@ class Calibration:
 
     @property
     def places(self) -> tuple[Place, ...]:
-        """The places of base and sensors by the rows, and how well these tell them."""
+        """The places of base and sensors by the rows, with their uncertainty."""
         return places(self.fit)
 
     @property
@@ -158,7 +163,7 @@ class Calibration:
 
     @property
     def summary(self) -> str:
-        """Result of the calibration in one sentence."""
+        """The result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
         before, after = (r.commanded if r.commanded.n else r.held_out for r in (first, last))
         return (

@@ -1,4 +1,4 @@
-"""Work on the workers of a dask cluster, which need the extra ``cluster``.
+"""Runs work on the workers of a dask cluster; needs the extra ``cluster``.
 
 joblib's backend for dask is not used: it waits for ever for a task whose worker died.
 """
@@ -23,15 +23,16 @@ Made = TypeVar("Made")
 def spread(
     work: Callable[..., Made], tasks: Sequence[Task], address: str, *, workers: int, asked: str
 ) -> Iterator[tuple[Task, Made | JobError]]:
-    """Each task with what `work` returns for it, as it is done, on the workers of a cluster.
+    """Work off tasks on the workers of a cluster; yield each with its result as it is done.
 
     A task that ends every worker it is given to has a `JobError` in its place.
 
     Args:
-        work: called with a task's items. What it raises is raised here.
-        address: of a scheduler (``tcp://host:8786``), or ``local`` for one of this call's own.
-        workers: processes of ``local``.
-        asked: the command, for its errors.
+        work: called with a task's items. An exception in it is raised here.
+        address: address of a scheduler (``tcp://host:8786``), or ``local`` for one that lasts for
+            this call.
+        workers: number of processes of ``local``.
+        asked: the command, for its error messages.
 
     Raises:
         InputError: dask is not installed, or its scheduler not found.

@@ -1,4 +1,4 @@
-"""Compute joint commands that bring the real tip to targets."""
+"""Computes joint commands that bring the real tip to targets."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Commands(Sequence[Compensation]):
-    """One answer per target, in their order; index it for one.
+    """The results for several targets, in their order; an index gives that of one.
 
     Attributes:
         numbers: (N,) number of each target.
-        arrivals: result of each target, and the move for which it holds, in the frame of the model:
-            that of the measurements, for a calibrated one.
+        arrivals: result of each target, and the move for which it holds, in the frame of the model;
+            for a calibrated model that is the frame of the measurements.
         placements: frame of each target, and where it lies for the model.
     """
 
@@ -59,7 +59,7 @@ class Commands(Sequence[Compensation]):
 
     @property
     def results(self) -> tuple[Compensation, ...]:
-        """Result of each target."""
+        """The result of each target."""
         return tuple(each.outcome for each in self.arrivals)
 
     def __getitem__(self, k: Any) -> Any:
@@ -88,7 +88,7 @@ class Commands(Sequence[Compensation]):
 
     @property
     def frames(self) -> list[str]:
-        """Frame of the targets and placement used, a line for each that occurs."""
+        """List the frames of the targets and the placements used, one line for each that occurs."""
         return list(dict.fromkeys(each.text for each in self.placements))
 
     @property
@@ -114,7 +114,7 @@ class Commands(Sequence[Compensation]):
         return f"Commands({self.summary}{self.promise})"
 
     def lines(self) -> list[dict[str, Any]]:
-        """The lines of commands.csv by column; places are in the frame of the target.
+        """Return the lines of commands.csv by column; places are in the frame of the target.
 
         None: not known, or of a target that failed.
         """
@@ -122,7 +122,8 @@ class Commands(Sequence[Compensation]):
         return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
-        """Write commands.csv, or another form with ``write``; the reason where a target failed."""
+        """Write commands.csv, or another format with ``write``; failed targets have their
+        reason."""
         lines = self.lines()
         write(path, list(lines[0]), [list(line.values()) for line in lines])
         return Path(path)
@@ -144,13 +145,13 @@ def compensate(
     locked: Sequence[int | str] = (),
     **settling: Any,
 ) -> Commands:
-    """Joints that bring the real tip of an arm to targets.
+    """Compute joints that bring the real tip of an arm to targets.
 
     Args:
         model: arm and effects.
         targets: positions (N, 3) in m or poses (N, 4, 4), one of them, or `Targets` that were
             read from a file. Those with an orientation are poses.
-        predictor: of the residual of this model, from `train` or `load_predictor`.
+        predictor: predictor of the residual of this model, from `train` or `load_predictor`.
         method: ``none``, ``deflection``, ``network`` or ``both``; by default all that was given.
         frame: frame of targets that do not state it: ``base``, the arm's own, or ``measured``, that
             of the rows with which the model was calibrated. Not needed if both are the same.
@@ -169,12 +170,12 @@ def compensate(
             ``max_passes``, ``max_correction_m``.
 
     Returns:
-        One answer per target. Invalid or unreachable targets are reported in `status`, not
+        One result per target. Invalid or unreachable targets are reported in `status`, not
         raised.
 
     Raises:
         InputError: shapes do not fit, an option is not allowed, the frame matters and is not
-        stated, or the predictor belongs to another arm, model or method.
+            stated, or the predictor belongs to another arm, model or method.
     """
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
@@ -239,7 +240,7 @@ def placements_of(
     contexts: list[Context],
     frame: str,
 ) -> tuple[Placement, ...]:
-    """Frame of every target, by its own word or by that of the call."""
+    """Find the placement of every target, in the frame that it states or that the call states."""
     own = targets.frame if isinstance(targets, Targets) else ()
     where = targets.source if isinstance(targets, Targets) else "targets"
     other = next((said for said in own if said and frame and said != frame), "")
@@ -258,22 +259,22 @@ def placements_of(
 
 
 def after(given: Context, arrived: History) -> Context:
-    """The given circumstances, completed by the history that the move leaves in the joints."""
+    """Complete the given circumstances by the history that the move leaves in the joints."""
     fields = {k: getattr(given, k) or v for k, v in arrived.fields().items()}
     return dataclasses.replace(given, **fields)
 
 
 def last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
-    """Joints (n,) at the end of a session, and their history."""
+    """Return the joints (n,) at the end of a session, and their history."""
     session = history if isinstance(history, Session) else read_session(history, model.arm)
     session = as_fitted(session, model)
     return session.q[-1], History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
 
 
 def method_of(given: Method | str | None, predictor: Predictor | None) -> Method:
-    """A method by its name; by default with all that was given.
+    """Return a method by its name; without a name, the one that uses all that was given.
 
-    A learned one uses the physics that the predictor was trained with. Raises InputError.
+    A learned method uses the physics that the predictor was trained with. Raises InputError.
     """
     usual = Method.DEFLECTION
     if predictor is not None:
@@ -294,9 +295,9 @@ def method_of(given: Method | str | None, predictor: Predictor | None) -> Method
 def goals_of(
     model: Model, targets: ArrayLike | Targets, context: Context | None
 ) -> tuple[list[np.ndarray], Context, np.ndarray]:
-    """Positions (3,) or poses (4, 4), the circumstances of all, and their numbers.
+    """Return positions (3,) or poses (4, 4), the circumstances of all, and the numbers of targets.
 
-    A time of theirs is of no session: every target comes after it (`Context.as_left`).
+    The times of targets belong to no session: every target comes after it (`Context.as_left`).
     """
     if isinstance(targets, Targets):
         if context is not None:
@@ -323,7 +324,8 @@ def goals_of(
 
 
 def _usable_context(told: Context, model: Model, where: str) -> Context:
-    """Keep what a command may use of circumstances; InputError: the arm cannot be so."""
+    """Keep those circumstances that a command may use; raise InputError where the arm cannot have
+    them."""
     for name, values in told.columns.items():
         check_circumstance(model.arm, name, values, where)
     return told.as_left(model.ended_s)

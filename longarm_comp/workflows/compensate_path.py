@@ -1,4 +1,4 @@
-"""Joints and times that bring the real tip along a path."""
+"""Computes joints and times that bring the real tip along a path."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from longarm_comp.workflows.inputs import SessionLike, check_predictor
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class PathCommands(points.Commands):
-    """One answer per way-point, in their order, and when each is due.
+    """The results at the way-points of a path, in their order, and when each is due.
 
     Attributes:
-        timed: times (s), joints and velocities (rad, m, a second) at the way-points.
+        timed: times (s), joints (rad, m) and velocities (rad/s, m/s) at the way-points.
         correction_m: (N,) by how much the declared arm's tip is moved, m.
         notes: doubts of way-points, each once.
     """
@@ -44,7 +44,7 @@ class PathCommands(points.Commands):
         return f"PathCommands({len(self)} way-points, {self.timed.times[-1]:.3g} s)"
 
     def lines(self) -> list[dict[str, Any]]:
-        """The lines of `Commands`, with t_s and velocities v_q1..v_qn besides."""
+        """Return the lines of `Commands`, with t_s and velocities v_q1..v_qn added."""
         further = np.column_stack([self.timed.times, self.timed.velocities])
         names = ("t_s", *(f"v_{name}" for name in joint_names(further.shape[1] - 1)))
         rows = zip(super().lines(), further.tolist(), strict=True)
@@ -71,7 +71,7 @@ def compensate_path(
     locked: Sequence[int | str] = (),
     **settling: Any,
 ) -> PathCommands:
-    """Joints that bring the real tip of an arm along a path, with their times.
+    """Compute joints that bring the real tip of an arm along a path, with their times.
 
     Args:
         model, predictor, method, frame, context, history, locked, settling: as in `compensate`.
@@ -82,7 +82,7 @@ def compensate_path(
         max_velocity, max_acceleration: one for every joint, or (n,); rad/s and m/s, or rad/s^2 and
             m/s^2.
         max_correction_m: largest correction of a way-point, m.
-        max_turn_rad: most that the orientation may be off where the joints cannot hold it.
+        max_turn_rad: largest error of the orientation where the joints cannot hold it.
         max_longer: share of time that may be added, so that play is taken up smoothly where joints
             turn; 0: exact times.
         seed: (n,) joints to start the first search from.

@@ -43,10 +43,11 @@ from longarm_comp.workflows.train import training_rows
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DiagnosisResult:
-    """Result of a diagnosis; `save` writes all files of the command.
+    """The result of a diagnosis; `save` writes all files of the command.
 
-    `diagnosis`: results of all steps. `session_hash`: of the diagnosed rows. `facts`: further
-    provenance for the page. `model_before`, `session_file`: where they came from files.
+    `diagnosis`: results of all steps. `session_hash`: hash of the diagnosed rows. `facts`: further
+    provenance for the page. `model_before`, `session_file`: their files, where they came from
+    files.
     """
 
     diagnosis: Diagnosis
@@ -62,7 +63,7 @@ class DiagnosisResult:
 
     @property
     def summary(self) -> str:
-        """Result in one sentence."""
+        """The result in one sentence."""
         return self.diagnosis.summary
 
     @property
@@ -81,12 +82,12 @@ class DiagnosisResult:
 
     @property
     def predictor(self) -> Predictor | None:
-        """Network of the remaining error, if it lowered the error on the hold-out."""
+        """The network of the remaining error, if it lowered the error on the held-out rows."""
         return self.diagnosis.network
 
     @property
     def held_out(self) -> ErrorTable:
-        """Errors of every model on the hold-out."""
+        """Errors of every model on the held-out rows."""
         commanded = {name: Errors.of(e) for name, e in self.diagnosis.proof.commanded.items()}
         return ErrorTable(self.diagnosis.proof.rows, commanded)
 
@@ -102,10 +103,11 @@ class DiagnosisResult:
         return build_report(self.diagnosis, self.session_hash)
 
     def save(self, folder: inputs.FilePath) -> Path:
-        """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
+        """Write report.json, report.html, plots and model.yaml; predictor.npz where a network
         helped, and next_poses.csv where more poses would tell two effects apart.
 
-        `undo` restores the model before, if one was given. Files of an earlier diagnosis go.
+        `undo` restores the model before, if one was given. Files of an earlier diagnosis are
+        removed.
         """
         target = Path(folder)
         earlier = (target / "report.json").is_file()
@@ -270,5 +272,5 @@ def diagnose_files(
 
 
 def _path(given: inputs.SessionLike) -> Path:
-    """The file of a session; of one in memory, its name."""
+    """Return the file of a session; the name of a session in memory."""
     return Path(given.source if isinstance(given, Session) else given)

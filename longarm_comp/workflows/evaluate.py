@@ -1,4 +1,4 @@
-"""Errors of every stage on measured poses, as in the paper's Table I."""
+"""Evaluates every stage of a model on measured poses, as in the paper's Table I."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ErrorTable(Mapping[str, Errors]):
     """Errors (m) as seen by model name, in the order of the ladder: ``table["calibrated"].mean``.
 
     `commanded`: the same as a command would have them (`core/data/commanded.py`).
-    `set_aside`: how many rows the fit of a model did not believe, of those that were fitted.
+    `set_aside`: how many of the fitted rows the fit of a model did not believe.
     """
 
     errors: Mapping[str, Errors]
@@ -46,7 +46,7 @@ class ErrorTable(Mapping[str, Errors]):
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """One row a model, in millimetres (and mrad), under the names of report.json."""
+        """One row per model, in millimetres (and mrad), under the names of report.json."""
         rows = []
         for name, seen in self.errors.items():
             mean, *others = seen.mm.items()
@@ -122,12 +122,12 @@ def evaluate(
     predictor: Predictor | inputs.FilePath | None = None,
     note: inputs.Note = inputs.log_note,
 ) -> Evaluation:
-    """Errors of every stage on measured poses.
+    """Compute the errors of every stage on measured poses.
 
     Args:
         test: measured poses, or their CSV or bag; rows without a marker do not count.
         model: calibrated model, or its file.
-        predictor: trained with this model, or its file. At poses outside its training data the
+        predictor: predictor trained with this model, or its file. At poses outside its domain the
             physics is used alone.
         note: called with each finding of the admission.
 

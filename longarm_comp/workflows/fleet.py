@@ -1,4 +1,4 @@
-"""Many arms at once: the newest session of each is diagnosed, and the arms are compared."""
+"""Diagnoses the newest session of each of many arms, and compares the arms."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 @dataclass(frozen=True)
 class _Member:
-    """One arm of a fleet: its name, its arm.yaml, its newest session, the model in use if any."""
+    """One arm of a fleet: its name, its arm.yaml, its newest session, and the model in use, if
+    any."""
 
     name: str
     arm: Path
@@ -52,10 +53,10 @@ class FleetFinding:
     """An effect that was found at a place of an arm.
 
     Attributes:
-        effect: its name, or the names that no row tells apart, with "or" between them; or that it
-            is a cause without a name.
+        effect: its name, or the names that no row tells apart, joined by "or"; or a text that says
+            that it is a cause without a name.
         tip_mm: median size at the tip, of the effect at all of its places.
-        of_kind: whether half of the arms of the kind, two at least, have it at that place.
+        of_kind: whether half of the arms of the kind, at least two, have it at that place.
     """
 
     effect: str
@@ -70,10 +71,10 @@ class Diagnosed:
 
     Attributes:
         kind: number of its kind: arms of one table of rows share it.
-        verdict: as in report.json; ``failed`` where there is none, and why in `summary`.
+        verdict: as in report.json; ``failed`` where there is none, with the reason in `summary`.
         in_use_mm: mean error of the model in use on the session; None where there is none.
-        calibrated_mm, diagnosed_mm: mean held-out error of the geometry calibrated anew, and with
-            what was found.
+        calibrated_mm, diagnosed_mm: mean held-out error of a new calibration of the geometry, and
+            with what was found.
         made_of: hash of the files and options that it was made of.
     """
 
@@ -91,7 +92,7 @@ class Diagnosed:
 
     @property
     def drifted(self) -> bool:
-        """True where the model in use errs by much more than a calibration of today."""
+        """True where the model in use errs by more than twice as much as a new calibration."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
         # Error of a model in use, in that of a calibration of today, from which the arm is another:
@@ -100,7 +101,7 @@ class Diagnosed:
 
     @property
     def row(self) -> dict[str, object]:
-        """The row of fleet.json."""
+        """The arm's row in fleet.json."""
         return {**asdict(self), "drifted": self.drifted}
 
 
@@ -108,8 +109,10 @@ _ROWS = TypeAdapter(tuple[Diagnosed, ...])
 
 
 def members(folder: Path) -> list[_Member]:
-    """List the arms of a folder: one per subfolder with arm.yaml, or one per session beside one
-    arm.yaml."""
+    """List the arms of a folder.
+
+    A folder has one arm per subfolder with arm.yaml, or one per session beside a single arm.yaml.
+    """
     if (folder / ARM).is_file():
         found = [_Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
     else:
@@ -159,14 +162,14 @@ def fleet(
 ) -> list[Diagnosed]:
     """Diagnose every arm of a folder (`members`), each into a folder of its own in `output`.
 
-    fleet.json is written after each arm. Arms that it has from the same files and options are not
+    fleet.json is written after each arm. Arms that it holds from the same files and options are not
     diagnosed again. An arm that cannot be diagnosed has the verdict ``failed``.
 
     Args:
-        jobs: processes.
-        dask: address of a scheduler whose workers see the same files, or ``local`` for one with so
-            many processes.
-        network: whether to train networks on what remains.
+        jobs: number of processes.
+        dask: address of a scheduler whose workers see the same files, or ``local`` for one with
+            `jobs` processes.
+        network: whether to train networks on the remaining errors.
         progress: called with each finished arm and the share of all.
     """
     if dask is not None:  # workers may be in another folder
@@ -201,7 +204,7 @@ def fleet(
 
 
 def _table(path: Path) -> object:
-    """The DH table, which arms of one kind share; the path of a file that is refused."""
+    """Return the DH table, which arms of one kind share; the path of a file that is refused."""
     try:
         return table(Arm.load(path))
     except LongarmError:
@@ -227,7 +230,7 @@ def _diagnose_each(
     look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int,
     dask: str | None,
 ) -> Iterator[Diagnosed]:  # fmt: skip
-    """Each arm as it is done; nothing else of it is kept."""
+    """Yield each arm as it is done."""
     if dask is None and jobs == 1:
         yield from (look(*one) for one in left)
         return
@@ -279,7 +282,7 @@ def _diagnose_arm(
 
 
 def compare_arms(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
-    """Mark what is found at half of the arms of a kind; the rest is an arm's own."""
+    """Mark the findings that half of the arms of a kind share; all others are an arm's own."""
     counts: Mapping[tuple[int, str, str], int] = Counter(
         (arm.kind, f.effect, f.where) for arm in arms for f in arm.findings
     )

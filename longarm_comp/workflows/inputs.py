@@ -1,4 +1,4 @@
-"""Inputs of the workflows: an admitted session, the model, the predictor for that model."""
+"""The inputs of the workflows: an admitted session, the model, the predictor for that model."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ Telling = bool | Callable[..., None]
 
 
 def teller(progress: Telling) -> Callable[..., None]:
-    """Make the function to call with each step, and perhaps with the share that is done."""
+    """Make the function that is called with each step, and perhaps with the share that is done."""
     if callable(progress):
         return progress
     if not progress:
@@ -81,8 +81,8 @@ def admit_session(
 ) -> Session:
     """Read a session and admit it. Findings of the admission are passed to ``note``.
 
-    Run-ups of unknown length are taken to be as long as the model was fitted with. Where rows
-    judge a model, those that do not fit it are noted and not refused.
+    Run-ups of unknown length are taken to be as long as the model was fitted with. With ``judge``
+    the rows judge the model: rows that do not fit it are noted and not refused.
     """
     session = given if isinstance(given, Session) else read_session(given, arm)
     if model is not None:
@@ -108,7 +108,7 @@ def import_table(
 
     Args:
         units: units of columns whose names have none, such as ``("mm", "deg")``.
-        names: session column by the file's, ``{"A": "q1", "B": "q2:mm"}``.
+        names: name in a session by name in the file, ``{"A": "q1", "B": "q2:mm"}``.
         like: mapping of an earlier file of the same kind, instead of the other arguments.
         columns: names of the columns, if no line of the file has them.
         told: ``rotation``, ``sheet``, ``decimal``, ``join`` and ``sort``, as the options of
@@ -128,9 +128,9 @@ def import_table(
 
 
 def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model:
-    """The calibrated model, or the declared arm; without sag if ``deflection`` is False.
+    """Return the calibrated model, or the declared arm; without sag if ``deflection`` is False.
 
-    What its session alone knew, as where a touched point was, is left out.
+    Terms that belong to one session only, such as the place of a touched point, are left out.
     """
     if given is None:
         return declared_model(arm, deflection=deflection)
@@ -151,7 +151,7 @@ def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, 
 
 
 def network_kind(given: NetworkKind | FilePath | None) -> NetworkKind | None:
-    """A network of others, from its file or its name; None: the paper's."""
+    """Return another network than the paper's, from its file or its name; None: the paper's."""
     if not isinstance(given, (str, Path)):
         return given
     from longarm_comp.core.learn.others import chosen
@@ -165,17 +165,18 @@ def load_predictor(
     model: ModelLike | None = None,
     network: NetworkKind | FilePath | None = None,
 ) -> Predictor:
-    """A predictor that belongs to the arm and the model.
+    """Load a predictor that belongs to the arm and the model.
 
     Args:
         path: file that `train` or a diagnosis wrote.
-        arm: as declared.
+        arm: the declared arm.
         model: the model to use it with: a model, its file, or the declared arm (None). A
             predictor that was trained with a file is identified by the hash of that file.
         network: its network, if it is not the paper's: the file or name that it was trained with.
 
     Raises:
-        InputError: corrupt, or trained for another arm or on top of another model.
+        InputError: the file is corrupt, or its predictor was trained for another arm or on top of
+            another model.
     """
     from longarm_comp.core.learn.predictor_file import load
 
@@ -202,7 +203,7 @@ def check_predictor(predictor: Predictor, model: Model, where: object) -> None:
 
 
 def file_hash(path: FilePath) -> str:
-    """SHA-256 of a file; of a folder's files in the order of their names."""
+    """Return the SHA-256 of a file, or of a folder's files in the order of their names."""
     whole, digest = Path(path), hashlib.sha256()
     for part in sorted(whole.rglob("*")) if whole.is_dir() else [whole]:
         if part.is_file():

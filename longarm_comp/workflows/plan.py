@@ -1,4 +1,4 @@
-"""Planning of the poses to measure."""
+"""Plans the poses to measure."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def plan(
     points: Mapping[str, Vec3] | None = None,
     note: inputs.Note = inputs.log_note,
 ) -> Plan:
-    """n poses at which to measure an arm, each with the sides of arrival.
+    """Plan n poses at which to measure an arm, each with the sides of arrival.
 
     Args:
         kind: ``sobol`` fills the joints' ranges evenly; ``grid`` draws from the paper's grid;
@@ -70,12 +70,12 @@ def plan(
         floor: height (m, base frame) that the arm must stay above.
         seen: function that says which (M,) of the tip poses (M, 4, 4) the cameras see; others are
             left out.
-        points: points to touch by name, and roughly where they are, m, base frame.
+        points: points to touch by name, and their rough places, m, base frame.
         note: called with each finding of the admission.
 
     Returns:
         Joints `q` (n, joints) in rad and m, and the side `approach` (n, joints) of +1 or -1; for
-        an optimal kind, also the error of the tip that is expected (`OptimalPlan`).
+        an optimal kind, also the expected error of the tip (`OptimalPlan`).
 
     Raises:
         InputError: n is out of range, no such kind, or the diagnosis asks for no poses.

@@ -1,4 +1,4 @@
-"""Training of SSA-BP on the residual of the physics."""
+"""Trains SSA-BP on the residual of the physics."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
-    """Joints (M, n), residual of a model (M, 3) in m, and circumstances of the M located rows."""
+    """Return joints (M, n), residual of a model (M, 3) in m, and circumstances of the M located
+    rows."""
     seen = session.take(session.located)
     if not len(seen):
         allowed = "rows with all three, to learn from"
@@ -36,7 +37,7 @@ def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarra
 
 
 def expected_errors(predictor: Predictor, session: Session) -> Prediction:
-    """The error that a predictor expects at the M rows that say where the tip is."""
+    """Return the error that a predictor expects at the M rows that say where the tip is."""
     seen = session.take(session.placed)
     return predictor.predict(seen.q, seen.context())
 
@@ -57,11 +58,12 @@ class TrainedPredictor(Predictor):
 
     @property
     def summary(self) -> str:
-        """Result of the training in one sentence."""
+        """The result of the training in one sentence."""
         return f"{self.samples} samples: {self.gain}"
 
     def save(self, path: given.FilePath) -> None:
-        """Write it, whole or not at all: npz, or safetensors of a network of others."""
+        """Write the predictor, completely or not at all: as npz, or safetensors for another
+        network."""
         if not self.gain.helps:
             raise JobError(f"not written: {self.gain}; compensate with the physics alone")
         predictor_file.save(self, path)

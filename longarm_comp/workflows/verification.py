@@ -1,4 +1,4 @@
-"""Does compensation help at the tip? The same targets, driven without and with it."""
+"""Verifies at the tip that compensation helps: the same targets, driven without and with it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,12 @@ LEAST = 2
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """Two runs over the same targets, paired: (N, 3) tip - target, m, by name, seen in both runs.
+    """Two runs over the same targets, compared target by target.
 
-    `gain_m`: mean |tip - target| without minus with compensation, and its 95 % bootstrap interval.
+    Attributes:
+        runs: (N, 3) tip - target, m, by name, at the targets that were seen in both runs.
+        gain_m, gain_ci95_m: mean ``|tip - target|`` without minus with compensation, and its 95 %
+            bootstrap interval.
     """
 
     runs: Mapping[str, np.ndarray]
@@ -37,7 +40,7 @@ class Verification:
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """The table: one row a run."""
+        """The table: one row per run."""
         return [error_row(name, error) for name, error in self.runs.items()]
 
     @property
@@ -51,7 +54,7 @@ class Verification:
         )
 
     def picture(self, path: Path) -> None:
-        """Write the two runs as a picture, by the file's ending."""
+        """Write the two runs as a picture; the file's ending decides the format."""
         with rc():
             save(at_the_tip(self.runs), path)
 
@@ -59,7 +62,7 @@ class Verification:
 def verification(
     names: tuple[str, str], without: np.ndarray, compensated: np.ndarray, seed: int = 0
 ) -> Verification:
-    """Pair two runs over the same targets.
+    """Compare two runs over the same targets, target by target.
 
     Args:
         without, compensated: (N, 3) tip - target, m; NaN where the marker was lost.
@@ -82,7 +85,8 @@ def verification(
 
 
 def error_row(name: str, error: np.ndarray) -> dict[str, Any]:
-    """Figures of (N, 3) tip - target, m, in mm; ``mean_x_mm`` and so on are signed means."""
+    """Make a table's row of (N, 3) tip - target, m, in mm; ``mean_x_mm`` and so on are signed
+    means."""
     figures = Errors.of(error)
     told = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
     means = zip("xyz", error.mean(axis=0), strict=True)

@@ -201,8 +201,10 @@ def recorded(
 
 
 def sides_told(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
-    """Return the recorded side of arrival, (N, n) of -1, 0, +1; 0 after a run-up or if not
-    recorded."""
+    """Return the recorded side of arrival, (N, n) of -1, 0, +1.
+
+    It is 0 after a run-up, or if no side was recorded.
+    """
     if approach is None:
         return np.zeros(q.shape)
     marks = np.sign(np.nan_to_num(np.asarray(approach, dtype=float)))

@@ -40,7 +40,7 @@ def _zero(x: Scalar) -> bool:
 
 
 def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
-    """Yield keys of items of a size, as many at a time as one array may hold."""
+    """Split keys of items, each of `size` numbers, into lists that one array may hold."""
     each, count = list(keys), max(1, _NEAR // size)
     return (each[n : n + count] for n in range(0, len(each), count))
 

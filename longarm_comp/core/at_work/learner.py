@@ -288,8 +288,9 @@ def _begin(model: Model, record: ModelUncertainty, context: Context) -> Explanat
 def _take_in(
     known: Explanations, row: Row, pending: tuple[Explanations, Row, float] | None
 ) -> tuple[Explanations, tuple[Explanations, Row, float] | None, bool]:
-    """Take a row in, unless it is doubtful. A doubtful row before it is taken in with it if both
-    agree.
+    """Take a row in, unless it is doubtful.
+
+    A doubtful row before it is taken in with it if both agree.
 
     Returns:
         What is known; a doubtful row that still waits, with what was known before it and its log

@@ -130,8 +130,7 @@ def stages(
     progress: Callable[[str], None] | None = None,
     kind: KindOfArm | None = None,
 ) -> Iterator[tuple[str, ModelFit]]:
-    """Fit frames only, joint zeros, and full geometry on top of a model, each started from the
-    last.
+    """Fit frames only, joint zeros, and full geometry on top of a model, each from the last.
 
     The frames are placed in closed form first.  The last fit is what every command calls
     calibrated.  Errors are those of `fit`.
@@ -167,8 +166,8 @@ def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
     """Return `Model.beyond` by the model's values: the parts beyond what their drawing allows.
 
     A part far beyond its tolerance pays for that only once.  Otherwise any effect that moves the
-    tip as the part does would be worth what the part's prior costs.  Tolerances are judged by what
-    is fitted with them, until they come again.
+    tip as the part does would be worth what the part's prior costs.  A fit with these parts may
+    give others, so `stages` repeats both until the same parts come again.
     """
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]

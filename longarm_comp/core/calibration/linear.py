@@ -115,7 +115,7 @@ def marginalised(
 
     Returns:
         Log Bayes factor of the first k against none; the two products of the other columns after
-            it.
+        it.
     """
     rest, on = slice(len(sizes), None), np.flatnonzero(sizes)
     size = sizes[on]

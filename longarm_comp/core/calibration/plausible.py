@@ -160,8 +160,7 @@ def describe_offset(model: Model, session: Session) -> str:
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:
-    """Raise `JobError` if the fitted noise (d,) of the positions (m) is more than an instrument
-    has."""
+    """Raise `JobError` if the fitted noise (d,) of positions, m, is more than an instrument has."""
     if session.blocks[0].kind != "position" or not np.isfinite(sigma[:3]).all():
         return
     axis, ratio = int(np.argmax(sigma[:3])), float((sigma[:3].max() / np.median(sigma[:3])) ** 2)

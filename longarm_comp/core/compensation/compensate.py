@@ -114,8 +114,7 @@ def judge(
 
     Returns:
         The expected miss; whether the model's own error is one that its fitted rows have too,
-            (...);
-        and the doubts of each command, in words.
+        (...); and the doubts of each command, in words.
     """
     physics = physics_of(model, method)
     whole = sigma is None and not missing_column(model, context)

@@ -105,8 +105,8 @@ def tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
 
     They are its geometry, to the tolerances that arm.yaml gives or that are usual (joint zeros
     without one to `BY_HAND`), and its compliances, as in `beyond.absent_slots`.  Base and tip count
-    as known unless arm.yaml gives a tolerance, because targets are in the base.  A model with
-    fitted geometry but without a record has none (None).
+    as known unless arm.yaml gives a tolerance, because targets are in the base.  None is returned
+    for a model with fitted geometry, whose record is missing.
     """
     if any(effect.geometry for effect in model.effects):
         return None

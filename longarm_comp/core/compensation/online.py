@@ -41,8 +41,10 @@ class Readings:
     def with_reading(
         self, source: str, columns: Mapping[str, float], at_s: float, wrong: str = ""
     ) -> Readings:
-        """Add a reading. One that is ``wrong`` makes its columns unknown until another one
-        comes."""
+        """Add a reading.
+
+        A ``wrong`` reading makes its columns unknown until another one comes.
+        """
         return replace(self, readings={**self.readings, source: _Reading(columns, at_s, wrong)})
 
     def fresh(self, source: str, now_s: float, max_age_s: float) -> Mapping[str, float]:

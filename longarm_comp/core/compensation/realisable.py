@@ -2,7 +2,7 @@
 target.
 
 A servo stands at ``offset + step k`` for whole k.  With q* the ideal joints, e0 the tip's error
-there and J its derivative, those k are sought (`lattice`) that minimise
+there and J its derivative, those k are sought (`lattice`) that minimise::
 
     |J (offset + step k - q*) + e0|^2 + |price (offset + step k - q*)|^2,   inside the limits;
 

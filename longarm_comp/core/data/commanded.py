@@ -34,7 +34,7 @@ def commanded_errors(model: Model, session: Session, near: Posture | None = None
 
 
 def with_frame_shift(model: Model, session: Session) -> Model:
-    """Return the model with the mean of what its measuring side moves the rows of a session by."""
+    """Return the model with the mean shift of a session's rows by its biases, as `frame_shift`."""
     moved = moved_by_measuring(model, session)
     x, y, z = moved.mean(axis=0).tolist() if len(moved) else (0.0, 0.0, 0.0)
     return dataclasses.replace(model, frame_shift=(x, y, z))
@@ -60,7 +60,7 @@ def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
 
 
 def moved_with_time(model: Model, session: Session) -> np.ndarray:
-    """(M, 3) m, what changes with time, and at no joint, moves the same rows by since their end.
+    """Return (M, 3) m, how far effects of time alone move the same rows, relative to the last row.
 
     Commands take the arm as the session left it. No measurement tells a base that moved, or a
     marker, from a camera that did.
@@ -72,7 +72,7 @@ def moved_with_time(model: Model, session: Session) -> np.ndarray:
 
 
 def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
-    """Return (M, 3) m that a model moves rows by beyond one that lacks some of its terms."""
+    """Return the shift (M, 3), m, of rows by the terms of `more` that `less` lacks."""
     if less.terms == more.terms:
         return np.zeros((0, 3))
     rows = own_way(session)

@@ -76,7 +76,7 @@ class JointCompliance(JointTerm):
 
 @dataclass(frozen=True)
 class ServoDroop(JointCompliance):
-    """The same before the encoder: a proportional controller yields to its load.
+    """A joint gives way before its encoder: a proportional controller yields to its load.
 
     Only a reading of the joint tells it from a soft joint.
     """

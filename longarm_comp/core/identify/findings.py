@@ -36,8 +36,10 @@ class ReportPart(Closed):
 
 
 class FindingParameter(ReportPart):
-    """A value of a finding, in `unit`. `ci95` is None for a value at its bound, which is no
-    estimate."""
+    """A value of a finding, in `unit`.
+
+    `ci95` is None for a value at its bound, which is no estimate.
+    """
 
     name: str
     where: str

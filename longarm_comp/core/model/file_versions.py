@@ -53,7 +53,7 @@ def _beside(path: str | Path, what: str) -> Path:
 
 
 def replace_file(path: Path, to: str | Path) -> None:
-    """Return a file takes the place of another."""
+    """Move a file to the place of another."""
     try:
         os.replace(path, followed(to))
     except OSError as error:

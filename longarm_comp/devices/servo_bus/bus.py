@@ -188,7 +188,10 @@ class SerialServoBus:
         return sorted(others)
 
     def store_turns(self, stored: Mapping[int, bytes]) -> None:
-        """Switch the torque off and write what `turns` reads. A lock is closed as it was."""
+        """Switch the torque off and write the register of turns of each servo.
+
+        Where a lock protects the register, it is opened and then set as it was.
+        """
         if not stored:
             return
         self.torque(list(stored), on=False)

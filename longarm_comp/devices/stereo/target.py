@@ -126,7 +126,8 @@ class TagBoard:
 
     @cached_property
     def _detectors(self) -> tuple[cv2.aruco.ArucoDetector, cv2.aruco.ArucoDetector]:
-        """One threshold window (0.8 ms an image of 640x480), then OpenCV's three (2.7 ms)."""
+        """Two detectors: a quick one with one threshold window (0.8 ms for an image of 640x480),
+        and one with OpenCV's three (2.7 ms)."""
         quick = cv2.aruco.DetectorParameters()
         quick.adaptiveThreshWinSizeMin = quick.adaptiveThreshWinSizeMax = 11
         thorough = cv2.aruco.DetectorParameters()

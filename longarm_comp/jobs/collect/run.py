@@ -97,7 +97,7 @@ class Progress:
 
     Attributes:
         done, total: number of visits that are in the bag, and in the plan.
-        visit: index of the visit now; -1 before the first.
+        visit: index of the visit now; -1 while none is being made.
         made: visits of this run by their index, the last one last: why the marker was lost there,
             or "" where it was seen.
         seconds_left: estimate of the time left, s; NaN while it is not known.

@@ -273,8 +273,7 @@ def _together(each: np.ndarray) -> np.ndarray:
 
 
 def weight(fit: ModelFit) -> np.ndarray:
-    """Return (N, d) the root of the row's weight over the noise; 0 where a row lacks the
-    channel."""
+    """Return (N, d) the root of a row's weight over the noise; 0 where it lacks the channel."""
     held = np.isfinite(fit.sigma) & fit.session.measured
     return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
 

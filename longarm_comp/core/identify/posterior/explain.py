@@ -292,8 +292,7 @@ class _Search:
 
         Returns:
             The state; and for each name that stays the function that would replace it, with the log
-                odds
-            of that explanation.
+            odds of that explanation.
         """
         absence: dict[str, tuple[FoundEffect, float]] = {}
         held: set[str] = set()

@@ -112,8 +112,10 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
 
 
 def agreement(fit: ModelFit, residual: np.ndarray) -> float:
-    """Return the log likelihood of all rows by their residual (N, d), each at least an
-    outlier's."""
+    """Return the log likelihood of all rows by their residual (N, d).
+
+    No row counts more than one at the limit of an outlier does.
+    """
     white = np.nan_to_num(residual / (fit.uneven(fit.session)[:, None] * fit.sigma))
     return float(-0.5 * np.minimum((white**2).sum(axis=1), OUTLIER**2).sum())
 

@@ -28,8 +28,7 @@ class Products(NamedTuple):
 
 
 class OfferTable:
-    """A table of R offers with at most P coefficients each, at which A sizes are tried side by
-    side.
+    """A table of R offers with at most P coefficients each, and A sizes tried side by side.
 
     The coefficients of an offer are rotated so that its Gram matrix is diagonal and they are
     independent.  Missing coefficients are padded with size 0, missing sizes with probability 0.

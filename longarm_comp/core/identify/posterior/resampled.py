@@ -120,11 +120,10 @@ class Resampling:
     def _in_its_place(
         self, found: FoundEffect, effects: Sequence[FoundEffect]
     ) -> FoundEffect | None:
-        """Find the effect that moves the rows as `found` does, first among those that may bear its
-        name.
+        """Find the effect that moves the rows as `found` does, first among those of its name.
 
-        These are taken together, because a sample may find at single joints what another finds at
-        all.
+        Those of its name are taken together, because a sample may find at single joints what
+        another finds at all.
         """
         mine = self._shift(found.terms)
         shares = {e: _correlation(mine, self._shift(e.terms)) ** 2 for e in effects}

@@ -48,7 +48,7 @@ class OfferBank:
     Attributes:
         again: prior log odds of a further place of a name that is there already against a new name.
             A fault of one joint is likely at others, so each of the two has half of the
-                probability.
+            probability.
         together: prior log odds of a further function of a cause without a name that is there
             already, against another cause. A hose, say, is no function of the library and seldom
             only one of the bank. So a further one pays for no effect, cause or place of its own.
