@@ -184,7 +184,7 @@ class BringUp:
         own = (self.config or self.arm.absolute().parent) / CAMERAS
         return own if all((own / f"{side}.yaml").is_file() for side in SIDES) else None
 
-    def fitted(self, scratch: Path) -> BringUp:
+    def with_servos(self, scratch: Path) -> BringUp:
         """This graph with servos of the arm's joints.
 
         Where the simulated arm would get the package's own files and is not theirs, files that
@@ -325,6 +325,6 @@ def running(
 ) -> Iterator[Supervisor]:
     """Start the graph's processes; on exit all of them are ended, also after an exception."""
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
-        graph = graph.fitted(Path(scratch))
+        graph = graph.with_servos(Path(scratch))
         with Supervisor(graph.commands(Path(scratch)), respawn=respawn, say=say) as supervisor:
             yield supervisor
