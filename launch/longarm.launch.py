@@ -91,7 +91,7 @@ def nodes(context):
         driver=true(given["driver"]),
         paths=true(given["paths"]),
         shaping=true(given["shaping"]),
-    ).fitted(scratch)
+    ).with_servos(scratch)
     bus = given["bus"] or str(scratch / "servo_bus")
     made = [
         Node(

@@ -16,7 +16,7 @@ _SOURCES = Path(__file__).resolve().parents[1]
 
 def folder(name: str) -> Path:
     """``config`` or ``launch`` of this package: of its checkout, else as installed."""
-    places = [*_in_checkout(name), *_installed(PACKAGE, name)]
+    places = [*_in_checkout(name), *_installed_files(PACKAGE, name)]
     for place in places:
         if place.is_dir():
             return place
@@ -25,10 +25,10 @@ def folder(name: str) -> Path:
 
 def interface_folders(package: str, kind: str) -> list[Path]:
     """Where ``msg`` or ``srv`` files of a package may be: as installed, else of the checkout."""
-    return [*_installed(package, kind), *_in_checkout(package, kind)]
+    return [*_installed_files(package, kind), *_in_checkout(package, kind)]
 
 
-def _installed(package: str, name: str) -> list[Path]:
+def _installed_files(package: str, name: str) -> list[Path]:
     return [prefix / "share" / package / name for prefix in dict.fromkeys(_prefixes())]
 
 

@@ -39,7 +39,7 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
     leaders = {mimic["joint"]: robot.joints[mimic["joint"]] for mimic in mimics.values() if mimic}
     beside = {name: joint for name, joint in leaders.items() if name not in moving}
     robot.check_ranges(j for name, j in (beside | moving).items() if not mimics.get(name))
-    geared = {m["joint"] for name, m in mimics.items() if m and _geared(moving[name], m)}
+    geared = {m["joint"] for name, m in mimics.items() if m and _is_geared(moving[name], m)}
     rows = [
         _row(joint, number, None, name in geared) | {"moves": False}
         for number, (name, joint) in enumerate(beside.items(), 1)
@@ -62,7 +62,7 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
         else:
             at = at @ joint.at(resting(joint))
         if frame:
-            masses += _carried(robot, joint.child, following, at, frame)
+            masses += _carried_masses(robot, joint.child, following, at, frame)
     pose = _pose(at)
     return {
         "name": robot.name,
@@ -135,12 +135,12 @@ def _row(
     return {**row, "limits_m": list(joint.limits)}
 
 
-def _geared(joint: UrdfJoint, mimic: dict[str, Any]) -> bool:
+def _is_geared(joint: UrdfJoint, mimic: dict[str, Any]) -> bool:
     """Whether a joint stands elsewhere after a whole turn of the one that it mimics."""
     return MOVING[joint.type] != "revolute" or mimic["multiplier"] % 1 != 0
 
 
-def _carried(
+def _carried_masses(
     robot: UrdfRobot, link: str, following: UrdfJoint | None, at: np.ndarray, frame: int
 ) -> list[dict[str, Any]]:
     """Point masses of a link and of all that hangs on it beside the chain."""

@@ -94,7 +94,7 @@ def judge(
         known = replace(known, noise=np.zeros((3, 3)))
         off = off + clean[rows.located] - seen.xyz
     columns = equations(model, seen, posture(model, seen)).columns[:, :3]
-    carried = known.carried(columns, [slot.identity for slot in fitted.slots])
+    carried = known.carry_to_tip(columns, [slot.identity for slot in fitted.slots])
     return _judge(name, off, carried, known)
 
 
@@ -107,7 +107,7 @@ def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     tip, columns = model.columns(posture(model, rows), slots)
     off, alone = about_the_mean(tip, touched)
     moved, _ = about_the_mean(columns, touched)
-    return _judge(name, off[~alone], known.carried(moved[~alone], names), known)
+    return _judge(name, off[~alone], known.carry_to_tip(moved[~alone], names), known)
 
 
 def _judge(name: str, off: np.ndarray, carried: np.ndarray, known: ModelUncertainty) -> LeftOutRows:

@@ -120,7 +120,7 @@ def _fit_terms(
 
 
 def _misfit(fitted: ModelFit) -> float:
-    white = fitted.whitened(fitted.residual[..., None])
+    white = fitted.whiten_columns(fitted.residual[..., None])
     return float((white**2).sum() / 2) + 0.5 * 4.2**2 * float((fitted.weights == 0).sum())
 
 

@@ -149,7 +149,7 @@ class _Gauge:
         parameter (BIC).
         """
         moved = self._see(effect)
-        white = self.fit.whitened((moved - self.sound)[..., None])[:, 0]
+        white = self.fit.whiten_columns((moved - self.sound)[..., None])[:, 0]
         left = float(white @ self.marginal.project(white))
         readings = 3 * len(moved)
         needed = 2 * (math.log(CANDIDATES) + math.log(20.0))

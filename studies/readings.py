@@ -21,7 +21,7 @@ from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.model_tolerance import TOLERANCES
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
-from longarm_comp.core.identify.posterior.offers import offered
+from longarm_comp.core.identify.posterior.offers import make_offers
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
@@ -103,7 +103,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         fitted = fit(declared_model(arm).plus(soft, *geometry(arm, session)), session)
         kinds = library(arm, session.context()).testable
         there = (FoundEffect((soft,), 1.0, 0.0),)
-        every = offered(fitted, kinds, (), there, TOLERANCES)
+        every = make_offers(fitted, kinds, (), there, TOLERANCES)
         of = max(every, key=lambda each: each.standing)
         bank, own = of.bank, of.bank.offers[of.known[0]]
         (k,) = own.places

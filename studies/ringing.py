@@ -84,15 +84,15 @@ def after(true: TrueArm, way: Way, seconds: float) -> Ringing:
     ring = Ringing(true, DAMPING)
     times = np.append(np.arange(0.0, seconds, _STEP_S), seconds)
     for t, q in zip(times.tolist(), way(times), strict=True):
-        ring.moved(t, q)
-    ring.moved(seconds + 1e-9, way(times[-1:])[0])  # it stops
+        ring.move_joints(t, q)
+    ring.move_joints(seconds + 1e-9, way(times[-1:])[0])  # it stops
     return ring
 
 
 def settle_s(ring: Ringing) -> float:
     """Time until the true tip stays within `VISIBLE_M` of its rest."""
     later = np.arange(0.0, _LONGEST_S, _LOOK_S)
-    away = np.flatnonzero(np.linalg.norm(ring.left(later), axis=1) > VISIBLE_M)
+    away = np.flatnonzero(np.linalg.norm(ring.tip_ring(later), axis=1) > VISIBLE_M)
     return float(later[away[-1]]) if len(away) else 0.0
 
 
@@ -110,7 +110,7 @@ def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str,
         way = straight(start, end, seconds)
         if heard is None:  # the first move is watched
             times = np.arange(0.0, SEEN_S, 1.0 / CAMERA_HZ)
-            seen = after(studied.true, way, seconds).left(times)
+            seen = after(studied.true, way, seconds).tip_ring(times)
             found = waves(times, seen + NOISE_M * rng.standard_normal(seen.shape))
             heard = modes(studied.model, end), found
             continue
@@ -123,7 +123,7 @@ def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str,
                 wrong = [replace(each, omega=shaping.factor * each.omega) for each in way_by]
                 shaper = shaper_of(wrong, way, seconds, DAMPING)
                 assert shaper is not None
-                made, longer = shaper.shaped(way, seconds), shaper.duration
+                made, longer = shaper.shape_motion(way, seconds), shaper.duration
             lines.append({
                 "moves": shaping.name, "move_s": seconds, "longer_s": longer,
                 "settle_s": settle_s(after(studied.true, made, seconds + longer)),

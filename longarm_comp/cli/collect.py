@@ -137,7 +137,7 @@ def _drive(
 
 
 def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None:
-    from longarm_comp.jobs.collect.visits import blocked
+    from longarm_comp.jobs.collect.visits import blocked_visits
 
     count = len(todo)
     print_json({
@@ -148,7 +148,7 @@ def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None
     })  # fmt: skip
     rows = [(c.question, f"{c.passed} of {count}", c.mostly) for c in checks]
     print_table(f"{name}: {count} visits", ("visits", "yes", "where not"), rows)
-    if stopped := blocked(checks, todo):
+    if stopped := blocked_visits(checks, todo):
         raise JobError(f"{len(stopped)} of {count} visits cannot be driven")
 
 

@@ -185,9 +185,9 @@ def _effects(expose: bool) -> _Decorator:
 def _execute_network(_: click.Context, __: click.Parameter, given: str | Path | None) -> Any:
     if given is None:
         return None
-    from longarm_comp.core.learn.others import chosen
+    from longarm_comp.core.learn.others import choose_network
 
-    return chosen(given)
+    return choose_network(given)
 
 
 _NETWORK_FILE = "Python file of the predictor's network, if not the paper's; it is executed."

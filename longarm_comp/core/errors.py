@@ -34,7 +34,7 @@ class InputError(LongarmError):
         self.allowed = _one_line(allowed)
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.field}: {_shown(self.value)}; allowed: {self.allowed}"
+        return f"{self.where}: {self.field}: {_on_one_line(self.value)}; allowed: {self.allowed}"
 
 
 class JobError(LongarmError):
@@ -58,7 +58,7 @@ class JobError(LongarmError):
     def __str__(self) -> str:
         if not self.facts:
             return self.reason
-        facts = ", ".join(f"{name}={_shown(value)}" for name, value in self.facts.items())
+        facts = ", ".join(f"{name}={_on_one_line(value)}" for name, value in self.facts.items())
         return f"{self.reason} ({facts})"
 
 
@@ -66,7 +66,7 @@ def _one_line(text: object) -> str:
     return " ".join(str(text).split())
 
 
-def _shown(value: object) -> str:
+def _on_one_line(value: object) -> str:
     """A value on one line and of bounded length; numbers without their wrapper type's name."""
     text = repr(value) if isinstance(value, str) else _one_line(value)
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."

@@ -56,7 +56,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     left as it was. Missing parent folders are made. What a killed writer left is removed. A link
     stays one: what it leads to is replaced.
     """
-    target = followed(path)
+    target = follow_link(path)
     try:
         folder = target.is_dir()
     except OSError as error:  # not even its folder can be looked into
@@ -78,7 +78,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.close(handle)
 
 
-def followed(path: str | os.PathLike[str]) -> Path:
+def follow_link(path: str | os.PathLike[str]) -> Path:
     """The path itself, or the file that a link leads to, which need not exist."""
     target = Path(path)
     if not os.path.islink(target):

@@ -158,7 +158,7 @@ class InParts:
     def at(self, time_s: npt.ArrayLike) -> Array:
         """(..., n) positions at times (...)."""
         times = np.asarray(time_s, float)
-        shaped = self.shaper.shaped(self.way.at, self.way.duration)
+        shaped = self.shaper.shape_motion(self.way.at, self.way.duration)
         return shaped(times.ravel()).reshape(*times.shape, -1)
 
     def postures(self) -> Array:

@@ -203,18 +203,18 @@ class TrajectoryFollower:
         if arrived and np.allclose(self._set, path.end, rtol=0.0, atol=1e-9):
             self.state = FollowerState.HOLDING
             self._settle(dt)
-        wanted = self._wanted()
-        for name, by in zip(wanted, self._trim.applied(dt).tolist(), strict=True):
-            wanted[name] = self._config.joints[name].bounded(wanted[name] + by)
+        wanted = self._wanted_ticks()
+        for name, by in zip(wanted, self._trim.correction_now(dt).tolist(), strict=True):
+            wanted[name] = self._config.joints[name].nearest_within_limits(wanted[name] + by)
         self._goals = {self._config.ids[name]: goal for name, goal in wanted.items()}
         return self._goals
 
-    def _wanted(self) -> dict[str, int]:
+    def _wanted_ticks(self) -> dict[str, int]:
         """Goals without trim, ticks by joint."""
         joints = self._config.joints
         return {name: joints[name].to_ticks(value) for name, value in self.set_points.items()}
 
-    def _trimmed(self, states: Mapping[str, ServoState]) -> str | None:
+    def _trim_resting(self, states: Mapping[str, ServoState]) -> str | None:
         """Trim a resting arm by one step.
 
         Returns:
@@ -224,10 +224,13 @@ class TrajectoryFollower:
             return self._untrimmed
         if self._still_s < self._config.follower.trim_pause_s:
             return None
-        if self._trim.corrected(self._wanted(), states):
+        if self._trim.take_step(self._wanted_ticks(), states):
             self._still_s = 0.0
             return None
-        self._untrimmed, self._trims = self._trim.failed(self._wanted(), states), False
+        self._untrimmed, self._trims = (
+            self._trim.describe_failure(self._wanted_ticks(), states),
+            False,
+        )
         return self._untrimmed
 
     def _settle(self, dt: float) -> None:
@@ -239,7 +242,7 @@ class TrajectoryFollower:
         self._still_s = self._still_s + dt if still else 0.0
         if self._settled or not still:
             return
-        untrimmed = self._trimmed(states)
+        untrimmed = self._trim_resting(states)
         if untrimmed is None:
             return
         short = untrimmed or self._short()
@@ -272,7 +275,7 @@ class TrajectoryFollower:
         for name, joint in self._config.joints.items():
             state = self._watch.state(name)
             if state is not None and self._watch.heard(name):
-                hold[joint.servo_id] = joint.bounded(state.position_ticks)
+                hold[joint.servo_id] = joint.nearest_within_limits(state.position_ticks)
         self._drop_motion()
         return hold
 

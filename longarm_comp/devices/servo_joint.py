@@ -155,7 +155,7 @@ class JointConfig(ServoSettings):
             allowed = f"{self.lower:g} to {self.upper:g} {self.unit}"
             raise InputError(where, field, value, allowed)
 
-    def bounded(self, ticks: float) -> int:
+    def nearest_within_limits(self, ticks: float) -> int:
         """The goal within the limits that is nearest to a number of ticks."""
         low, high = self.tick_limits
         return min(max(round(ticks), low), high)
@@ -163,7 +163,7 @@ class JointConfig(ServoSettings):
     def to_ticks(self, value: float) -> int:
         """The goal nearest to a joint value, rad or m."""
         self.check_inside(value, f"servo {self.servo_id}", "position")
-        return self.bounded(self._exact_ticks(value))
+        return self.nearest_within_limits(self._exact_ticks(value))
 
     def to_si(self, ticks: float) -> float:
         """Return the joint value (rad or m) of an encoder reading in ticks."""

@@ -93,7 +93,7 @@ class StopLatch:
             self.trouble = str(error)
 
     @contextmanager
-    def lifted(self, *stops: Stop) -> Iterator[None]:
+    def lift_stops(self, *stops: Stop) -> Iterator[None]:
         """End stops. They stand again where their files cannot be removed, or the block raises."""
         before = dict(self.standing)
         if not any(stop in before for stop in stops):

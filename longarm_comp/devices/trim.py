@@ -49,14 +49,14 @@ class Trim:
         if path:
             self.offset = np.zeros(len(self._joints))
 
-    def applied(self, dt: float) -> Array:
+    def correction_now(self, dt: float) -> Array:
         """Return the (n,) corrections after `dt` (s); they change no faster than a joint may
         move."""
         step = np.clip(self.offset - self._applied, -self._rate * dt, self._rate * dt)
         self._applied = self._applied + step
         return self._applied
 
-    def corrected(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> bool:
+    def take_step(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> bool:
         """Take another step from the readings of a resting arm; whether there was one to take.
 
         Args:
@@ -76,7 +76,7 @@ class Trim:
                 self.offset[k] = before[k]
         return bool((self.offset != before).any())
 
-    def failed(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> str:
+    def describe_failure(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> str:
         """Which joints no step brought near, and how far off; those lose theirs.
 
         What friction holds is off by so little that all steps together are no stall.  One that

@@ -14,7 +14,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Topic
 from longarm_comp.sessions.bag import Message
 from longarm_comp.sessions.bag_segments import SegmentedBag
-from longarm_comp.sessions.message_types import moment, offered, stamp_of_raw
+from longarm_comp.sessions.message_types import moment, publisher_quality, stamp_of_raw
 
 SESSION_TOPICS = (
     graph.TARGET_POSE, graph.JOINT_TRAJECTORY, graph.COMPENSATION, graph.JOINT_STATES,
@@ -61,7 +61,7 @@ class Recorder:
             kind = f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
             if "header" in message.get_fields_and_field_types():
                 self._stamped.add(name)
-            bag.offers[name] = offered(topic.depth, latched=topic.latched)
+            bag.offers[name] = publisher_quality(topic.depth, latched=topic.latched)
             topic.subscription(node, partial(self.put, name, kind), depth=2000, raw=True)
 
     def put(self, topic: str, kind: str, raw: bytes) -> None:

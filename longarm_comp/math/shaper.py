@@ -41,6 +41,6 @@ class Shaper:
         since = self.since(times, seconds)
         return way(since.ravel()).reshape(*since.shape, -1)
 
-    def shaped(self, way: Way, seconds: float) -> Way:
+    def shape_motion(self, way: Way, seconds: float) -> Way:
         """The motion in parts; before its time 0 the arm stands still."""
         return lambda times: np.tensordot(self.weights, self.parts(way, times, seconds), 1)

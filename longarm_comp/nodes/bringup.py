@@ -186,7 +186,7 @@ class BringUp:
         own = (self.config or self.arm.absolute().parent) / CAMERAS
         return own if all((own / f"{side}.yaml").is_file() for side in SIDES) else None
 
-    def fitted(self, scratch: Path) -> BringUp:
+    def with_servos(self, scratch: Path) -> BringUp:
         """Return this graph with servos that fit the arm's joints.
 
         If the package's own files for the simulated arm do not fit this arm, files that do are
@@ -334,6 +334,6 @@ def running(
 ) -> Iterator[Supervisor]:
     """Start the graph's processes; end all of them on exit, also after an exception."""
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
-        graph = graph.fitted(Path(scratch))
+        graph = graph.with_servos(Path(scratch))
         with Supervisor(graph.commands(Path(scratch)), respawn=respawn, say=say) as supervisor:
             yield supervisor

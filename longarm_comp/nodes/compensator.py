@@ -11,7 +11,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Header
 
-from longarm_comp.core.arm.frame_tree import UnknownPlace, carried
+from longarm_comp.core.arm.frame_tree import UnknownPlace, carry_place
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.online import StaleContext, check_inside
@@ -20,7 +20,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import entered
+from longarm_comp.core.model.link_frames import describe_entry
 from longarm_comp.nodes.answers import Answer, Refusal, TargetRequest, target_of
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns, steady_timer
@@ -123,7 +123,7 @@ class Compensator:
             reason += f": {why}"
         if outcome.success:
             path = np.vstack([start, arrival.move.points])
-            entry = entered(self._declared, path)
+            entry = describe_entry(self._declared, path)
             status, reason = (Status.KEPT_OUT, entry) if entry else (status, reason)
         return Answer(
             target.name, given, target.position_only, status, reason, options.method.value,
@@ -140,7 +140,7 @@ class Compensator:
         except UnknownPlace as error:
             allowed = f"allowed: {self._base_frame!r}, and what tf connects with it"
             raise Refusal(Status.BAD_FRAME, f"{error}; {allowed}") from None
-        place = carried(frame, place)
+        place = carry_place(frame, place)
         moved = Header(stamp=header.stamp, frame_id=self._base_frame)
         return PoseStamped(header=moved, pose=pose_message(place)), place
 

@@ -13,7 +13,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import position_of
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import BASE_LINK, Placed, exaggerated, link_frames, outline
+from longarm_comp.core.model.link_frames import (
+    BASE_LINK,
+    Placed,
+    exaggerate_sag,
+    link_frames,
+    outline,
+)
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.answers import Answer
 from longarm_comp.nodes.arm_state import ArmState
@@ -110,7 +116,7 @@ class Markers:
         )
         straight = outline(self._state.files.rigid, q)
         stands = self._state.files.loaded.stands
-        hanging = exaggerated(stands.asked(outline(model, q, context)), straight, sag)
+        hanging = exaggerate_sag(stands.asked(outline(model, q, context)), straight, sag)
         drawn = [
             self._marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),

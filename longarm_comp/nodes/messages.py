@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.frame_tree import carried, turned_covariance
+from longarm_comp.core.arm.frame_tree import carry_place, turned_covariance
 from longarm_comp.core.compensation.online import check_inside
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import position_of
@@ -237,7 +237,7 @@ def carried_tip(
     seen = quaternion.pose(tip, turn) if quaternion.is_unit(turn) else tip
     covariance = np.reshape(message.pose.covariance, (6, 6))
     told = PoseWithCovarianceStamped(header=Header(stamp=message.header.stamp, frame_id=frame))
-    told.pose.pose = pose_message(carried(place, seen))
+    told.pose.pose = pose_message(carry_place(place, seen))
     told.pose.covariance = turned_covariance(place, covariance).ravel()
     return told
 

@@ -12,7 +12,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.frame_tree import carried, turned_covariance
+from longarm_comp.core.arm.frame_tree import carry_place, turned_covariance
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor, Verdict
 from longarm_comp.core.compensation.expected import (
@@ -147,12 +147,12 @@ class TipMonitor:
         """Note a command: joints (n,) and their history on arrival."""
         self._sent = q
         with self._feeding:
-            self._watch.commanded(q, history)
+            self._watch.on_command(q, history)
 
     def on_motion(self, motion: Motion) -> None:
         if motion.event == Motion.REACHED:
             with self._feeding:
-                self._watch.reached()
+                self._watch.on_arrival()
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
         """Take in a joint reading (n,) of a time (ROS clock, s)."""
@@ -173,7 +173,9 @@ class TipMonitor:
             return None
         stamp = stamp_ns(message.header.stamp)
         with self._feeding:
-            return self._watch.sighted(tip, variance, 1e-9 * stamp if stamp else self._state.now_s)
+            return self._watch.on_sighting(
+                tip, variance, 1e-9 * stamp if stamp else self._state.now_s
+            )
 
     def judge(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """Add a rest pose to the sequential tests.
@@ -218,7 +220,7 @@ class TipMonitor:
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
         stands = self._state.files.loaded.stands
         missed = stands.asked(rest.tip - seen_beside) - self._aim[1]
-        self.sighted = Sighted(rest.q, carried(stands.measurements, rest.tip), missed)
+        self.sighted = Sighted(rest.q, carry_place(stands.measurements, rest.tip), missed)
         return missed
 
     def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:

@@ -82,15 +82,15 @@ class Stops:
     def _estop(self) -> str:
         self._latch.ask(Stop.ESTOP)
         self.let_go()
-        return self._kept(Stop.ESTOP, "torque off, commands refused")
+        return self._write_down(Stop.ESTOP, "torque off, commands refused")
 
     def _hold(self) -> str:
         if self._site.arm is not None and Stop.HOLD not in self._latch.standing:
             self._site.arm.follower.break_off(EventKind.HELD, "held: it stays where it is")
         self._latch.ask(Stop.HOLD)
-        return self._kept(Stop.HOLD, "held: torque on, trajectories refused")
+        return self._write_down(Stop.HOLD, "held: torque on, trajectories refused")
 
-    def _kept(self, stop: Stop, done: str) -> str:
+    def _write_down(self, stop: Stop, done: str) -> str:
         """Write a stop to the latch; return what was done, or which part of it was not."""
         self._latch.keep()
         return self.state[1] if self._torque_yet(stop) or self.unkept else done
@@ -105,7 +105,7 @@ class Stops:
 
     def _go_on(self) -> str:
         """End a hold."""
-        with self._latch.lifted(Stop.HOLD):
+        with self._latch.lift_stops(Stop.HOLD):
             arm = self._site.arm
             if arm is not None and self._site.active and not (self.standing or arm.powered):
                 arm.power(True)
@@ -123,7 +123,7 @@ class Stops:
         arm = self._site.arm
         if arm is None and not self._latch.standing.keys() & set(ends):
             raise LongarmError("the driver is not configured")
-        with self._latch.lifted(*ends):
+        with self._latch.lift_stops(*ends):
             if arm is not None:
                 arm.release(time.monotonic(), on=self._site.active)
         return self._now()

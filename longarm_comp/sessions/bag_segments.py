@@ -18,7 +18,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.sessions.message_types import message_types, offered
+from longarm_comp.sessions.message_types import message_types, publisher_quality
 
 _PARTIAL = ".recording"
 _KEY = "rosbag2_bagfile_information"
@@ -95,7 +95,7 @@ class SegmentedBag:
         writer = self._open()
         connection = self._connections.get((topic, kind))
         if connection is None:
-            offers = [self.offers.get(topic, offered())]
+            offers = [self.offers.get(topic, publisher_quality())]
             connection = writer.add_connection(
                 topic, kind, typestore=message_types(), offered_qos_profiles=offers
             )

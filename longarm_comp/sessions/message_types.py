@@ -32,7 +32,7 @@ from longarm_comp.share import interface_folders
 _NEVER = QosTime(9223372036, 854775807)
 
 
-def offered(depth: int = 10, *, latched: bool = False) -> Qos:
+def publisher_quality(depth: int = 10, *, latched: bool = False) -> Qos:
     """Return the quality of service of the graph's publishers: reliable; if latched, late ones get
     the last messages."""
     return Qos(

@@ -104,7 +104,7 @@ class Plant:
         """The arm vibrates on, up to a time; call it often. It does nothing without damping."""
         if self._ringing is not None:
             with self._swings:
-                self._swing = self._ringing.moved(t_s, self.joints())
+                self._swing = self._ringing.move_joints(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
         """The play of some joints is so much (rad, m) larger than at the start from now on."""

@@ -197,7 +197,7 @@ class Ringing:
         self._last: tuple[float, Array, Array] | None = None  # time, joints, their speed
         self._wave = np.zeros(0, complex)
 
-    def moved(self, t_s: float, q: Array) -> Array:
+    def move_joints(self, t_s: float, q: Array) -> Array:
         """The joints are at q (n,) at a time: the tip's displacement then, (3,) m."""
         before, came, speed = self._last or (t_s, q, np.zeros_like(q))
         now = self._modes(q, speed)
@@ -210,11 +210,11 @@ class Ringing:
         self._last = before, came, speed
         return np.asarray(now.tip @ self._wave.real)
 
-    def left(self, since_s: Array) -> Array:
+    def tip_ring(self, since_s: Array) -> Array:
         """(N, 3) m: the tip's displacement some times later, if the joints stay where they are."""
         return self._later(since_s, lambda modes: modes.tip)
 
-    def turned(self, since_s: Array) -> Array:
+    def joint_ring(self, since_s: Array) -> Array:
         """(N, n) rad, m: likewise what encoders at the joints, not at the motors, see of it."""
         return self._later(since_s, lambda modes: modes.turned)
 

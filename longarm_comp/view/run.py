@@ -22,7 +22,7 @@ from visualization_msgs.msg import MarkerArray
 
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.compensation.result import Status
-from longarm_comp.core.model.link_frames import exaggerated
+from longarm_comp.core.model.link_frames import exaggerate_sag
 from longarm_comp.jobs.graph_client import GraphClient, reports_of
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import RING_SAID
@@ -67,7 +67,7 @@ class Listener:
         factor = _number(lines["hanging"].text) if "hanging" in lines else math.nan
         if declared.shape != drawn.shape or not len(drawn) or not factor > 0.0:
             return
-        hanging = exaggerated(drawn, declared, 1.0 / factor)
+        hanging = exaggerate_sag(drawn, declared, 1.0 / factor)
         target, pseudo = (
             points[name][0] if len(points.get(name, _NONE)) else None
             for name in ("target", "pseudo_target")

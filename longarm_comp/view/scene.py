@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from longarm_comp.core.model.link_frames import exaggerated
+from longarm_comp.core.model.link_frames import exaggerate_sag
 from longarm_comp.view.words import PageState, Picture
 
 GREY, PALE = (150, 150, 150), (205, 205, 205)
@@ -38,7 +38,7 @@ class Scene:
             if not self._handles:
                 self._begin(picture)
             pale = state.old(now)
-            hanging = exaggerated(picture.hanging, picture.declared, times)
+            hanging = exaggerate_sag(picture.hanging, picture.declared, times)
             self._line("declared", picture.declared, PALE if pale else GREY)
             self._line("hanging", hanging, PALE if pale else BLUE)
             end = hanging[-1]
@@ -52,8 +52,8 @@ class Scene:
                 self._handles[name].visible = at is not None and not pale
                 if at is not None:
                     self._handles[name].position = at
-            missed = "the picture is old" if pale else state.missed(now)
-            beside = "the picture is old" if pale else state.unpredicted(now)
+            missed = "the picture is old" if pale else state.miss_at_target(now)
+            beside = "the picture is old" if pale else state.miss_of_prediction(now)
             tip_at = self._arrow("missed", picture.target, missed, longer)
             self._arrow("beside", end, beside, longer)
             self._label("missed", tip_at, f"tip − target × {longer:g}")
@@ -112,7 +112,7 @@ class Scene:
         handle.visible = start is not None and not isinstance(error, str)
         if start is None or isinstance(error, str):
             return None
-        end = exaggerated(start + error, start, factor)
+        end = exaggerate_sag(start + error, start, factor)
         handle.points = np.stack([start, end])[None]
         return end
 

@@ -137,9 +137,9 @@ class PageState:
         # A picture is a half second old, and a sighting some frames
         return min(self.picture.at, self.tip_at) > self.moved + 0.6
 
-    def missed(self, now: float) -> np.ndarray | str:
+    def miss_at_target(self, now: float) -> np.ndarray | str:
         """tip - target (3,) m, where the arm rests at its target and is seen; else why not."""
-        beside = self.unpredicted(now)
+        beside = self.miss_of_prediction(now)
         if isinstance(beside, str):
             return beside
         assert self.tip is not None and self.picture is not None
@@ -149,7 +149,7 @@ class PageState:
             return "the arm is not at the last target"
         return self.tip - self.picture.target
 
-    def unpredicted(self, now: float) -> np.ndarray | str:
+    def miss_of_prediction(self, now: float) -> np.ndarray | str:
         """tip - predicted tip (3,) m, where the arm rests and is seen; else why not."""
         tip = self.seen_tip(now)
         if tip is None:
@@ -204,8 +204,8 @@ def sections(state: PageState, now: float, namespace: str, said: str) -> dict[st
         "said": [said],
         "job": [progress(state, now)],
         "tip": [
-            f"tip − target: {millimetres(state.missed(now))}",
-            f"tip − predicted: {millimetres(state.unpredicted(now))}",
+            f"tip − target: {millimetres(state.miss_at_target(now))}",
+            f"tip − predicted: {millimetres(state.miss_of_prediction(now))}",
             drift(state),
             *(f"{what}: {told}." for what, told in state.told.items()),
         ],

@@ -21,7 +21,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.files import followed, write_bytes
+from longarm_comp.core.files import follow_link, write_bytes
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.model import file_versions, model_file
 from longarm_comp.core.model.declared_model import declared_model
@@ -127,7 +127,7 @@ def apply(
         raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
     stored = read_stored(made)
     after = restore(stored, arm, str(made))
-    target = followed(predictor or model.parent / inputs.PREDICTOR)
+    target = follow_link(predictor or model.parent / inputs.PREDICTOR)
     finish(model, target)
     before = _before(stored.provenance, made, model, arm)
     named = str(stored.provenance.get(inputs.SESSION, ""))
@@ -305,7 +305,7 @@ def undo(model: Path) -> Path | None:
     Returns:
         The file of the predictor that came back, if any.
     """
-    beside = [followed(p) for p in model.parent.glob("[!.]*.npz")
+    beside = [follow_link(p) for p in model.parent.glob("[!.]*.npz")
               if p.is_symlink() or _trained_with(p) is not None]  # fmt: skip
     names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in beside})
     discarded = inputs.file_hash(model) if model.is_file() else ""

@@ -154,9 +154,9 @@ def network_kind(given: NetworkKind | FilePath | None) -> NetworkKind | None:
     """Return another network than the paper's, from its file or its name; None: the paper's."""
     if not isinstance(given, (str, Path)):
         return given
-    from longarm_comp.core.learn.others import chosen
+    from longarm_comp.core.learn.others import choose_network
 
-    return chosen(given)
+    return choose_network(given)
 
 
 def load_predictor(

@@ -84,7 +84,7 @@ def plan(
     within = arm if floor is None else with_floor(arm, floor)
     kind = kind or ("sobol" if report is None else "next")
 
-    def allowed(poses: Plan, where: Model) -> np.ndarray:
+    def allowed_poses(poses: Plan, where: Model) -> np.ndarray:
         free = outside_boxes(where, poses)
         return free if seen is None else free & seen(where.pose(poses.q))
 
@@ -106,7 +106,7 @@ def plan(
         where = replace(uncertain.model, arm=fitted)
         return optimal_poses(
             uncertain, n, criterion=kind, measure=measure,
-            allowed=lambda poses: allowed(poses, where), rng=seed, pool=pool,
+            allowed=lambda poses: allowed_poses(poses, where), rng=seed, pool=pool,
         )  # fmt: skip
     if measured is not None or model is not None:
         raise InputError("plan", "kind", kind, f"{' or '.join(_OPTIMAL)}, with model or rows")
@@ -116,11 +116,11 @@ def plan(
         raise InputError("plan", "--report", report, only)
     if report is not None:
         asked = read_next_poses(report, arm, n)
-        free = np.flatnonzero(allowed(asked, where))
+        free = np.flatnonzero(allowed_poses(asked, where))
         if len(free) < len(asked):
             note(f"{len(asked) - len(free)} poses of the diagnosis are not allowed: left out")
         return asked.take(free)
     if kind not in _FILLING:
         raise InputError("plan", "kind", kind, ", ".join((*_FILLING, *_OPTIMAL)))
     make, most = _FILLING[kind]
-    return fill_plan(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
+    return fill_plan(make, arm, n, seed, lambda poses: allowed_poses(poses, where), most(arm))

@@ -110,23 +110,23 @@ def test_a_bare_arm_gets_files_that_fit_in_simulation_only(tmp_path: Path) -> No
     bare.write_text((tmp_path / "whole" / "arm.yaml").read_text())
     (bare.parent / "kinematics.yaml").write_text((folder("config") / "kinematics.yaml").read_text())
     scratch = tmp_path / "scratch"
-    graph = BringUp(arm=bare, sim=True).fitted(scratch)
+    graph = BringUp(arm=bare, sim=True).with_servos(scratch)
     servos = ServoConfig.load(graph.file("servo_driver"))
     assert tuple(servos.joints) == Arm.load(bare).joint_names
     assert graph.parameters("simulated_arm", "")["servos"] == str(scratch / "servo_driver.yaml")
     assert graph.file("kinematics") == scratch / "kinematics.yaml"
     assert graph.file("error_predictor") == folder("config") / "error_predictor.yaml"
     with pytest.raises(InputError, match=r"joint1, .* longarm init DIR --arm"):
-        BringUp(arm=bare).fitted(scratch)
+        BringUp(arm=bare).with_servos(scratch)
     given = tmp_path / "given"
     given.mkdir()
     (given / "servo_driver.yaml").write_text((folder("config") / "servo_driver.yaml").read_text())
     with pytest.raises(InputError, match="given"):
-        BringUp(arm=bare, sim=True, config=given).fitted(scratch)
+        BringUp(arm=bare, sim=True, config=given).with_servos(scratch)
 
 
 def test_files_beside_the_arm_are_used(tmp_path: Path) -> None:
     assert Shell(tmp_path)("init", tmp_path / "mine", *HOBBY) == 0
     graph = BringUp(arm=tmp_path / "mine" / "arm.yaml", sim=True)
-    assert graph.fitted(tmp_path) is graph
+    assert graph.with_servos(tmp_path) is graph
     assert graph.file("stereo_bridge") == tmp_path / "mine" / "stereo_bridge.yaml"

@@ -31,7 +31,7 @@ from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.jobs.collect.visits import (
     PlanCheck,
     Visit,
-    blocked,
+    blocked_visits,
     plan_checks,
     refuse_blocked,
     servos_beside,
@@ -120,7 +120,7 @@ def test_every_question_is_asked_of_every_pose(hobby: Path) -> None:
     found = plan_checks(arm, todo, view=view, servos=servos)
     lines = outline(declared_model(arm), plan.q)
     low = [int(k) for k in np.flatnonzero(lines[..., 2].min(axis=1) <= floor)]
-    assert len(low) >= 3 and 7 not in low and set(blocked(found, todo)) == {*low, 7}
+    assert len(low) >= 3 and 7 not in low and set(blocked_visits(found, todo)) == {*low, 7}
     told = asked(found)
     assert told["over the floor"] == 30 - len(low) and told["outside the keep-out boxes"] == 29
     assert told["inside the limits of arm.yaml"] == told["inside the servos' limits"] == 30
@@ -130,7 +130,7 @@ def test_every_question_is_asked_of_every_pose(hobby: Path) -> None:
     with pytest.raises(InputError, match=rf"visit {min(*low, 7)}: .*and {len(low)} more poses"):
         refuse_blocked(found, todo, "poses.csv")
     bare = plan_checks(Arm.load(hobby / "arm.yaml"), todo)
-    assert list(asked(bare)) == ["inside the limits of arm.yaml"] and not blocked(bare, todo)
+    assert list(asked(bare)) == ["inside the limits of arm.yaml"] and not blocked_visits(bare, todo)
 
 
 def test_poses_outside_are_counted_with_the_joint(hobby: Path) -> None:
@@ -141,7 +141,7 @@ def test_poses_outside_are_counted_with_the_joint(hobby: Path) -> None:
     todo = visits(Plan(q, np.zeros(3)), arm, shuffle=False)
     found = plan_checks(arm, todo, servos=servos)
     assert [len(c.faults) - c.passed for c in found] == [1, 1]
-    assert "joint3 outside" in blocked(found, todo)[1]
+    assert "joint3 outside" in blocked_visits(found, todo)[1]
 
 
 def test_the_commands_show_a_plan_and_move_nothing(hobby: Path, shell: Shell) -> None:

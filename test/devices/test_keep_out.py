@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import entered, keeper, outline
+from longarm_comp.core.model.link_frames import describe_entry, keeper, outline
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 
@@ -24,7 +24,7 @@ def test_a_box_is_crossed_by_what_has_a_point_in_it(rng: np.random.Generator) ->
     ends = rng.uniform(-1.0, 2.0, (400, 2, 3))
     ends[:60, 1, 0] = ends[:60, 0, 0]  # along a plane of the box
     ends[60:80, 1] = ends[60:80, 0]  # a point
-    found = np.array([UNIT.crossed(pair)[0] for pair in ends])
+    found = np.array([UNIT.crosses_segments(pair)[0] for pair in ends])
     share = np.linspace(0.0, 1.0, 2001)[:, None]
     inside = [
         bool((((a + share * (b - a)) >= 0.0) & ((a + share * (b - a)) <= 1.0)).all(axis=1).any())
@@ -37,7 +37,7 @@ def test_a_box_is_crossed_by_what_has_a_point_in_it(rng: np.random.Generator) ->
 
 def test_every_part_of_a_polyline_is_looked_at() -> None:
     line = np.array([[-1.0, 0.5, 0.5], [-0.5, 0.5, 0.5], [2.0, 0.5, 0.5], [3.0, 0.5, 0.5]])
-    assert UNIT.crossed(line).tolist() == [False, True, False]
+    assert UNIT.crosses_segments(line).tolist() == [False, True, False]
 
 
 def boxed(path: Path, centre: np.ndarray, half: float = 0.02) -> Arm:
@@ -53,11 +53,11 @@ def test_a_move_through_a_box_is_found_on_its_way(demo_arm_path: Path) -> None:
     start[0], end[0] = plain.lower[0], plain.upper[0]
     tip = outline(declared_model(plain), plain.mid)[-1]
     model = declared_model(boxed(demo_arm_path, tip))
-    assert "lamp" in entered(model, np.array([start, end]))
-    assert "lamp" in entered(model, np.array([start, plain.mid]))
-    assert "lamp" in entered(model, np.array([start, start, end]))
-    assert not entered(model, np.array([end, end]))
-    assert not entered(declared_model(plain), np.array([start, end]))
+    assert "lamp" in describe_entry(model, np.array([start, end]))
+    assert "lamp" in describe_entry(model, np.array([start, plain.mid]))
+    assert "lamp" in describe_entry(model, np.array([start, start, end]))
+    assert not describe_entry(model, np.array([end, end]))
+    assert not describe_entry(declared_model(plain), np.array([start, end]))
 
 
 def test_joints_in_the_order_of_the_servos_are_kept_out_too(demo_arm_path: Path) -> None:

@@ -113,7 +113,7 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.joints import read_arm
-graph = BringUp(arm=Path("mine/arm.yaml").absolute(), sim=True).fitted(Path("scratch"))
+graph = BringUp(arm=Path("mine/arm.yaml").absolute(), sim=True).with_servos(Path("scratch"))
 file = graph.file("servo_driver")
 arm = read_arm(file)
 at = {"joint1": 0.1, "joint2": 0.2}

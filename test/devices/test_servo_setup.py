@@ -202,7 +202,7 @@ def test_nothing_moves_under_a_stop(shell: Shell, by: str, tmp_path: Path) -> No
             assert "held since" in shell.refused("servo", "set-id", 5, *only, code=3)
             assert 5 not in emulator.torques_on()
         assert all(emulator.torques_on().values())
-        with latch.lifted(Stop.HOLD):
+        with latch.lift_stops(Stop.HOLD):
             pass
         assert shell("servo", "setup", mine, *words) == 0, shell.err
 

@@ -38,9 +38,9 @@ def test_a_stop_stands_for_every_successor_until_it_is_lifted(tmp_path: Path, st
         successor = latch(tmp_path)
         assert list(successor.standing) == [stop]
         assert f"~/{stop.name.lower()}" in successor.words
-        with successor.lifted(other):
+        with successor.lift_stops(other):
             pass
-    with successor.lifted(stop):
+    with successor.lift_stops(stop):
         assert not successor.standing
     assert not latch(tmp_path).standing
 
@@ -59,7 +59,7 @@ def test_an_arm_is_known_by_its_port_and_by_its_file_in_its_namespace(tmp_path: 
         {"port": "/dev/ttyUSB1", "arm": elsewhere, "namespace": "/left"},
     ):
         assert not latch(tmp_path, **another).standing, another
-        with latch(tmp_path, **another).lifted(*Stop):
+        with latch(tmp_path, **another).lift_stops(*Stop):
             pass
     renumbered = latch(tmp_path, port="/dev/ttyUSB1", arm=file, namespace="/left")
     assert renumbered.standing
@@ -71,7 +71,7 @@ def test_a_port_is_known_by_where_its_name_leads(tmp_path: Path) -> None:
     link.symlink_to(device)
     stopped(tmp_path, port=str(link))
     assert latch(tmp_path, port=str(device)).standing
-    with latch(tmp_path, port=str(link)).lifted(*Stop):
+    with latch(tmp_path, port=str(link)).lift_stops(*Stop):
         pass
     assert not latch(tmp_path, port=str(device)).standing
     stopped(tmp_path, port=str(device))
@@ -128,7 +128,7 @@ def test_a_damaged_file_stops_the_arm_and_can_be_reset(
     damage(file)
     made = latch(tmp_path)
     assert list(made.standing) == [Stop.ESTOP]
-    with made.lifted(*Stop):
+    with made.lift_stops(*Stop):
         pass
     assert not latch(tmp_path).standing
 
@@ -140,11 +140,11 @@ def test_a_folder_in_place_of_a_file_stops_the_arm_until_somebody_removes_it(
     file.unlink()
     file.mkdir()
     made = latch(tmp_path)
-    with pytest.raises(JobError, match="the stop stays"), made.lifted(*Stop):
+    with pytest.raises(JobError, match="the stop stays"), made.lift_stops(*Stop):
         pass
     assert list(made.standing) == [Stop.ESTOP]
     file.rmdir()
-    with made.lifted(*Stop):
+    with made.lift_stops(*Stop):
         pass
     assert not made.standing
 
@@ -159,7 +159,7 @@ def test_a_folder_that_is_not_readable_or_writable_holds_the_arm(mode: int) -> N
         made = latch(Path(place))
         assert list(made.standing) == [Stop.HOLD]
         assert "cannot be kept" in made.words and str(folder) in made.words
-        with pytest.raises(LongarmError, match=str(folder)), made.lifted(*Stop):
+        with pytest.raises(LongarmError, match=str(folder)), made.lift_stops(*Stop):
             pass
         made.ask(Stop.ESTOP)
         made.keep()
@@ -173,7 +173,7 @@ def test_a_folder_that_is_not_readable_or_writable_holds_the_arm(mode: int) -> N
 def test_a_reset_that_breaks_off_leaves_the_stop(tmp_path: Path) -> None:
     stopped(tmp_path)
     made = latch(tmp_path)
-    with pytest.raises(JobError), made.lifted(*Stop):
+    with pytest.raises(JobError), made.lift_stops(*Stop):
         assert not made.standing
         raise JobError("a servo is silent")
     assert list(made.standing) == [Stop.ESTOP] == list(latch(tmp_path).standing)

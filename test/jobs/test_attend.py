@@ -89,7 +89,7 @@ def test_without_an_arm_the_command_says_so(
         ("stop", "cut its power"),
     ):  # fmt: skip
         assert words in shell.refused(name, "--namespace", "moon", code=3)
-    with stop.lifted(*Stop):
+    with stop.lift_stops(*Stop):
         pass
 
 

@@ -33,7 +33,7 @@ from longarm_comp.jobs.collect.run import visits_in_bag
 from longarm_comp.jobs.collect.visits import Visit, visits
 from longarm_comp.sessions.bag import bag_info, open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
-from longarm_comp.sessions.message_types import message_types, offered
+from longarm_comp.sessions.message_types import message_types, publisher_quality
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
 
@@ -137,7 +137,7 @@ def test_a_growing_bag_is_readable_after_every_segment(tmp_path: Path) -> None:
                 bag.finish_segment()
                 with open_bag(path) as reader:
                     assert reader.message_count == k + 1
-        bag.offers["/other"] = offered(1, latched=True)
+        bag.offers["/other"] = publisher_quality(1, latched=True)
         bag.write("/other", TEXT, 10**18 + 99, word("last"))
     assert offers(path) == {
         "/word": (10, "reliable", "volatile"), "/other": (1, "reliable", "transient_local"),

@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.frame_tree import carried
+from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message
@@ -84,7 +84,7 @@ class QuickArm:
         q = self._walk.q
         self._side = np.where(q == was, self._side, np.sign(q - was))
         self.true = self.tip(q, self._side)
-        self._tip = carried(self._stands, self.true) if self.sees(q) else np.full(3, np.nan)
+        self._tip = carry_place(self._stands, self.true) if self.sees(q) else np.full(3, np.nan)
 
     def hold(self, on: bool, state: int = DriverState.HOLDING) -> None:
         """Hold the arm where it is, or let it go on; or another state in which it is stopped."""

@@ -17,7 +17,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.csv import write_touches
 from longarm_comp.sessions.message_buffer import TYPES
-from longarm_comp.sessions.message_types import message_types, offered
+from longarm_comp.sessions.message_types import message_types, publisher_quality
 
 _STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
@@ -66,7 +66,7 @@ class _Recorder:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 self._prefix + topic, kind, typestore=self._types,
-                offered_qos_profiles=[offered()],
+                offered_qos_profiles=[publisher_quality()],
             )  # fmt: skip
         data = self._types.serialize_cdr(self._made(kind, fields), kind)
         self._writer.write(self._connections[topic], stamp, data)

@@ -43,8 +43,8 @@ def at_rest() -> PageState:
 
 def test_errors_of_an_arm_at_rest() -> None:
     state = at_rest()
-    np.testing.assert_allclose(state.missed(20.0), [0.0, 0.003, -0.004])
-    np.testing.assert_allclose(state.unpredicted(20.0), [0.0, 0.003, -0.006])
+    np.testing.assert_allclose(state.miss_at_target(20.0), [0.0, 0.003, -0.004])
+    np.testing.assert_allclose(state.miss_of_prediction(20.0), [0.0, 0.003, -0.006])
     at_target, as_predicted, *_ = words.sections(state, 20.0, "/", "")["tip"]
     assert at_target == "tip − target: 5.00 mm (x +0.00, y +3.00, z -4.00)"
     assert as_predicted.startswith("tip − predicted: 6.71 mm (x ")
@@ -54,7 +54,9 @@ def test_there_is_no_error_without_a_sighting_of_now() -> None:
     state = at_rest()
     lost = replace(state, tip=np.full(3, math.nan))
     for blind, now in ((replace(state, tip=None), 20.0), (lost, 20.0), (state, 24.0)):
-        assert blind.missed(now) == blind.unpredicted(now) == "no camera sees the tip"
+        assert (
+            blind.miss_at_target(now) == blind.miss_of_prediction(now) == "no camera sees the tip"
+        )
         assert words.sections(blind, now, "/", "")["tip"][0].endswith(": no camera sees the tip")
 
 
@@ -62,7 +64,7 @@ def test_there_is_no_error_without_a_sighting_of_now() -> None:
 def test_there_is_no_error_while_the_arm_moves(old: str) -> None:
     """Picture and sighting must both be later than the last movement, and a little more."""
     moved = at_rest().with_joints({"a": 0.11, "b": -0.2}, 19.5)
-    assert moved.missed(20.0) == moved.unpredicted(20.0) == "the arm moves"
+    assert moved.miss_at_target(20.0) == moved.miss_of_prediction(20.0) == "the arm moves"
     assert moved.picture is not None
     for late, rests in ((21.0, True), (20.0, False)):
         at = {"picture": 21.0, "tip": 21.0, old: late}
@@ -87,9 +89,9 @@ def test_the_miss_is_of_the_target_that_the_joints_were_sent_to() -> None:
     unsent = replace(state, answer=LastAnswer("UNREACHABLE", "3 mm missing", {}))
     foreign = replace(state, answer=LastAnswer("SUCCESS", "", {"c": 0.1}))
     for other in (elsewhere, unsent, foreign, replace(state, answer=None)):
-        assert isinstance(other.missed(20.0), str)
-        assert not isinstance(other.unpredicted(20.0), str)
-    assert elsewhere.missed(20.0) == "the arm is not at the last target"
+        assert isinstance(other.miss_at_target(20.0), str)
+        assert not isinstance(other.miss_of_prediction(20.0), str)
+    assert elsewhere.miss_at_target(20.0) == "the arm is not at the last target"
     assert words.target(unsent) == "Last target: UNREACHABLE, nothing sent: 3 mm missing."
 
 

@@ -32,7 +32,7 @@ class _Child:
     times: list[int] = field(default_factory=list)
     places: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
-    def put(self, t_ns: int, place: tuple[np.ndarray, np.ndarray]) -> None:
+    def store(self, t_ns: int, place: tuple[np.ndarray, np.ndarray]) -> None:
         kept = round(1e9 * 10.0)  # How long places are kept, s
         if self.static or (self.times and t_ns < self.times[-1] - kept):  # the clock jumped back
             self.times, self.places = [], []
@@ -92,7 +92,7 @@ class FrameTree:
         known = self._children.get(child)
         if known is None or known.parent != parent or known.static != static:
             known = self._children[child] = _Child(parent, static)
-        known.put(t_ns, (np.asarray(position), np.asarray(turn) / np.linalg.norm(turn)))
+        known.store(t_ns, (np.asarray(position), np.asarray(turn) / np.linalg.norm(turn)))
 
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
         """Pose (4, 4) of a frame in another one at a time (ns); 0: the latest known of all.
@@ -133,7 +133,7 @@ def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.asarray(turn @ covariance @ turn.T)
 
 
-def carried(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
+def carry_place(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Express points (..., 3) or poses (..., 4, 4) of a frame in the frame in which its pose (4, 4)
     is given."""
     if target.shape[-2:] == (4, 4):

@@ -156,7 +156,7 @@ class History:
         return {name: tuple(values.reshape(len(values), -1).T) for name, values in held.items()}
 
 
-def recorded(
+def recorded_history(
     q: np.ndarray,
     index: np.ndarray,
     approach: np.ndarray | None = None,

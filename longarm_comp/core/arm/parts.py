@@ -247,7 +247,7 @@ class Box(Declared):
         inside = (points >= np.array(self.min_m)) & (points <= np.array(self.max_m))
         return np.asarray(inside.all(axis=-1))
 
-    def crossed(self, points: np.ndarray) -> np.ndarray:
+    def crosses_segments(self, points: np.ndarray) -> np.ndarray:
         """(..., k - 1) bool: which segments of polylines (..., k, 3), m, are partly in the box."""
         begin, way = points[..., :-1, :], np.diff(points, axis=-2)
         low, high = np.array(self.min_m), np.array(self.max_m)

@@ -106,7 +106,7 @@ class Chain:
             values.append(value)
         return values
 
-    def coupled(self, joint: int) -> tuple[tuple[int, float], ...]:
+    def coupled_rows(self, joint: int) -> tuple[tuple[int, float], ...]:
         """(row, how far it moves per unit of a joint's row), that row first."""
         return self._coupled.get(joint, ((joint, 1.0),))
 
@@ -123,7 +123,7 @@ class Chain:
         place of this motion in a twist, and how much of it a unit of the joint is."""
         made = []
         for row in self.arm.commanded:
-            moved = dict(self.coupled(row))
+            moved = dict(self.coupled_rows(row))
             at = row if row in moved else next(iter(moved))
             axis = 2 if self.arm.joints[at - 1].type == "prismatic" else 5
             made.append((row, self.rows[at - 1].bearing, axis, moved[at]))

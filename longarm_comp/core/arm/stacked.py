@@ -31,7 +31,10 @@ def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], 
 def together(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
     """Stack the scalars of some items: each to (k, N), (k, 1), or 0 where all of them are 0."""
     return tuple(
-        [0.0 if all(map(_zero, each)) else _stacked(each) for each in zip(*items, strict=True)]
+        [
+            0.0 if all(map(_zero, each)) else _stack_scalars(each)
+            for each in zip(*items, strict=True)
+        ]
     )
 
 
@@ -49,7 +52,7 @@ _NEAR = 32768
 """Numbers in an array of several items: what a processor keeps near."""
 
 
-def _stacked(scalars: Sequence[Scalar]) -> np.ndarray:
+def _stack_scalars(scalars: Sequence[Scalar]) -> np.ndarray:
     """Stack k floats or arrays (N,) to (k, N) or (k, 1)."""
     rows = np.empty((len(scalars), max(np.size(x) for x in scalars)))
     for row, x in zip(rows, scalars, strict=True):

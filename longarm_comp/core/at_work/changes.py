@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.catalogue import searched
+from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.model import Model, Slot, slots_of
 
@@ -48,8 +48,8 @@ class Parameters:
         """
         present = {term.key for term in model.terms}
         possible: dict[Key, Effect | Bias] = {}
-        known = {kind.name for kind in searched()}
-        for kind in (kind for kind in searched() if known.isdisjoint(kind.aliases)):
+        known = {kind.name for kind in searched_effects()}
+        for kind in (kind for kind in searched_effects() if known.isdisjoint(kind.aliases)):
             for term in (t for group in kind.candidates(model.arm) for t in group):
                 names = [p.name for p in term.parameters(model.arm)]
                 if names and term.key not in possible and _has_inputs(term, context):

@@ -13,7 +13,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
-from longarm_comp.core.calibration.linear import CHANCES, SIZES, sized
+from longarm_comp.core.calibration.linear import CHANCES, SIZES, choose_sizes
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.standing import frames, place_as_seen, place_frames
 from longarm_comp.core.data.commanded import commanded_errors
@@ -151,7 +151,7 @@ def stages(
             progress(name)
         whole, usual = model.with_missing(terms), None
         if kind is not None and name == "geometry":
-            whole, usual, start = kind.applied(whole), kind.noise, placed
+            whole, usual, start = kind.apply_to(whole), kind.noise, placed
         fitted = fit(start_from(start, whole), session, usual=usual)
         if name == "geometry":
             tried = [fitted.model.beyond]
@@ -173,7 +173,7 @@ def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
     slots = [s for s in bare.slots if not s.parameter.unknown]
     shares = np.array([s.value / s.parameter.width for s in slots])
     every = np.ones((len(slots), 1))
-    sizes = sized(shares, every * SIZES, every * CHANCES)[0].tolist()
+    sizes = choose_sizes(shares, every * SIZES, every * CHANCES)[0].tolist()
     return tuple((s.identity, f) for s, f in zip(slots, sizes, strict=True) if f != 1.0)
 
 

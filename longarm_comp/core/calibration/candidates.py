@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.catalogue import searched
+from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Slot, slots_of
@@ -84,7 +84,7 @@ def library(
     known = {(t.name, t.where) for t in declared}
     testable: list[Candidate] = []
     missing: list[tuple[str, str]] = []
-    tried = searched() if kinds is None else kinds
+    tried = searched_effects() if kinds is None else kinds
     for kind in tried:
         if issubclass(kind, Bias) and not kind.of_instrument(arm):
             missing.append((kind.name, f"positions are measured by {arm.measuring}"))

@@ -77,7 +77,7 @@ def fit(
     return _fit_parts([part], close)[0]
 
 
-def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
+def compare_unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
     """Compute residual and design of a model as it is at a session; `near` as in `fit`."""
     part = SessionProblem(model, session, robust=False, near=near)
     part.weigh(1)
@@ -111,7 +111,7 @@ def _fit_parts(
             part.weigh(step)
         try:
             gram, moment, square = problem.normal_equations()
-            posterior = linear.solved(gram, moment, *problem.bounds)
+            posterior = linear.solve_products(gram, moment, *problem.bounds)
         except np.linalg.LinAlgError:
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
@@ -142,7 +142,7 @@ def _fit_parts(
             if back:
                 part.move(best[part.mine], close=False)
             part.differentiate()
-        posterior = linear.solved(*problem.normal_equations()[:2])
+        posterior = linear.solve_products(*problem.normal_equations()[:2])
     covariance = posterior.covariance * np.outer(scale, scale)
     for part in parts:
         if part.sigma is None:
@@ -233,7 +233,7 @@ class _JointProblem:
                     for part in self.parts:
                         step = (goal - now)[part.mine]
                         bend[part.mine] += part.bend(step, self.scale[part.mine], near)
-                    bent = linear.solved(gram, moment - bend, *self.bounds).u
+                    bent = linear.solve_products(gram, moment - bend, *self.bounds).u
                     aside = self.centre + bent * self.scale - goal
                     continue
             except JobError as error:

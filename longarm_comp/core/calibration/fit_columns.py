@@ -64,7 +64,7 @@ class FitColumns:
         data = fitted.data - fitted.design[:, fixed] @ values
         for term in fitted.model.terms:
             if term.key in places and not slots_of(fitted.model.arm, [term]):
-                data = data + fitted.whitened(self.shift([term])[..., None])[:, 0]
+                data = data + fitted.whiten_columns(self.shift([term])[..., None])[:, 0]
         if not instead:
             return Marginal(fitted.design[:, kept], data, fitted.gram[np.ix_(kept, kept)])
         return Marginal(np.concatenate([fitted.design[:, kept], self.white(instead)], axis=1), data)
@@ -73,7 +73,7 @@ class FitColumns:
         """Return (m, k) columns of some terms side by side, in units of the noise."""
         key = tuple(term.variant for term in terms)
         if key not in self._white:
-            self._white[key] = self._fitted.whitened(self.of(terms))
+            self._white[key] = self._fitted.whiten_columns(self.of(terms))
         return self._white[key]
 
 

@@ -85,7 +85,7 @@ class KindOfArm:
             directions.append(KindDirection(number, tuple(terms.values())))
         return cls(tuple(directions), rest, noise or {})
 
-    def applied(self, model: Model) -> Model:
+    def apply_to(self, model: Model) -> Model:
         """Return a model of the further arm whose geometry has this prior."""
         parts = {t.key: _at_zero(t) for d in self.directions for t in d.terms if not t.geometry}
         whole = model.with_missing(parts.values()).with_missing(self.directions)

@@ -41,10 +41,10 @@ def solve(
     Args:
         a, y: (m, p) whitened, prior-scaled design, and (m,) whitened data.
     """
-    return solved(a.T @ a, a.T @ y, lower, upper)
+    return solve_products(a.T @ a, a.T @ y, lower, upper)
 
 
-def solved(
+def solve_products(
     gram: np.ndarray,
     moment: np.ndarray,
     lower: np.ndarray | None = None,
@@ -78,7 +78,7 @@ class Marginal:
         self.a, self.y = a, y
         gram = a.T @ a if gram is None else gram
         self._factor = cho_factor(gram + np.eye(a.shape[1]), lower=True, check_finite=False)
-        self._coefficients = self._solved(a.T @ y)
+        self._coefficients = self._solve(a.T @ y)
 
     @property
     def evidence(self) -> float:
@@ -92,19 +92,19 @@ class Marginal:
 
     def project(self, b: np.ndarray) -> np.ndarray:
         """Return P b: the part of b that the columns already there cannot (cheaply) explain."""
-        return b - self.a @ self._solved(self.a.T @ b)
+        return b - self.a @ self._solve(self.a.T @ b)
 
     def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
         cross = self.a.T @ b
-        s = b.T @ b - cross.T @ self._solved(cross)
+        s = b.T @ b - cross.T @ self._solve(cross)
         return (s + s.T) / 2, b.T @ self.py
 
-    def _solved(self, right: np.ndarray) -> np.ndarray:
+    def _solve(self, right: np.ndarray) -> np.ndarray:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
 
 
-def marginalised(
+def marginalise(
     gram: np.ndarray, along: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Marginalise the first k of some columns, in the products of all (`Marginal.normal`).
@@ -173,7 +173,7 @@ parts so far from their drawing, but some are."""
 CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
 
 
-def sized(
+def choose_sizes(
     mean: np.ndarray, sizes: np.ndarray, chances: np.ndarray, like: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (..., k) most probable prior sizes of (..., k) coefficients, and their log chance

@@ -70,7 +70,7 @@ class ModelFit:
         """The rows (positions in `session`) that got weight 0."""
         return np.flatnonzero(self.weights == 0)
 
-    def whitened(self, columns: np.ndarray) -> np.ndarray:
+    def whiten_columns(self, columns: np.ndarray) -> np.ndarray:
         """Map (N, d, k) columns per unit to (dM, k) of the M inliers, in units of the noise."""
         return whiten(columns, self.weights, self.sigma, self.rho, self.session.measured)
 
@@ -118,7 +118,7 @@ class ModelFit:
     @cached_property
     def design(self) -> np.ndarray:
         """The (dM, p) whitened, prior-scaled design."""
-        return self.whitened(self.columns * priors(self.slots))
+        return self.whiten_columns(self.columns * priors(self.slots))
 
     @cached_property
     def gram(self) -> np.ndarray:
@@ -129,7 +129,7 @@ class ModelFit:
     def data(self) -> np.ndarray:
         """The (dM,) whitened linearised data: the residual at the prior mean of all parameters."""
         data = self.residual + self.columns @ self.model.values
-        return self.whitened(data[..., None])[:, 0]
+        return self.whiten_columns(data[..., None])[:, 0]
 
 
 def priors(slots: tuple[Slot, ...]) -> np.ndarray:

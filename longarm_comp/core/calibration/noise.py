@@ -145,7 +145,7 @@ def from_residual(
         scale = np.where(added, size, 1.0)
         white = products / sigma[:, None, None] ** 2
         gram = white[:, :-1, :-1] * np.outer(scale, scale)
-        posterior = linear.solved(gram.sum(0), scale * white[:, :-1, -1].sum(0))
+        posterior = linear.solve_products(gram.sum(0), scale * white[:, :-1, -1].sum(0))
         residual = (y - columns @ (scale * posterior.u)[:, None])[..., 0]
         count = linear.weigh_rows(residual, uneven, held)
         even = residual * np.sqrt(count)[:, None]

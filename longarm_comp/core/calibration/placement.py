@@ -158,7 +158,7 @@ def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
     seen = session.turned
     bodies = {(str(m), str(s)) for m, s in zip(marker[seen], sensor[seen], strict=True)}
     made: list[Bias] = [TipOrientation(marker=m, sensor=s) for m, s in sorted(bodies)]
-    for name in session.named(KINDS["distance"]):
+    for name in session.names_of(KINDS["distance"]):
         anchor = arm.anchors.get(name)
         if anchor is None or anchor.xyz_m is None:
             made.append(AnchorPlace(anchor=name))

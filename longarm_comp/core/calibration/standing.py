@@ -191,7 +191,7 @@ def is_size_determined(fit: ModelFit) -> bool:
     """
     larger = _enlarge(fit.model, 1.0 + STEP)
     seen = equations(larger, fit.session, posture(larger, fit.session), ()).residual
-    change = fit.whitened((seen - fit.residual)[..., None] / STEP)[:, 0]
+    change = fit.whiten_columns((seen - fit.residual)[..., None] / STEP)[:, 0]
     passing = fit.design[:, [slot.owner.passing for slot in fit.slots]]
     gram = np.eye(passing.shape[1]) + passing.T @ passing
     along = passing.T @ change

@@ -91,7 +91,7 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         return record
     arm_side = [k for k, slot in enumerate(fit.slots) if isinstance(slot.owner, Effect)]
     columns = fit.columns[pointed][:, :3, arm_side]
-    covariance = record.carried(columns, [fit.slots[k].identity for k in arm_side])
+    covariance = record.carry_to_tip(columns, [fit.slots[k].identity for k in arm_side])
     expected = sizes(covariance + record.structure)[0]
     return dataclasses.replace(record, largest_m=float(expected.max()))
 

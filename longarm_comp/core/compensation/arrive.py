@@ -126,7 +126,7 @@ def _choose_sides(
     """Choose sides (n,) for the joints whose side matters; 0 for the others."""
     wanted, sure = np.zeros((2, model.arm.n))
     if joints:
-        posture = model.unsagged(tuple(q), context)
+        posture = model.posture_without_sag(tuple(q), context)
         for effect in model.effects:
             for joint, side in effect.sure_sides(posture).items():
                 sure[joint] = side

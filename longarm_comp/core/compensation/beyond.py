@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context, is_told
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.effects.catalogue import searched
+from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
@@ -97,7 +97,12 @@ def _sd_of_change(
 
 def _library(model: Model) -> list[Effect]:
     """List every effect that is searched for, at each of its places in the arm."""
-    return [t for kind in searched() if issubclass(kind, Effect) for t in kind.for_arm(model.arm)]
+    return [
+        t
+        for kind in searched_effects()
+        if issubclass(kind, Effect)
+        for t in kind.for_arm(model.arm)
+    ]
 
 
 def _feels_change(effect: Discovered, there: Posture, here: Posture) -> bool:

@@ -91,7 +91,7 @@ def expected_miss(
         return ExpectedMiss(mean, covariance.reshape(*mean.shape, 3))
     fitted = [s for s in model.slots if isinstance(s.owner, Effect) and s.identity in known.row]
     columns = model.columns(at, fitted)[1].reshape(-1, 3, len(fitted))
-    carried = known.carried(columns, [slot.identity for slot in fitted])
+    carried = known.carry_to_tip(columns, [slot.identity for slot in fitted])
     carried = carried.reshape(*mean.shape, 3)
     if learned is None:
         return ExpectedMiss(mean, carried + known.structure + known.frame)

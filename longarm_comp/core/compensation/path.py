@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.frame_tree import carried
+from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.compensation.circle import check_no_turn, unwrap
@@ -284,7 +284,7 @@ class _Way:
         """Measure how far the declared arm's tip is moved, (k,) m; refuse where it is too far."""
         wanted, first = ik.position_of(self.plan.targets), int(self.begun)
         rigid = Model(self.model.arm, elements_per_beam=1)
-        meant = carried(self.plan.base, rigid.tip(joints))
+        meant = carry_place(self.plan.base, rigid.tip(joints))
         moved = np.linalg.norm(meant - wanted, axis=1)
         row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
         if first < len(moved) and moved[row] > self.max_correction_m:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.frame_tree import carried
+from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
@@ -58,7 +58,7 @@ class PlannedPath:
 
     def seen_from(self, base: np.ndarray) -> PlannedPath:
         """Return the plan in a frame in which its present frame has the pose `base` (4, 4)."""
-        return replace(self, targets=carried(base, self.targets), base=base @ self.base)
+        return replace(self, targets=carry_place(base, self.targets), base=base @ self.base)
 
     def check(self, n: int) -> None:
         """Refuse shapes and times that are not allowed, of an arm of n joints."""

@@ -65,7 +65,9 @@ class TakeUp:
         held = [(effect, effect.history_joints(arm)) for effect in self.model.effects]
         held = [(effect, joints) for effect, joints in held if joints]
         loaded = any(effect.loaded for effect, _ in held)
-        posture = (self.model.unsagged if loaded else self.model.unplaced)(unstack(q), context)
+        posture = (self.model.posture_without_sag if loaded else self.model.posture_without_frames)(
+            unstack(q), context
+        )
         for effect, joints in held:
             twists = effect.twists(posture)
             for joint in joints:

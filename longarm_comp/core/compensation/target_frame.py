@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.frame_tree import carried
+from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.compensation.expected import geometry_of
 from longarm_comp.core.compensation.result import Compensation
@@ -58,11 +58,11 @@ class Placement:
 
     def carried(self, target: np.ndarray) -> np.ndarray:
         """Carry targets (..., 3) or (..., 4, 4) to the frame of the model."""
-        return carried(self.motion, target)
+        return carry_place(self.motion, target)
 
     def asked(self, place: np.ndarray) -> np.ndarray:
         """Carry places (..., 3) or (..., 4, 4) of the model to the frame of the target, m."""
-        return carried(np.linalg.inv(self.motion), place)
+        return carry_place(np.linalg.inv(self.motion), place)
 
     @property
     def measurements(self) -> np.ndarray:
@@ -100,7 +100,7 @@ def placement(
         names = ", ".join(str(name) for name in found)
         raise InputError(where, "group", group or "missing", f"{names}: the base stood in several")
     base = found.get(group, declared) if len(found) > 1 else next(iter(found.values()), declared)
-    motion, seen = base @ np.linalg.inv(declared), _seen(model)
+    motion, seen = base @ np.linalg.inv(declared), _motion_of_all_rows(model)
     if frame == MEASURED:
         if not found and model.arm.tolerance.base is None:
             allowed = f"{BASE}, or a calibrated model, which says where the base stands"
@@ -125,7 +125,7 @@ def base_of_graph(model: Model) -> Placement:
     It is the base of arm.yaml, if the calibration found the measurements' frame farther from it
     than an ordinary error of setting up. Else both count as one frame, the model's own.
     """
-    arm, seen = model.arm, _seen(model)
+    arm, seen = model.arm, _motion_of_all_rows(model)
     declared = arm.base.frame().matrix()
     base = _bases(model).get("", declared)
     motion = base @ np.linalg.inv(declared)
@@ -135,7 +135,7 @@ def base_of_graph(model: Model) -> Placement:
     return Placement(MEASURED, seen, base, np.eye(4), seen, base is not declared)
 
 
-def _seen(model: Model) -> np.ndarray:
+def _motion_of_all_rows(model: Model) -> np.ndarray:
     """Return the motion (4, 4) from the measurements' frame to the model's, by which all rows
     moved."""
     made = np.eye(4)
@@ -155,7 +155,7 @@ def _bases(model: Model) -> dict[str, np.ndarray]:
 
 def _away(motion: np.ndarray, points: np.ndarray) -> float:
     """Compute the largest distance, m, by which a motion (4, 4) moves points (k, 3)."""
-    return float(np.linalg.norm(carried(motion, points) - points, axis=1).max())
+    return float(np.linalg.norm(carry_place(motion, points) - points, axis=1).max())
 
 
 def _usual(arm: Arm) -> float:

@@ -135,7 +135,7 @@ class MeasuredRows:
         told = self.measured & np.isfinite(whole) & (whole > 0)
         return np.where(told, whole, np.nan)
 
-    def named(self, kind: Kind) -> tuple[str, ...]:
+    def names_of(self, kind: Kind) -> tuple[str, ...]:
         """Return the texts beside its readings of one kind, each once: anchors, touched points."""
         if kind.label not in self.labels:
             return ()

@@ -41,7 +41,7 @@ def shifts(
 ) -> np.ndarray:
     """Return the (N, d, k) change of the prediction by each of k terms outside the model."""
     model = with_touched(model, session, at)
-    return _stack(model.added(at, terms, session.turns), session).columns
+    return _stack(model.motion_with(at, terms, session.turns), session).columns
 
 
 def metres(model: Model, session: Session) -> np.ndarray:
@@ -55,7 +55,7 @@ def metres(model: Model, session: Session) -> np.ndarray:
     rows = [model.arm.commanded[k] for k in session.read_joints]
     if rows:
         zeros = [JointZero(row, offset=1.0) for row in rows]
-        moved = model.added(posture(model, session), zeros).point()[1]
+        moved = model.motion_with(posture(model, session), zeros).point()[1]
         levers = np.median(np.linalg.norm(moved, axis=1), axis=0)
         made[[session.channels.index(f"read_q{k + 1}") for k in session.read_joints]] = levers
     if "ray" not in session.readings:

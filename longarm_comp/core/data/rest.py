@@ -51,12 +51,12 @@ class RestWatch:
         if self.sightings < 1:
             raise InputError("rest watch", "sightings", self.sightings, "1 or more")
 
-    def commanded(self, q: np.ndarray, history: History) -> None:
+    def on_command(self, q: np.ndarray, history: History) -> None:
         """Take a command q (n,) and the history of the joints on arrival."""
         self._goal, self._there_since, self._told = (q, history), None, False
         self._seen.clear()
 
-    def reached(self) -> None:
+    def on_arrival(self) -> None:
         """The driver says that the joints rest where they were sent, however far they give way."""
         self._told = True
 
@@ -70,7 +70,7 @@ class RestWatch:
         elif self._there_since is None or at_s < self._there_since:  # a clock that jumped back
             self._there_since = at_s
 
-    def sighted(self, tip: np.ndarray, variance: np.ndarray, at_s: float) -> RestPose | None:
+    def on_sighting(self, tip: np.ndarray, variance: np.ndarray, at_s: float) -> RestPose | None:
         """Take a sighting (m, m^2; NaN if lost) of a time (s); the rest pose that it completes.
 
         The time is that of the images: a sighting that comes late shows the arm as it was then.

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.context import INCLINATION, LEGS, Context
-from longarm_comp.core.arm.history import SAME_POSE, History, recorded, sides_told
+from longarm_comp.core.arm.history import SAME_POSE, History, recorded_history, sides_told
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
 from longarm_comp.core.errors import InputError
@@ -142,7 +142,7 @@ class Session(MeasuredRows):
         repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
         begun = np.full(q.shape, np.nan) if run_up is None else np.asarray(run_up, dtype=float)
         check_shape(source, "run_up", begun, q.shape)
-        history = recorded(q, index, approach, begun)
+        history = recorded_history(q, index, approach, begun)
         return cls(
             index,
             q,
@@ -160,7 +160,7 @@ class Session(MeasuredRows):
         """Return the session with these lengths (n,), rad and m, of its unknown run-ups."""
         if not self.told.any():
             return self
-        history = recorded(self.q, self.index, self.told, self.run_up, lengths)
+        history = recorded_history(self.q, self.index, self.told, self.run_up, lengths)
         return dataclasses.replace(self, legs=history.legs)
 
     def __len__(self) -> int:

@@ -35,7 +35,7 @@ def touched_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
     Raises:
         InputError: two ways of known distances lead from a point to another.
     """
-    names = session.named(KINDS["touch"])
+    names = session.names_of(KINDS["touch"])
     distances = (*known_distances(arm.touch_distances), *session.touch_distances)
     edges = [d for d in distances if d[0] in names and d[1] in names]
     unplaced = list(names)
@@ -64,7 +64,7 @@ def touched_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
         else TouchBeside(name, known[2], known[3], "\n".join(after))
         for name, known, after in points
     ]
-    return (*terms, *(PlanePlace(name) for name in session.named(KINDS["plane"])))
+    return (*terms, *(PlanePlace(name) for name in session.names_of(KINDS["plane"])))
 
 
 def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
@@ -104,7 +104,7 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
             allowed = f"metres, about {apart:.3g}, as the arm touched them{hint}"
             raise session.error(f"touch_distances: {one}, {other}", length, allowed)
 
-    points = {name for kind in kinds for name in session.named(kind)}
+    points = {name for kind in kinds for name in session.names_of(kind)}
     for one, other, *_ in session.touch_distances:
         if (one in points) != (other in points):
             yield "touch_distances", f"{other if one in points else one} was not touched"
@@ -134,8 +134,8 @@ def with_touched(model: Model, session: Session, at: Posture) -> Model:
     points = {t.touch for t in model.biases if isinstance(t, TouchPlace | TouchBeside)}
     planes = {t.plane for t in model.biases if isinstance(t, PlanePlace)}
     lacking = (
-        *(TouchPlace(n) for n in session.named(KINDS["touch"]) if n not in points),
-        *(PlanePlace(n) for n in session.named(KINDS["plane"]) if n not in planes),
+        *(TouchPlace(n) for n in session.names_of(KINDS["touch"]) if n not in points),
+        *(PlanePlace(n) for n in session.names_of(KINDS["plane"]) if n not in planes),
     )
     if not lacking:
         return model

@@ -104,7 +104,7 @@ def registered() -> dict[str, Kind]:
     return BUILT_IN | {name: kind for name, (kind, _) in _others.items()}
 
 
-def searched() -> tuple[Kind, ...]:
+def searched_effects() -> tuple[Kind, ...]:
     """Return the effects that a diagnosis tries."""
     return tuple(k for k in registered().values() if k.searched and not k.geometry)
 

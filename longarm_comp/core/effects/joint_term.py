@@ -74,7 +74,7 @@ class JointTerm(Effect):
 
     def moved_rows(self, posture: Posture) -> tuple[tuple[int, float], ...]:
         """Rows that move with the joint, and how far per unit of it: its own, then coupled ones."""
-        return posture.chain.coupled(self.joint)
+        return posture.chain.coupled_rows(self.joint)
 
     def slides(self, arm: Arm) -> bool:
         """Tell whether its joint is a slide."""
@@ -155,7 +155,7 @@ class RestingTerm(JointTerm):
 def joint_load(posture: Posture, joint: int) -> Scalar:
     """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint, by virtual work
     with the loads of passive joints coupled to it."""
-    return row_loads(posture, posture.chain.coupled(joint))
+    return row_loads(posture, posture.chain.coupled_rows(joint))
 
 
 def row_loads(posture: Posture, rows: Iterable[tuple[int, float]]) -> Scalar:

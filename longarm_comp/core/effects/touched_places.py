@@ -34,11 +34,11 @@ class TouchPlace(Bias):
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """Return the tip less the point, for rows that touched it or a point that it carries."""
-        mine = touched(context, self.touch, self.carries)
+        mine = rows_that_touched(context, self.touch, self.carries)
         return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
 
 
-def touched(context: Context, name: str, carries: str) -> Scalar:
+def rows_that_touched(context: Context, name: str, carries: str) -> Scalar:
     """1 in the rows that touched a point, or one of those that it carries (a name a line)."""
     mine = context.is_label("touch", name)
     for further in carries.splitlines():
@@ -78,7 +78,7 @@ class TouchBeside(Bias):
         """Return the point, already less the other one, less the way between the two."""
         turn = spatial.exp_large((0.0, 0.0, 0.0, self.rx, self.ry, self.rz))
         way = spatial.scale(self.distance + self.stretch, turn.rotate((1.0, 0.0, 0.0)))
-        mine = touched(context, self.touch, self.carries)
+        mine = rows_that_touched(context, self.touch, self.carries)
         return spatial.sub(point, spatial.scale(mine, way))
 
 

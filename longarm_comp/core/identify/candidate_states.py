@@ -75,7 +75,7 @@ def detectable(
     for candidate, factor in zip(candidates, worth, strict=True):
         free = candidate.slots(fit.model.arm)
         raw = columns.of(candidate.terms) if free else columns.shift(candidate.terms)[..., None]
-        b = fit.whitened(raw)
+        b = fit.whiten_columns(raw)
         s = b.T @ marginal.project(b)
         values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)
         gain = float((values**2 / (1.0 + values)).sum())

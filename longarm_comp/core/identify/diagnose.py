@@ -24,7 +24,7 @@ from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
+from longarm_comp.core.identify.discover.causes import causes, doubts, propose_poses
 from longarm_comp.core.identify.findings import complete_findings, make_findings
 from longarm_comp.core.identify.intervals import intervals
 from longarm_comp.core.identify.posterior.explain import explain_session
@@ -40,7 +40,7 @@ from longarm_comp.core.identify.proof import (
     prove,
     worse,
 )
-from longarm_comp.core.identify.run_ups import as_fitted, run_up, taken, with_run_ups
+from longarm_comp.core.identify.run_ups import as_fitted, run_up, with_run_up, with_run_ups
 from longarm_comp.core.identify.structure import examine, with_left_out, with_unseen
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -101,7 +101,7 @@ def diagnose(
     say("memory of the joints")
     length = run_up(start, lambda length: with_run_ups(train, arm, length), candidates)
     if length:
-        candidates, train = taken(candidates, length), with_run_ups(train, arm, length)
+        candidates, train = with_run_up(candidates, length), with_run_ups(train, arm, length)
         test = None if test is None else with_run_ups(test, arm, length)
     found = explain_session(
         start,
@@ -126,7 +126,7 @@ def diagnose(
         held_out = test.take(test.seen)
         made = (Fold(models, fits, held_out, np.arange(len(held_out))),)
     proof = prove(made)
-    lengths = proof.expected(found.found, list(fits))
+    lengths = proof.expected_errors(found.found, list(fits))
     seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
     written, failed = _proven(lengths, seen)
     beside = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
@@ -146,14 +146,14 @@ def diagnose(
     if network is not None and train_network is not None:
         train_one = train_network
 
-        def trained(fold: Fold) -> tuple[Model, Predictor]:
+        def train_on_fold(fold: Fold) -> tuple[Model, Predictor]:
             if test is not None:
                 return final.model, network
             kept = fold.fits[written]
             return kept.model, train_one(kept.model, kept.session.take(kept.weights > 0))
 
-        proof = prove(made, trained)
-    aside = _refused(final, proof, held_out.take(proof.rows_at), written)
+        proof = prove(made, train_on_fold)
+    aside = _refuse_as_calibrate(final, proof, held_out.take(proof.rows_at), written)
     without_name = causes(found.fit, found.found)
     unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")
@@ -180,7 +180,7 @@ def diagnose(
         network=network,
         split_by=split_by,
         doubts=doubts(found.fit, unnamed),
-        next_q=proposed(found.fit, unnamed, POSES, seed),
+        next_q=propose_poses(found.fit, unnamed, POSES, seed),
         not_testable=offered.not_testable,
         train=train,
         held_out=held_out,
@@ -191,7 +191,7 @@ def diagnose(
     return diagnosis
 
 
-def _refused(final: ModelFit, proof: Proof, rows: Session, written: str) -> SetAside:
+def _refuse_as_calibrate(final: ModelFit, proof: Proof, rows: Session, written: str) -> SetAside:
     """Refuse a fit that `calibrate` would refuse; return the rows that it set aside."""
     at = {name: error[believed_rows(final, rows)] for name, error in proof.errors.items()}
     plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}

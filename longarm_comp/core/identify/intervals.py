@@ -56,9 +56,9 @@ def intervals(
     """
     wider = _wider(fit, found)
     columns = FitColumns(fit)
-    otherwise = [columns.of(_dropped(fit, found, candidates))]
+    otherwise = [columns.of(_other_places(fit, found, candidates))]
     otherwise += _slopes(fit, columns, found, candidates)
-    white = fit.whitened(np.concatenate(otherwise, axis=-1))
+    white = fit.whiten_columns(np.concatenate(otherwise, axis=-1))
     design = np.concatenate([fit.design * wider, white], axis=1)
     rows = len(design) // fit.width
     cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * fit.width
@@ -98,7 +98,7 @@ def _wider(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
     return np.maximum(1.0, LOOSE * np.array(sizes))
 
 
-def _dropped(
+def _other_places(
     fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]
 ) -> tuple[Term, ...]:
     """List the terms at the other places of the found effects, in the found form where there is

@@ -131,7 +131,7 @@ def with_background(
     moved = {
         key: columns.white([terms[key]]) * _size(terms[key], compliance)
         if terms[key].elastic
-        else every.whitened(shift_of(every, columns, [terms[key]])[..., None])
+        else every.whiten_columns(shift_of(every, columns, [terms[key]])[..., None])
         for key in added
     }
     size = {key: np.sqrt((each**2).sum(axis=1).mean()) for key, each in moved.items()}

@@ -1,6 +1,6 @@
 """The proof: every row predicted by models that were fitted without it.
 
-The search is repeated without each fold of the rows (`Resampling.explained`), so an error is that
+The search is repeated without each fold of the rows (`Resampling.explain_sample`), so an error is that
 of the whole procedure, not of one lucky model.
 """
 
@@ -77,7 +77,9 @@ class Proof:
         """Figures of `errors` by model name."""
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
-    def expected(self, found: Sequence[FoundEffect], names: Sequence[str]) -> dict[str, np.ndarray]:
+    def expected_errors(
+        self, found: Sequence[FoundEffect], names: Sequence[str]
+    ) -> dict[str, np.ndarray]:
         """Compute for some models the error (M,), m, that a command may expect at each row.
 
         An effect of the measuring side moves what is seen, not the tip. So an error that a bias
@@ -163,7 +165,7 @@ def _fitted_again(
         return fit(model, session, close=NEAR, **judged)
 
     made = {CALIBRATED: again(fits[CALIBRATED].model)}
-    found = search.linear.explained(kept.astype(float)) if search.linear is not None else ()
+    found = search.linear.explain_sample(kept.astype(float)) if search.linear is not None else ()
     sure = [f for f in found if f.there >= CREDIBLE]
     named = again(_with(search, [f for f in sure if not f.unnamed]))
     made[WITH_EFFECTS] = named
@@ -200,17 +202,17 @@ def prove(
         placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.turned))
         at, turns_at = fold.numbers[fold.rows.placed], fold.numbers[fold.rows.turned]
         for name, model in fold.models.items():
-            seen.put(name, at, errors(model, placed))
-            told.put(name, at, commanded_errors(model, placed))
-            turned.put(name, turns_at, turns(model, bent))
+            seen.store(name, at, errors(model, placed))
+            told.store(name, at, commanded_errors(model, placed))
+            turned.store(name, turns_at, turns(model, bent))
         if learned is not None:
             model, network = learned(fold)
             expected = network.predict(placed.q, placed.context())
             known = (expected.in_domain & placed.located)[:, None]
             error = np.where(known, expected.error, 0.0)
-            seen.put(NETWORK, at, errors(model, placed) - error)
-            told.put(NETWORK, at, commanded_errors(model, placed) - error)
-            turned.put(NETWORK, turns_at, turns(model, bent))
+            seen.store(NETWORK, at, errors(model, placed) - error)
+            told.store(NETWORK, at, commanded_errors(model, placed) - error)
+            turned.store(NETWORK, turns_at, turns(model, bent))
     rows_at = np.sort(np.concatenate([f.numbers[f.rows.placed] for f in made]))
     return Proof(seen.ordered, told.ordered, turned.ordered, rows_at, len(made))
 
@@ -221,7 +223,7 @@ class _Rows:
     def __init__(self) -> None:
         self._parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
 
-    def put(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
+    def store(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
         self._parts.setdefault(name, []).append((at, values))
 
     @property

@@ -17,7 +17,7 @@ from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.calibration.candidates import Candidate, distinct
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.linear import Marginal, marginalised
+from longarm_comp.core.calibration.linear import Marginal, marginalise
 from longarm_comp.core.calibration.model_fit import priors
 from longarm_comp.core.calibration.noise import from_residual
 from longarm_comp.core.data.measurement import equations
@@ -54,7 +54,7 @@ def as_fitted(session: Session, model: Model) -> Session:
     return with_run_ups(session, model.arm, longest) if longest else session
 
 
-def taken(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidate, ...]:
+def with_run_up(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidate, ...]:
     """Return the candidates for a session whose unrecorded run-ups have a length (rad)."""
     forms: dict[str, float] = {"run_up": run_up}
     return tuple(
@@ -85,7 +85,7 @@ def run_up(
     beside = columns.of(distinct(candidates, {t.key for t in terms}))
     noise, weights = from_residual(fitted, np.concatenate([beside, columns.of(terms)], axis=-1))
     fitted = dataclasses.replace(fitted, sigma=noise.sigma, rho=noise.rho, weights=weights)
-    design = np.concatenate([fitted.design, fitted.whitened(beside)], axis=1)
+    design = np.concatenate([fitted.design, fitted.whiten_columns(beside)], axis=1)
     marginal, slots = Marginal(design, fitted.data), slots_of(fitted.model.arm, terms)
 
     def evidence(length: float) -> float:
@@ -97,8 +97,8 @@ def run_up(
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context())
         found = equations(fitted.model, seen, at, slots).columns * priors(slots)
-        products = marginal.normal(fitted.whitened(found))
-        return marginalised(*products, np.ones(len(slots)))[0]
+        products = marginal.normal(fitted.whiten_columns(found))
+        return marginalise(*products, np.ones(len(slots)))[0]
 
     best = max(RUN_UPS, key=evidence)
     needed = evidence(0.0) + NONE + math.log(len(RUN_UPS))

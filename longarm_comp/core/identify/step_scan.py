@@ -50,8 +50,8 @@ def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, 
         span = float(np.ptp(q))
         if span == 0.0 or len(np.unique(np.round(q / span, 6))) < POSITIONS:
             continue
-        white = span * fitted.whitened(column[..., None])[:, 0].reshape(len(q), -1)
-        counts = _looked(q / span, white, marginal.py.reshape(white.shape))
+        white = span * fitted.whiten_columns(column[..., None])[:, 0].reshape(len(q), -1)
+        counts = _best_steps(q / span, white, marginal.py.reshape(white.shape))
         shifts = _teeth(q / span * counts[:, None]) / counts[:, None]  # (B, M) of the range
         white = (white * shifts[..., None]).reshape(len(counts), -1).T
         terms = [kind.of_step(arm, row, span / count) for count in counts.tolist()]
@@ -66,7 +66,7 @@ def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, 
     return tuple(found)
 
 
-def _looked(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Return the (B,) best numbers of steps in the range; overlap with the geometry is ignored.
 
     Args:

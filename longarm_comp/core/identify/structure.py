@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import bdtrc, fdtrc, gammaincinv
 
 from longarm_comp.core.arm.history import play
-from longarm_comp.core.calibration.linear import Marginal, inliers, solve, solved
+from longarm_comp.core.calibration.linear import Marginal, inliers, solve, solve_products
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.reading_steps import read_exactly
 from longarm_comp.core.data.measurement import equations, metres, posture
@@ -76,12 +76,12 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
     design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
     counts = (fit.session.measured & ~read_exactly(fit))[fit.weights > 0].reshape(-1)
     marginal = Marginal(design * counts[:, None], fit.data * counts)
-    residual = fit.whitened(fit.residual[..., None])[:, 0]
+    residual = fit.whiten_columns(fit.residual[..., None])[:, 0]
     left = float(marginal.py @ marginal.py)
     free = max(float(counts.sum()) - fit.effective, 2.0)
     found: list[tuple[Group, float, float, np.ndarray]] = []
     for group in tested:
-        b = fit.whitened(group.columns) * counts[:, None]
+        b = fit.whiten_columns(group.columns) * counts[:, None]
         pb = marginal.project(b)
         gram = b.T @ pb
         values, vectors = np.linalg.eigh((gram + gram.T) / 2)
@@ -104,7 +104,7 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
     sizes, rich = np.zeros(fit.width), residual
     if strong:
         b = np.concatenate([b for *_, b in strong], axis=1)
-        part = marginal.project(b) @ solved(*marginal.normal(b)).u
+        part = marginal.project(b) @ solve_products(*marginal.normal(b)).u
         sizes, rich = np.sqrt((fit.lengths(part) ** 2).mean(0)), residual - part
     size, noise = float(np.linalg.norm(sizes)), fit.noise_m
     worth = size > WORTH * float(np.linalg.norm(noise))
@@ -112,7 +112,7 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
     inputs = tuple(dict.fromkeys(name for group, *_ in strong for name in group.inputs))
     flag = p < SIGNIFICANT and worth and size > smallest(fit)
     rss_named = float(residual @ residual)
-    white_base = fit.whitened(base.residual[..., None])[:, 0]
+    white_base = fit.whiten_columns(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)
     there = rss_base - float(rich @ rich)
     share = 1.0 if there <= 0 else float(np.clip((rss_base - rss_named) / there, 0.0, 1.0))

@@ -246,7 +246,7 @@ def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
         return model.posture(unstack(q), context)
     x = _evaluate(kernel, rows, context, "x")
     carried = np.ascontiguousarray(x.T) if q.ndim == 2 else x[0].tolist()
-    return model.loaded(unstack(q), context, kernel.row.twists(carried))
+    return model.posture_with_twists(unstack(q), context, kernel.row.twists(carried))
 
 
 def _compiled_kernel(model: Model, context: Context) -> Kernel | None:

@@ -67,18 +67,18 @@ class TwistRow:
 
     @classmethod
     def whole(cls, model: Model, context: Context) -> TwistRow:
-        stations = model.twists(model.unsagged(tuple(model.arm.mid.tolist()), context))
+        stations = model.twists(model.posture_without_sag(tuple(model.arm.mid.tolist()), context))
         return cls({(s, i): 6 * k + i for k, s in enumerate(stations) for i in range(6)}, {})
 
     @classmethod
-    def traced(cls, model: Model, layout: Layout) -> TwistRow:
+    def trace(cls, model: Model, layout: Layout) -> TwistRow:
         """Return a row without the components that depend on no joint, context or load."""
         graph = Graph()
         q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
         context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
-        start = model.twists(model.unsagged(q, context))
+        start = model.twists(model.posture_without_sag(q, context))
         free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
-        again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
+        again = model.twists(model.posture_with_twists(q, context, free))  # type: ignore[arg-type]
         row = cls({}, {})
         for s in sorted(start):
             for i in range(6):
@@ -109,7 +109,7 @@ def works(
     """Return the programs by name, for circumstances that are those of the state."""
 
     def at(s: newton.State, x: Sequence[Any]) -> Posture:
-        return model.loaded(tuple(s["trial"]), context_of(s), row.twists(x))
+        return model.posture_with_twists(tuple(s["trial"]), context_of(s), row.twists(x))
 
     def carried(posture: Posture) -> newton.Outcome:
         twists = model.twists(posture)
@@ -117,7 +117,7 @@ def works(
 
     span = [float(v) for v in model.arm.upper - model.arm.lower]
     made: dict[str, Work] = {
-        "first": lambda s: carried(model.unsagged(tuple(s["trial"]), context_of(s))),
+        "first": lambda s: carried(model.posture_without_sag(tuple(s["trial"]), context_of(s))),
         "again": lambda s: carried(at(s, s["x"])),
         "tip": lambda s: {"out": tip_and_jacobian(model, at(s, s["x"]))},
         "begin": lambda s: newton.begin(model.arm.n),
@@ -148,7 +148,7 @@ class Kernel:
     @cached_property
     def row(self) -> TwistRow:
         """Which components of twists the state holds."""
-        return TwistRow.traced(self._model, self.layout)
+        return TwistRow.trace(self._model, self.layout)
 
     @cached_property
     def place(self) -> dict[str, range]:

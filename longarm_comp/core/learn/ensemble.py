@@ -104,7 +104,7 @@ def train(
     origin = provenance or Provenance()
     draft = Predictor(
         encoding=encoding,
-        weights=np.array([each.padded(shape, each.weights) for each in fits]),
+        weights=np.array([each.pad(shape, each.weights) for each in fits]),
         hidden=shape.hidden,
         posterior=np.zeros((1, shape.size), np.float32),
         offset=offset,
@@ -116,12 +116,12 @@ def train(
         network=network,
     )
     probe = _probe(x, encoding, np.random.default_rng([seed]))
-    draft = replace(draft, posterior=_leading(draft, fits[0].padded(shape, fits[0].root), probe))
+    draft = replace(draft, posterior=_leading(draft, fits[0].pad(shape, fits[0].root), probe))
     left = y.copy()
     for one, rows in zip(without, out, strict=True):
-        alone = replace(draft, weights=one.padded(shape, one.weights)[None])
+        alone = replace(draft, weights=one.pad(shape, one.weights)[None])
         left[rows] -= alone.members.outputs(x[rows])[0] * scale + offset
-    return _calibrated(draft, y, left, x, probe)
+    return _calibrate(draft, y, left, x, probe)
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class _Fit:
     evidence: float
     root: Array  # (D, D) R of the covariance R'R of the weights
 
-    def padded(self, shape: NetworkShape, weights: Array) -> Array:
+    def pad(self, shape: NetworkShape, weights: Array) -> Array:
         """Weights (..., own D) padded with idle hidden units to a larger network's (..., D)."""
         if not self.units:
             return weights
@@ -224,7 +224,7 @@ def _folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
     return np.array([fold == k for k in range(_FOLDS) if (fold == k).any()])
 
 
-def _calibrated(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) -> Predictor:
+def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) -> Predictor:
     """With what rows left out of the training say: gain, conformal factors; the variance limit."""
     _, epistemic = draft.mean_and_variance(x)
     score = np.abs(left) / np.sqrt(epistemic + draft.noise**2)

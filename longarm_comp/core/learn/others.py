@@ -101,7 +101,7 @@ def load_file(path: str | Path) -> NetworkKind:
     return kind
 
 
-def chosen(given: str | Path) -> NetworkKind:
+def choose_network(given: str | Path) -> NetworkKind:
     """The network of a package by its name, or of a file."""
     if found := _of_packages().get(str(given)):
         return found
@@ -111,7 +111,7 @@ def chosen(given: str | Path) -> NetworkKind:
     return load_file(given)
 
 
-def saved(name: str, origin: str, where: object) -> NetworkKind:
+def load_saved(name: str, origin: str, where: object) -> NetworkKind:
     """The network that a file of a predictor names."""
     found = _loaded.get(name) or _of_packages().get(name)
     if found is None or found.origin != origin:

@@ -123,9 +123,9 @@ def load(
     if (header.hidden == 0) != (header.network is not None):
         raise InputError(path, "hidden", header.hidden, "0 of a network of others alone")
     if header.network is not None:
-        from longarm_comp.core.learn.others import saved
+        from longarm_comp.core.learn.others import load_saved
 
-        network = saved(header.network.name, header.network.origin, path)
+        network = load_saved(header.network.name, header.network.origin, path)
         size = network.stack(d, 3).size
     encoding = Encoding(header.joints, header.context, *(arrays[n] for n in _ENCODING.values()))
     columns = len(encoding.columns)

@@ -15,7 +15,7 @@ from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 
 
-def _held(device: torch.device) -> int:
+def _numbers_at_once(device: torch.device) -> int:
     """Numbers held at once: within the cache of a CPU, the memory of a GPU."""
     return 2**18 if device.type == "cpu" else 2**27
 
@@ -55,7 +55,7 @@ class Stack:
 
         ``row`` (M, N) are the weights ``U`` of the rows, ``r`` (M, N, k) their residual.
         """
-        block = max(1, _held(x.device) // (len(x) * self.size))
+        block = max(1, _numbers_at_once(x.device) // (len(x) * self.size))
         gram = torch.zeros((), dtype=x.dtype, device=x.device)
         for each in zip(*(rows.split(block, dim=1) for rows in (x, residual, row)), strict=True):
             gram = gram + _gram(self._basis(weights, *each))
@@ -141,7 +141,9 @@ class TanhStack(Stack):
             return (error.square_() * share).sum(dim=(2, 3))
 
         def fitness(position: Tensor) -> Tensor:
-            step = max(1, _held(x.device) // (len(position) * self.shape.hidden * x1.shape[2]))
+            step = max(
+                1, _numbers_at_once(x.device) // (len(position) * self.shape.hidden * x1.shape[2])
+            )
             return torch.cat([one(p) for p in position.float().split(step, dim=1)], dim=1)
 
         return fitness

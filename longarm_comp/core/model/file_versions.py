@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import followed, write_bytes
+from longarm_comp.core.files import follow_link, write_bytes
 
 
 def write_version(path: str | Path, content: bytes) -> None:
@@ -46,7 +46,7 @@ def previous(path: str | Path) -> Path:
 
 
 def _beside(path: str | Path, what: str) -> Path:
-    path = followed(path)
+    path = follow_link(path)
     if not path.name:
         raise InputError(str(path), "model", "a folder", "a file")
     return path.with_name(f"{path.stem}.{what}{path.suffix}")
@@ -55,6 +55,6 @@ def _beside(path: str | Path, what: str) -> Path:
 def replace_file(path: Path, to: str | Path) -> None:
     """Move a file to the place of another."""
     try:
-        os.replace(path, followed(to))
+        os.replace(path, follow_link(to))
     except OSError as error:
         raise InputError(str(to), "file", error.strerror, "a file that may be replaced") from error

@@ -40,7 +40,7 @@ def reach(model: Model) -> tuple[np.ndarray, float]:
     return line[0], float(length + (arm.upper - arm.lower)[slides].sum())
 
 
-def exaggerated(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
+def exaggerate_sag(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
     """Points (k, 3) of an arm whose sag is enlarged by a factor."""
     return np.asarray(declared + factor * (hanging - declared))
 
@@ -89,7 +89,7 @@ def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
     ]
 
 
-def entered(model: Model, path: np.ndarray) -> str:
+def describe_entry(model: Model, path: np.ndarray) -> str:
     """Say which box a move enters, where, and at which joints; empty if it enters none.
 
     The arm is the line through its stations, from the foot to the tip: a box must be larger than
@@ -130,7 +130,7 @@ def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
     lines = outline(model, q)
     found = [""] * len(q)
     for name, box in model.arm.keep_out.items():
-        parts = box.crossed(lines)
+        parts = box.crosses_segments(lines)
         below = np.logical_and.accumulate(box.holds(lines), axis=-1)
         parts &= ~below[:, :-1] | below[:, -1:]
         for k in np.flatnonzero(parts.any(axis=-1)):

@@ -205,7 +205,7 @@ class Model:
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """Return the loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context()
-        return self._pass_loads(self.unsagged(q, context), self.load_passes)
+        return self._pass_loads(self.posture_without_sag(q, context), self.load_passes)
 
     def posture_near(self, known: Posture, close: bool = False) -> Posture:
         """Return `posture` at the joints and circumstances of a known one of a similar model.
@@ -231,12 +231,12 @@ class Model:
 
     def _placements(self, context: Context) -> list[Twists]:
         """Return the twists of the effects that place the base."""
-        bare = self.unplaced((), context)
+        bare = self.posture_without_frames((), context)
         return [effect.twists(bare) for effect in self.effects if effect.seen_only]
 
     def _pass_loads(self, posture: Posture, passes: int) -> Posture:
         for _ in range(passes):
-            posture = self.loaded(posture.q, posture.context, self.twists(posture))
+            posture = self.posture_with_twists(posture.q, posture.context, self.twists(posture))
         return posture
 
     @property
@@ -244,15 +244,15 @@ class Model:
         """Number of load passes of `posture`: one if nothing depends on the loads."""
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
 
-    def unsagged(self, q: Sequence[Scalar], context: Context) -> Posture:
+    def posture_without_sag(self, q: Sequence[Scalar], context: Context) -> Posture:
         """Return the arm at q as its base stands, without other effects: the first load pass."""
-        return self.loaded(q, context, spatial.sum_twists(self._placements(context)))
+        return self.posture_with_twists(q, context, spatial.sum_twists(self._placements(context)))
 
-    def unplaced(self, q: Sequence[Scalar], context: Context) -> Posture:
+    def posture_without_frames(self, q: Sequence[Scalar], context: Context) -> Posture:
         """Return the joints at q without frames and loads, for effects that depend on neither."""
         return Posture(self.chain, tuple(q), context, [], [], self.arm.gravity_mps2)
 
-    def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
+    def posture_with_twists(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """Return the arm at q with given twists (by station), and its loads."""
         placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
         return self._weigh(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
@@ -345,7 +345,7 @@ class Model:
                 ends.append(TwistChange(up, down, per))
         return self._motion(posture, ends, turns)
 
-    def added(
+    def motion_with(
         self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
     ) -> TipMotion:
         """Return the tip and its motion by each of some terms outside the model.

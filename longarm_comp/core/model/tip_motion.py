@@ -108,9 +108,9 @@ class TipMotion:
                 m.seen(self.frame.p, self.context, kind) for m in (change.raised, change.lowered)
             )
             return spatial.scale(change.per, spatial.sub(up, down))
-        return change.shift if free else self._reported(change.shift, kind)
+        return change.shift if free else self._reported_shift(change.shift, kind)
 
-    def _reported(self, shift: Vec, kind: str) -> Vec:
+    def _reported_shift(self, shift: Vec, kind: str) -> Vec:
         """Return the derivative of the reported point as the tip moves along a shift."""
         tip, by = self.frame.p, spatial.scale(_H, shift)
         up, down = (
@@ -136,7 +136,7 @@ class TipMotion:
 
     def pull(self, kind: str) -> np.ndarray:
         """(N, 3, 3) derivative of the reported point by the tip's position."""
-        blocks = [self._reported(axis, kind) for axis in IDENTITY[:3]]
+        blocks = [self._reported_shift(axis, kind) for axis in IDENTITY[:3]]
         return _together(stack(self.frame.p), blocks)[1]
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:

@@ -55,7 +55,7 @@ class ModelUncertainty:
         """Row of the factor by identity."""
         return {identity: k for k, identity in enumerate(self.slots)}
 
-    def carried(self, columns: np.ndarray, slots: Sequence[_Identity]) -> np.ndarray:
+    def carry_to_tip(self, columns: np.ndarray, slots: Sequence[_Identity]) -> np.ndarray:
         """(N, 3, 3) m^2 that the parameters bring to the tip.
 
         Args:

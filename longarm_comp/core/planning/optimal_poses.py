@@ -134,7 +134,7 @@ class Uncertainty:
         if fitted is not None:
             seen = fitted.session
             columns = equations(whole, seen, posture(whole, seen)).columns * scale
-            white = fitted.whitened(columns)
+            white = fitted.whiten_columns(columns)
             information = information + white.T @ white
         framed = any(rows.framed(model.arm) for rows in (*asked, measured) if rows)
         return cls(whole, scale, information, sigma, framed, read)
@@ -205,8 +205,8 @@ def optimal_poses(
     begun: list[int] = []
     if pool.touch is not None:  # the first touch of a point tells nothing, only further ones do
         begun = np.unique(pool.touch, return_index=True)[1].tolist()[: n // 2]
-    chosen = choice.exchanged(choice.grown(begun, n - len(begun)))
-    more = choice.grown(chosen, AHEAD)
+    chosen = choice.exchange_worse(choice.add_best(begun, n - len(begun)))
+    more = choice.add_best(chosen, AHEAD)
     ends = [np.sqrt(np.trace(tips @ choice.covariance(rows))) for rows in (chosen, more)]
     best = pool.take(np.array(chosen))
     expected, ahead = map(float, ends)
@@ -242,7 +242,7 @@ class Choice:
         error = covariance @ self.tips @ covariance
         return _Known(self, covariance, own, error, _times(self.x, error) @ turned)
 
-    def grown(self, chosen: Sequence[int], n: int) -> list[int]:
+    def add_best(self, chosen: Sequence[int], n: int) -> list[int]:
         """Choose n more, each the best after those before it."""
         made, known = list(chosen), self.after(chosen)
         most = known.own.max()
@@ -254,7 +254,7 @@ class Choice:
                 most = known.own.max()
         return made
 
-    def exchanged(self, chosen: list[int]) -> list[int]:
+    def exchange_worse(self, chosen: list[int]) -> list[int]:
         """Replace each pose where another takes off more in its place."""
         made = chosen.copy()
         for _ in range(PASSES):

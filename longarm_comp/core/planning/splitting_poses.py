@@ -61,7 +61,7 @@ def splitting_poses(
     def measured(slots: Sequence[Slot]) -> np.ndarray:
         return equations(fit.model, fit.session, fit.posture, slots).columns
 
-    theirs, mine = map(fit.whitened, _designs(fit, found, other, measured))
+    theirs, mine = map(fit.whiten_columns, _designs(fit, found, other, measured))
     far, shift = _designs(fit, found, other, lambda slots: fit.model.columns(at, slots)[1])
     scale = _noise(fit)[None, :, None]
     own = np.concatenate([theirs, mine], axis=1)
@@ -69,7 +69,7 @@ def splitting_poses(
     amount = np.zeros_like(information)
     amount[-1, -1] = 1.0
     choice = Choice(np.concatenate([far, shift], axis=2) / scale, information, amount)
-    chosen = choice.grown([], count)
+    chosen = choice.add_best([], count)
     odds = 0.5 * (1.0 / choice.covariance(chosen)[-1, -1] - 1.0)  # less the prior's part
     payload = typical["payload_kg"][chosen] if heaviest > 0 else None
     between = (found.name, other.name)

@@ -38,7 +38,7 @@ def calibrate_stereo(
     Pairs whose triangulation residuals exceed twice the median are left out and the rest
     fitted again: hand-held boards move between exposures that are not simultaneous.
     """
-    common = [left.shared(right) for left, right in pairs]
+    common = [left.shared_corners(right) for left, right in pairs]
     views = {
         i: (_flat(board.points(ids)), _flat(left), _flat(right))
         for i, (ids, left, right) in enumerate(common)
@@ -113,7 +113,7 @@ def calibrate_board(
 
 
 def _points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.ndarray, np.ndarray]:
-    ids, left_px, right_px = left.shared(right)
+    ids, left_px, right_px = left.shared_corners(right)
     points, _ = triangulate(rig, left_px, right_px)
     return ids, points
 
@@ -168,7 +168,7 @@ def hand_eye(tips: Array, seen: Array, covariances: Array) -> HandEye:
         """Seen - predicted (N, 3) m, camera axes, of place and turn of the camera."""
         return seen - (tips - unknown[:3]) @ cv2.Rodrigues(unknown[3:])[0] @ turn
 
-    def weighed(unknown: Array) -> Array:
+    def weigh_residuals(unknown: Array) -> Array:
         return np.einsum("nij,nj->ni", white, off(unknown))
 
     white = np.linalg.inv(np.linalg.cholesky(covariances))
@@ -176,11 +176,11 @@ def hand_eye(tips: Array, seen: Array, covariances: Array) -> HandEye:
     kept = np.arange(count)
     for _ in range(3):
         fit = least_squares(
-            lambda x, rows: weighed(x)[rows].ravel(), unknown, args=(kept,), x_scale="jac"
+            lambda x, rows: weigh_residuals(x)[rows].ravel(), unknown, args=(kept,), x_scale="jac"
         )
         unknown, normal = fit.x, fit.jac.T @ fit.jac
         _check_condition(normal)
-        distance = np.linalg.norm(weighed(unknown), axis=1)
+        distance = np.linalg.norm(weigh_residuals(unknown), axis=1)
         # times the median normalised distance
         inliers = np.flatnonzero(distance <= 5.0 * max(float(np.median(distance)), 1e-12))
         if np.array_equal(inliers, kept):

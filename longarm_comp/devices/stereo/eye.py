@@ -76,7 +76,7 @@ class StereoEye:
         greys = _as_grey(left, self.rig.left, "left"), _as_grey(right, self.rig.right, "right")
         in_left = find_corners(self.target, greys[0], "left", self.limits)
         in_right = find_corners(self.target, greys[1], "right", self.limits)
-        ids, left_px, right_px = in_left.shared(in_right)
+        ids, left_px, right_px = in_left.shared_corners(in_right)
         corners = self.target.points(ids)
         fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))
         if len(ids) < fewest or not _span_m(corners) > 0.0:

@@ -50,7 +50,7 @@ def _turn(views: Sequence[BoardView]) -> float:
     """Angle (rad) by which the corners in the right pictures are turned against the left."""
     whole = 0j
     for view in views:
-        _, left, right = view.left.shared(view.right)
+        _, left, right = view.left.shared_corners(view.right)
         here, there = ((px - px.mean(axis=0)) @ (1, 1j) for px in (left, right))
         turned = np.vdot(here, there)
         whole += turned / abs(turned)
@@ -65,7 +65,7 @@ def _off_px(views: Sequence[BoardView], shift: int) -> float:
     1998), so that lenses bend the corners off them by little.
     """
     pairs = zip(views[max(-shift, 0) :], views[max(shift, 0) :], strict=False)
-    common = [one.left.shared(two.right)[1:] for one, two in pairs]
+    common = [one.left.shared_corners(two.right)[1:] for one, two in pairs]
     common = [pair for pair in common if len(pair[0]) >= FEWEST_CORNERS]
     if len(common) < _TOLD_FROM:
         return np.inf

@@ -36,7 +36,7 @@ class Corners:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def shared(self, other: Corners) -> tuple[NDArray[np.int64], Array, Array]:
+    def shared_corners(self, other: Corners) -> tuple[NDArray[np.int64], Array, Array]:
         """Ids (N,) that both have, and their pixels (N, 2) here and there."""
         ids, here, there = np.intersect1d(self.ids, other.ids, return_indices=True)
         return ids, self.pixels[here], other.pixels[there]

@@ -51,7 +51,7 @@ class BoardView:
         """Return whether the common corners have moved by less than 1 px since the pair before."""
         if before is None:
             return False
-        _, now, then = self.left.shared(before.left)
+        _, now, then = self.left.shared_corners(before.left)
         return bool(len(now) and np.linalg.norm(now - then, axis=1).mean() < 1.0)
 
 
@@ -69,7 +69,7 @@ def view_of(board: Target, left: Grey, right: Grey) -> BoardView:
         find_corners(board, left, "left", Limits()),
         find_corners(board, right, "right", Limits()),
     )
-    ids, left_px, right_px = in_left.shared(in_right)
+    ids, left_px, right_px = in_left.shared_corners(in_right)
     if len(ids) < FEWEST_CORNERS:
         raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
     shift = np.median(left_px[:, 0] - right_px[:, 0])

@@ -26,7 +26,7 @@ from longarm_comp.core.data.rest import NO_REST
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import entered
+from longarm_comp.core.model.link_frames import describe_entry
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
 from longarm_comp.jobs.collect.visits import Visit, in_words
 from longarm_comp.jobs.graph_client import Reports
@@ -318,7 +318,7 @@ class _Run:
             return left[0]
         why = {}
         for visit in left:
-            found = entered(self._model, np.vstack([here, visit.path]))
+            found = describe_entry(self._model, np.vstack([here, visit.path]))
             if not found:
                 return visit
             why[visit.index] = found

@@ -16,7 +16,7 @@ from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.data.plan import FLOOR, Plan, with_room
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import boxes_entered, entered
+from longarm_comp.core.model.link_frames import boxes_entered, describe_entry
 from longarm_comp.core.model.model import Model
 from longarm_comp.devices.servo_config import ServoConfig
 
@@ -122,14 +122,14 @@ def plan_checks(
         # The way from the visit before, and the run-up
         starts = [visits[0].path[0], *q[:-1]]
         ways = (np.vstack([start, v.path]) for start, v in zip(starts, visits, strict=True))
-        free = tuple(entered(model, way) for way in ways)
+        free = tuple(describe_entry(model, way) for way in ways)
         checks.append(PlanCheck("way there is free", free, False))
     if view is not None:
         checks.append(PlanCheck("seen by both cameras", tuple(view.unseen(model.pose(q))), False))
     return checks
 
 
-def blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit]) -> dict[int, str]:
+def blocked_visits(checks: Sequence[PlanCheck], visits: Sequence[Visit]) -> dict[int, str]:
     """Visits that may not be driven, by index, and why."""
     found: dict[int, str] = {}
     for check in checks:
@@ -149,7 +149,7 @@ def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
 
 
 def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: object) -> None:
-    found = blocked(checks, visits)
+    found = blocked_visits(checks, visits)
     for index, why in found.items():
         others = f" (and {len(found) - 1} more poses)" if len(found) > 1 else ""
         raise InputError(where, f"pose of visit {index}", why + others,

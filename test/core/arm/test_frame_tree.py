@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from longarm_comp.core.arm import quaternion
-from longarm_comp.core.arm.frame_tree import FrameTree, NotYet, UnknownPlace, carried
+from longarm_comp.core.arm.frame_tree import FrameTree, NotYet, UnknownPlace, carry_place
 from longarm_comp.core.errors import InputError
 
 S = 10**9
@@ -49,8 +49,8 @@ def test_frames_are_carried_across_the_tree_in_both_directions() -> None:
     np.testing.assert_allclose(there[:3, :3], np.eye(3), atol=1e-12)
     back = known.place("hook", "table", 12 * S)
     np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(carried(there, np.array([0.0, 0.0, 1.0])), [1.0, 4.0, 1.5])
-    np.testing.assert_allclose(carried(there, back), np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(carry_place(there, np.array([0.0, 0.0, 1.0])), [1.0, 4.0, 1.5])
+    np.testing.assert_allclose(carry_place(there, back), np.eye(4), atol=1e-12)
 
 
 def test_without_a_time_the_latest_that_all_know_holds() -> None:

@@ -14,7 +14,7 @@ from wind_up import Sliders, WindUp, there_and_back
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
-from longarm_comp.core.arm.history import History, onward, play, recorded
+from longarm_comp.core.arm.history import History, onward, play, recorded_history
 from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import Readings
@@ -159,12 +159,12 @@ def test_a_wound_joint_lags_behind_its_motion() -> None:
 
 def test_a_gap_forgets_all_legs_and_a_run_up_is_known_after_it() -> None:
     q = np.array([[0.0], [1.0], [0.2], [0.5]])
-    whole = recorded(q, np.arange(4)).legs[:, 0, :3]
+    whole = recorded_history(q, np.arange(4)).legs[:, 0, :3]
     np.testing.assert_allclose(whole, [[0, 0, 0], [1, 0, 0], [-0.8, 1, 0], [0.3, -0.8, 1]])
-    gap = recorded(q, np.array([0, 1, 3, 4])).legs[:, 0, :3]
+    gap = recorded_history(q, np.array([0, 1, 3, 4])).legs[:, 0, :3]
     np.testing.assert_allclose(gap, [[0, 0, 0], [1, 0, 0], [0, 0, 0], [0.3, 0, 0]])
     run_up = np.array([[np.nan], [np.nan], [0.5], [np.nan]])
-    after = recorded(q, np.array([0, 1, 3, 4]), run_up=run_up)
+    after = recorded_history(q, np.array([0, 1, 3, 4]), run_up=run_up)
     np.testing.assert_allclose(after.legs[:, 0, :2], [[0, 0], [1, 0], [-0.3, 0], [0.3, 0]])
     assert after.approach.ravel().tolist() == [0, 1, -1, 1]
 
@@ -172,7 +172,7 @@ def test_a_gap_forgets_all_legs_and_a_run_up_is_known_after_it() -> None:
 def test_a_run_up_is_two_legs_and_may_pass_its_target_first() -> None:
     q = np.array([[0.0], [1.0], [2.0]])
     run_up = np.array([[np.nan], [np.nan], [2.3]])
-    found = recorded(q, np.arange(3), run_up=run_up)
+    found = recorded_history(q, np.arange(3), run_up=run_up)
     assert found.approach[2, 0] == -1
     np.testing.assert_allclose(found.legs[2, 0, :3], [-0.3, 2.3, 0.0], atol=1e-12)
 

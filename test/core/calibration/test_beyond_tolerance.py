@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
-from longarm_comp.core.calibration.linear import CHANCES, SIZES, sized
+from longarm_comp.core.calibration.linear import CHANCES, SIZES, choose_sizes
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.geometry_errors import DhError
@@ -46,7 +46,7 @@ def calibrated(arm: Arm, rows: Session) -> ModelFit:
 
 @pytest.mark.parametrize(("told", "size"), [(0.0, 1.0), (2.0, 1.0), (3.0, 4.0), (30.0, 16.0)])
 def test_the_likeliest_size_of_a_coefficient(told: float, size: float) -> None:
-    found, chance = sized(np.array([-told]), np.array([SIZES]), np.array([CHANCES]))
+    found, chance = choose_sizes(np.array([-told]), np.array([SIZES]), np.array([CHANCES]))
     assert (found[0], chance) == (size, CHANCES[SIZES.index(size)])
 
 

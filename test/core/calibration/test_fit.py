@@ -290,7 +290,7 @@ def test_evidence_is_that_of_the_gaussian(rng: np.random.Generator) -> None:
     """The log Bayes factor against two multivariate normal densities written out."""
     a, b, y = rng.normal(size=(25, 5)), rng.normal(size=(25, 2)), 2 * rng.normal(size=25)
     products = linear.Marginal(a, y).normal(b)
-    added, evidence = linear.solved(*products), linear.marginalised(*products, np.ones(2))[0]
+    added, evidence = linear.solve_products(*products), linear.marginalise(*products, np.ones(2))[0]
 
     def log_density(*blocks: np.ndarray) -> float:
         cover = np.eye(25) + sum(m @ m.T for m in blocks)
@@ -387,7 +387,7 @@ def test_a_link_laid_along_y_has_its_length_recovered(rng: np.random.Generator) 
 
 def test_what_a_solver_rounds_beyond_a_bound_is_no_value(monkeypatch: pytest.MonkeyPatch) -> None:
     """Such a file could not be read."""
-    exact = linear.solved
+    exact = linear.solve_products
 
     def rounded(*problem: Any) -> Any:
         found = exact(*problem)
@@ -398,5 +398,5 @@ def test_what_a_solver_rounds_beyond_a_bound_is_no_value(monkeypatch: pytest.Mon
     model = declared_model(HEAVY).plus(yields)
     q = np.random.default_rng(1).uniform(HEAVY.lower, HEAVY.upper, (20, HEAVY.n))
     lifted = model.with_values(np.array([-1e-3])).tip(q)  # against its load
-    monkeypatch.setattr(linear, "solved", rounded)
+    monkeypatch.setattr(linear, "solve_products", rounded)
     assert fit(model, Session.record(q, lifted)).model.values[0] == 0.0

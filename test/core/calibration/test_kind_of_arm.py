@@ -79,7 +79,7 @@ def test_arms_that_share_nothing_leave_the_drawing() -> None:
     widths = np.array([s.parameter.width for s in blank.slots])
     arms = [blank.with_values(widths * rng.standard_normal(len(widths))) for _ in range(300)]
     kind = KindOfArm.of(ARM, arms, ["a"] * 300)
-    applied = kind.applied(blank)
+    applied = kind.apply_to(blank)
     made = [d for d in applied.effects if isinstance(d, KindDirection)]
     total = kind.rest**2 * len(widths)
     for d in made:

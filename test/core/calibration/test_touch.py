@@ -347,7 +347,7 @@ def test_a_name_in_one_row_counts_for_nothing(session: Session) -> None:
     labels["plane"] = np.where(np.arange(120) < 3, "floor", "")
     rows = dataclasses.replace(session, labels=labels, blocks=())
     assert rows.seen.sum() == 119
-    assert rows.named(KINDS["plane"]) == ()
+    assert rows.names_of(KINDS["plane"]) == ()
     assert len(errors(Model(ARM), rows)) == 119
     calibrated = la.calibrate(ARM, rows)
     assert miss(calibrated.model, HIDDEN) < 3 * SIGMA

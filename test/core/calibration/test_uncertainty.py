@@ -117,7 +117,7 @@ def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
         noise = SIGMA * np.random.default_rng(seed).standard_normal(truth.shape)
         at_rows = fitted.model.posture(tuple(q.T), context)
         columns = fitted.model.columns(at_rows)[1]
-        carried = known.carried(columns, [slot.identity for slot in fitted.slots])
+        carried = known.carry_to_tip(columns, [slot.identity for slot in fitted.slots])
         off = truth - fitted.model.tip(q, context)
         expected, within = sizes(carried + known.structure)
         tips_inside += list(np.linalg.norm(off, axis=1) <= within)

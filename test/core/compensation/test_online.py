@@ -19,7 +19,7 @@ from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.link_frames import exaggerated, outline
+from longarm_comp.core.model.link_frames import exaggerate_sag, outline
 from longarm_comp.core.model.model import Model
 
 WARM = Model(ARM, (ThermalGrowth(8e-5),))
@@ -116,27 +116,27 @@ def test_a_rest_pose_is_handed_out_once_and_only_at_rest() -> None:
     watch = RestWatch(settle_s=0.5, sightings=2)
     goal, side = np.full(4, 0.3), History.unknown(4)
     variance = np.full(3, 4e-8)
-    assert watch.sighted(np.zeros(3), variance, 0.0) is None  # never commanded
-    watch.commanded(goal, side)
+    assert watch.on_sighting(np.zeros(3), variance, 0.0) is None  # never commanded
+    watch.on_command(goal, side)
     watch.joints(goal + 0.1, 1.0)
-    assert watch.sighted(np.zeros(3), variance, 1.1) is None  # on the way
+    assert watch.on_sighting(np.zeros(3), variance, 1.1) is None  # on the way
     watch.joints(goal, 2.0)
-    assert watch.sighted(np.zeros(3), variance, 2.4) is None  # not settled
-    assert watch.sighted(np.array([1.0, 0, 0]), variance, 2.6) is None  # the first of two
-    assert watch.sighted(np.full(3, np.nan), variance, 2.7) is None  # lost
-    rest = watch.sighted(np.array([3.0, 0, 0]), variance, 2.8)
+    assert watch.on_sighting(np.zeros(3), variance, 2.4) is None  # not settled
+    assert watch.on_sighting(np.array([1.0, 0, 0]), variance, 2.6) is None  # the first of two
+    assert watch.on_sighting(np.full(3, np.nan), variance, 2.7) is None  # lost
+    rest = watch.on_sighting(np.array([3.0, 0, 0]), variance, 2.8)
     assert rest is not None
     np.testing.assert_allclose(rest.tip, [2.0, 0, 0])
     np.testing.assert_allclose(rest.variance, variance / 2)
-    assert watch.sighted(np.array([3.0, 0, 0]), variance, 3.0) is None  # once
-    watch.commanded(goal, side)
+    assert watch.on_sighting(np.array([3.0, 0, 0]), variance, 3.0) is None  # once
+    watch.on_command(goal, side)
     watch.joints(goal, 4.0)
     watch.joints(goal + 0.01, 4.2)  # it moved after all
     watch.joints(goal, 4.4)
-    assert watch.sighted(np.zeros(3), variance, 4.7) is None
+    assert watch.on_sighting(np.zeros(3), variance, 4.7) is None
     watch.joints(goal, 1.0)  # the clock jumped back
-    assert watch.sighted(np.zeros(3), variance, 1.6) is None  # the first of two
-    assert watch.sighted(np.zeros(3), variance, 1.7) is not None
+    assert watch.on_sighting(np.zeros(3), variance, 1.6) is None  # the first of two
+    assert watch.on_sighting(np.zeros(3), variance, 1.7) is not None
     with pytest.raises(InputError):
         RestWatch(sightings=0)
 
@@ -144,4 +144,4 @@ def test_a_rest_pose_is_handed_out_once_and_only_at_rest() -> None:
 def test_the_outline_runs_from_the_foot_to_the_tip() -> None:
     line = outline(Model(ARM), ARM.mid)
     np.testing.assert_allclose(line[-1], Model(ARM).tip(ARM.mid))
-    np.testing.assert_allclose(exaggerated(line + 1.0, line, 3.0), line + 3.0)
+    np.testing.assert_allclose(exaggerate_sag(line + 1.0, line, 3.0), line + 3.0)

@@ -13,7 +13,7 @@ from small_arm import ARM, AWAY, measured
 
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.frame_tree import carried
+from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.quaternion import from_rotation
 from longarm_comp.core.compensation.target_frame import base_of_graph, placement
 from longarm_comp.core.effects.compliances import JointCompliance
@@ -99,7 +99,7 @@ def test_a_graph_and_files_carry_what_was_measured_alike(base: BasePose) -> None
     model = dataclasses.replace(Model(ARM, (base,)), frame_shift=(3e-3, -2e-3, 1e-3))
     point = moved(base, Model(ARM).tip(ARM.mid))
     graph = base_of_graph(model)
-    in_base = carried(graph.measurements, point)
+    in_base = carry_place(graph.measurements, point)
     files = placement(model, point[None], "measured").carried(point)
     np.testing.assert_allclose(graph.carried(in_base), files, atol=1e-12)
     np.testing.assert_allclose(files, point - model.frame_shift, atol=1e-12)

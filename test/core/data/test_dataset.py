@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_arm import measured
 
-from longarm_comp.core.arm.history import recorded
+from longarm_comp.core.arm.history import recorded_history
 from longarm_comp.core.data.holdout import blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -16,31 +16,31 @@ from longarm_comp.core.errors import InputError
 
 def test_direction_comes_from_the_row_before() -> None:
     q = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -2.0], [0.5, -2.0], [0.5, -2.0]])
-    made = recorded(q, np.arange(5)).approach
+    made = recorded_history(q, np.arange(5)).approach
     assert made.tolist() == [[0, 0], [1, 0], [1, -1], [-1, -1], [-1, -1]]
 
 
 def test_a_gap_of_the_index_hides_the_direction() -> None:
     q = np.array([[0.0], [1.0], [2.0], [3.0]])
-    assert recorded(q, np.array([0, 1, 3, 4])).approach.ravel().tolist() == [0, 1, 0, 1]
+    assert recorded_history(q, np.array([0, 1, 3, 4])).approach.ravel().tolist() == [0, 1, 0, 1]
 
 
 def test_a_recorded_direction_stands_for_all_joints_and_is_kept_by_those_that_rest() -> None:
     q = np.array([[0.0, 5.0], [1.0, 5.0], [0.0, 5.0]])
-    made = recorded(q, np.arange(3), np.array([-1.0, np.nan, 0.0])).approach
+    made = recorded_history(q, np.arange(3), np.array([-1.0, np.nan, 0.0])).approach
     assert made.tolist() == [[-1, -1], [1, -1], [-1, -1]]
 
 
 def test_two_markers_at_one_index_share_the_direction() -> None:
     q = np.array([[0.0], [1.0], [1.0], [0.0]])
-    assert recorded(q, np.array([0, 1, 1, 2])).approach.ravel().tolist() == [0, 1, 1, -1]
+    assert recorded_history(q, np.array([0, 1, 1, 2])).approach.ravel().tolist() == [0, 1, 1, -1]
 
 
 def test_subsets_keep_the_directions_of_the_whole(rng: np.random.Generator) -> None:
     session = measured(40, rng)
     part = session.take(slice(0, 40, 3))
     assert (part.approach == session.approach[::3]).all()
-    assert (part.approach != recorded(part.q, part.index).approach).any()
+    assert (part.approach != recorded_history(part.q, part.index).approach).any()
 
 
 def test_context_carries_what_was_recorded(rng: np.random.Generator) -> None:

@@ -79,16 +79,16 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
     rows = session([drives.JointGain(at(2, 0.02))])
     useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
     search = _Search(Model(ARM), rows, [], None, (), lambda _: None, nameless=True)
-    first = search._fitted(search.base, (), None)
-    poor = search._taken(first, (FoundEffect((useless,), 1.0, 0.0),))
+    first = search._judge_noise_and_fit(search.base, (), None)
+    poor = search._fit_with(first, (FoundEffect((useless,), 1.0, 0.0),))
     assert poor is not None
-    rows_of, explain = [], _Search._repeated
+    rows_of, explain = [], _Search._repeat
 
     def spied(self: _Search, *how: Any, **further: Any) -> ExplainedSession:
         rows_of.append(len(self.session))
         return explain(self, *how, **further)
 
-    monkeypatch.setattr(_Search, "_repeated", spied)
+    monkeypatch.setattr(_Search, "_repeat", spied)
     found = search._by_halves(poor, 0)
     assert rows_of == [60, 120, 60, 120]  # either half, and all rows from what it brings
     assert [t.function for f in found.found for t in f.terms] == ["linear(q2)"]  # type: ignore[union-attr]
@@ -99,9 +99,9 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
 def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt() -> None:
     found = explain_session(Model(ARM), session([drives.JointGain(at(2, 0.02))]), ())
     assert found.linear is not None and found.found[0].there > 0.99
-    (doubted,) = dataclasses.replace(found.linear, of_halves=((), ())).averaged(0)
+    (doubted,) = dataclasses.replace(found.linear, of_halves=((), ())).average_samples(0)
     assert doubted.there == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
-    (both,) = dataclasses.replace(found.linear, of_halves=(found.found,) * 2).averaged(0)
+    (both,) = dataclasses.replace(found.linear, of_halves=(found.found,) * 2).average_samples(0)
     assert both.there > 0.99 and both.name == doubted.name
 
 

@@ -208,7 +208,7 @@ def test_what_passes_and_elements_leave(arm: Arm, softer: float) -> None:
     soft = stiffened(arm, 1 / softer)
     q = postures(arm, 30)
     rigid = Model(soft)
-    held = rigid.added(rigid.posture(unstack(q)), [LinkDeflection()]).point()[1][
+    held = rigid.motion_with(rigid.posture(unstack(q)), [LinkDeflection()]).point()[1][
         ..., 0
     ]  # Eq. (5), frames held
     converged = Model(soft, (LinkDeflection(),), passes=8).tip(q)

@@ -16,7 +16,7 @@ import longarm_comp
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.effects import catalogue
-from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, register, searched
+from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, register, searched_effects
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect, form, moving_joints, parameter, place
 from longarm_comp.core.errors import InputError
@@ -66,7 +66,7 @@ class Plain(JointGain):
 
 def test_a_class_may_be_registered_by_a_program() -> None:
     assert register(Sound) is Sound
-    assert searched() == (*LIBRARY, Sound)
+    assert searched_effects() == (*LIBRARY, Sound)
     assert catalogue.origin(Sound) == f"module {__name__}"
 
 

@@ -32,8 +32,8 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
     softer = Candidate("link_stiffness", (LinkStiffness(beam=DEMO.links[-1].name),))
     columns = FitColumns(fitted)
-    marginal = Marginal(fitted.design, fitted.data + fitted.whitened(rigid[..., None])[:, 0])
-    white = fitted.whitened(columns.of(softer.terms))[:, 0]
+    marginal = Marginal(fitted.design, fitted.data + fitted.whiten_columns(rigid[..., None])[:, 0])
+    white = fitted.whiten_columns(columns.of(softer.terms))[:, 0]
     u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
     s, t = white @ marginal.project(white), white @ marginal.py
     log = u * t - 0.5 * u * u * (1.0 + s)

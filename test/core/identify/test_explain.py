@@ -77,7 +77,7 @@ def test_a_half_of_the_rows_agrees_with_every_name_of_the_set_that_it_names_one_
     effect, linear = one(found), found.linear
     assert linear is not None and effect.chance == pytest.approx(0.5)
     half = (replace(effect, chance=1.0, rivals=()),)
-    (shared,) = replace(linear, of_halves=(half, half)).averaged(0)
+    (shared,) = replace(linear, of_halves=(half, half)).average_samples(0)
     assert shared.there > 0.99 and shared.chance == pytest.approx(0.5)
 
 

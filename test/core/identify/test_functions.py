@@ -29,7 +29,7 @@ from longarm_comp.core.effects.slow_changes import (
     ThermalSoftening,
 )
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.discover.causes import Cause, causes, doubts, proposed
+from longarm_comp.core.identify.discover.causes import Cause, causes, doubts, propose_poses
 from longarm_comp.core.identify.discover.functions import Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, camera_inputs, levels_of
 from longarm_comp.core.identify.posterior.explain import explain_session
@@ -330,12 +330,12 @@ def test_poses_lie_in_the_gap_of_a_switch() -> None:
     flip = Function((Switch("q2", 0.2, 1.2, 0.7, 0.05),))
     guess = Discovered("joint 2", "turn z", flip.text, flip.domain)
     assert doubts(fitted, [guess]) == ("it changes somewhere between q2 0.65 and 0.75",)
-    poses = proposed(fitted, [guess], 6, seed=1)
+    poses = propose_poses(fitted, [guess], 6, seed=1)
     assert len(poses) == 6
     assert (np.abs(poses[:, 1] - 0.7) < 0.05).all()
     smooth = Discovered("joint 2", "turn z")
     assert doubts(fitted, [smooth]) == ()
-    assert proposed(fitted, [smooth], 6, seed=1).shape == (0, SMALL.n)
+    assert propose_poses(fitted, [smooth], 6, seed=1).shape == (0, SMALL.n)
 
 
 def test_a_ramp_fills_the_gap_of_the_data() -> None:

@@ -39,7 +39,7 @@ from longarm_comp.core.identify.discover.functions import FunctionFamily
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, instead
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.offers import offered, tolerance_columns
+from longarm_comp.core.identify.posterior.offers import make_offers, tolerance_columns
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
@@ -59,7 +59,7 @@ def test_every_name_is_as_likely_and_functions_have_a_twentieth() -> None:
     tried = library(DEMO, rows.context(), KINDS, fitted.model.terms).testable
     terms = [Discovered("joint 5", "turn z", f"legendre(q5, {k}.0)", "q5 -1..1") for k in (2, 3)]
     functions = [ProposedFunction((t,), math.log(0.5)) for t in terms]
-    bank = offered(fitted, tried, functions, (), [ModelTolerance(0.01, False)])[0]
+    bank = make_offers(fitted, tried, functions, (), [ModelTolerance(0.01, False)])[0]
     shares = [chance(bank, name) for name in ("joint_compliance", "joint_gain", "servo_droop")]
     assert shares == pytest.approx([0.95 / 4] * 3)
     assert chance(bank, "discovered") == pytest.approx(0.05)
@@ -84,7 +84,7 @@ def test_an_offer_pays_for_its_form_and_keeps_to_its_bounds() -> None:
     fitted = fit(Model(DEMO, (LinkDeflection(),)), rows)
     odd = ServoQuantisation.of_step(DEMO, 1, 0.01)
     tried = [Candidate(t.name, (t,)) for t in (odd, SmallGain(2))]
-    bank = offered(fitted, tried, (), (), [ModelTolerance(0.01, False)])[0].bank
+    bank = make_offers(fitted, tried, (), (), [ModelTolerance(0.01, False)])[0].bank
     assert bank.offers[0].log_prior == pytest.approx(math.log(0.95 / 2) - odd.price(DEMO))
     (k,) = bank.offers[1].places
     assert (bank.lower[k], bank.upper[k]) == (pytest.approx(-0.2), pytest.approx(0.4))
@@ -103,11 +103,11 @@ def test_what_is_in_the_model_is_weighed_as_if_it_were_not() -> None:
     """The evidence of the effect that was fitted is that of a model without it and with it."""
     fitted, found = planted()
     kinds = library(DEMO, fitted.session.context(), (JointGain,)).testable
-    bank = offered(fitted, kinds, (), (found,), [ModelTolerance(0.0, False)])[0]
+    bank = make_offers(fitted, kinds, (), (found,), [ModelTolerance(0.0, False)])[0]
     (known,) = bank.known
     assert bank.bank.offers[known].keys == (found.terms[0].key,)
     assert bank.standing > bank.base + 100.0
-    explained = bank.explained()
+    explained = bank.explain()
     assert [t.where for f in explained.found for t in f.terms] == ["joint 5"]
     assert explained.found[0].terms[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
     assert explained.evidence == pytest.approx(bank.standing, abs=0.5)
@@ -116,7 +116,7 @@ def test_what_is_in_the_model_is_weighed_as_if_it_were_not() -> None:
 def test_a_form_that_moved_off_the_library_stays_on_offer() -> None:
     fitted, found = planted()
     other = [Candidate("joint_gain", (JointGain(2),))]
-    bank = offered(fitted, other, (), (found,), [ModelTolerance(0.0, False)])[0]
+    bank = make_offers(fitted, other, (), (found,), [ModelTolerance(0.0, False)])[0]
     assert [bank.things[n].where for n in bank.known] == [("joint 5",)]
     assert bank.bank.offers[bank.known[0]].log_prior == pytest.approx(math.log(0.95))
 
@@ -131,7 +131,7 @@ def test_a_form_may_err_by_a_share_of_its_own_shift() -> None:
     np.testing.assert_allclose(large, 10.0 * small)
     (k,) = (i for i, s in enumerate(fitted.slots) if isinstance(s.owner, JointGain))
     shift = fitted.columns[..., k] * fitted.model.values[k]
-    white = fitted.whitened(shift[..., None])[:, 0]
+    white = fitted.whiten_columns(shift[..., None])[:, 0]
     ratio = np.sqrt((large**2).sum() / (white**2).sum())
     assert ratio == pytest.approx(0.1, rel=0.5)
     assert np.linalg.norm(large[np.abs(white) < 1e-12]) == pytest.approx(0.0, abs=1e-9)
@@ -143,13 +143,14 @@ def test_what_every_arm_has_is_there_and_no_finding() -> None:
     columns, leaning = FitColumns(fitted), Candidate("gravity_direction", (GravityDirection(),))
     usual = tolerance_columns(fitted, [leaning], (), ModelTolerance(0.1, False))
     size = 5e-3 / priors(leaning.slots(DEMO))
-    lean = fitted.whitened(columns.of(leaning.terms) * size)
+    lean = fitted.whiten_columns(columns.of(leaning.terms) * size)
     np.testing.assert_allclose(usual, lean, atol=1e-9)
-    bank = offered(fitted, [leaning], (), (), [ModelTolerance(0.1, False)])[0]
+    bank = make_offers(fitted, [leaning], (), (), [ModelTolerance(0.1, False)])[0]
     whole = Marginal(np.concatenate([fitted.design, usual], axis=1), fitted.data)
     assert bank.base == pytest.approx(whole.evidence)
     assert (
-        bank.bank.gram[0, 0] < 0.9 * (fitted.whitened(columns.of(leaning.terms))[:, 0] ** 2).sum()
+        bank.bank.gram[0, 0]
+        < 0.9 * (fitted.whiten_columns(columns.of(leaning.terms))[:, 0] ** 2).sum()
     )
 
 
@@ -158,7 +159,7 @@ def test_what_its_own_form_may_leave_has_less_evidence() -> None:
     fitted, found = planted()
     kinds = library(DEMO, fitted.session.context(), KINDS).testable
     wide, narrow = (
-        offered(fitted, kinds, (), (found,), [ModelTolerance(t, False)])[0].standing
+        make_offers(fitted, kinds, (), (found,), [ModelTolerance(t, False)])[0].standing
         for t in (0.1, 0.01)
     )
     assert wide < narrow
@@ -188,8 +189,8 @@ def judged(
     *tried: float,
 ) -> dict[str, FoundEffect]:
     """By name, with forms that err by any of some shares."""
-    banks = offered(fitted, kinds, (), found, [ModelTolerance(t, False) for t in tried])
-    again, _ = max(banks, key=lambda b: b.standing).judged(found, banks)
+    banks = make_offers(fitted, kinds, (), found, [ModelTolerance(t, False) for t in tried])
+    again, _ = max(banks, key=lambda b: b.standing).judge(found, banks)
     return {f.name: f for f in again}
 
 
@@ -258,12 +259,12 @@ def test_a_name_that_is_there_takes_a_further_place_as_one_effect() -> None:
 def test_what_a_larger_error_of_a_form_explains_is_in_doubt() -> None:
     """With forms of larger error, nearly as likely, nothing is left that asks for the effect."""
     fitted, found = planted()
-    narrow = offered(fitted, (), (), (found,), [ModelTolerance(0.01, False)])[0]
+    narrow = make_offers(fitted, (), (), (found,), [ModelTolerance(0.01, False)])[0]
     of = narrow.bank
     blind = OfferBank(of.offers, 0 * of.gram, 0 * of.along, of.lower, of.upper)
     wide = dataclasses.replace(narrow, bank=blind, base=narrow.standing - 1.0)
-    ((alone,), _) = narrow.judged((found,), [narrow])
-    ((doubted,), _) = narrow.judged((found,), [narrow, wide])
+    ((alone,), _) = narrow.judge((found,), [narrow])
+    ((doubted,), _) = narrow.judge((found,), [narrow, wide])
     assert alone.there > 0.999
     assert doubted.there == pytest.approx(expit(1.0))
 
@@ -357,5 +358,5 @@ def test_what_was_found_keeps_the_price_of_its_choice() -> None:
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
     fitted, (found,) = explained_by(rows, JointCompliance(2))
     paid = dataclasses.replace(found, log_prior=-11.0)
-    (bank,) = offered(fitted, (), (), (paid,), [ModelTolerance(0.01, False)])
+    (bank,) = make_offers(fitted, (), (), (paid,), [ModelTolerance(0.01, False)])
     assert [bank.bank.offers[k].log_prior for k in bank.known] == [-11.0]

@@ -13,7 +13,7 @@ from demo_rows import session_of
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.candidates import library
-from longarm_comp.core.calibration.linear import sized
+from longarm_comp.core.calibration.linear import choose_sizes
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
@@ -133,9 +133,9 @@ def test_coefficients_that_are_like_each_other_have_the_evidence_of_their_prior(
 def test_what_is_alike_has_one_size() -> None:
     mean, sizes = np.array([6.0, 0.5, 0.5]), np.ones((3, 1)) * (1.0, 4.0)
     chances = np.ones((3, 1)) * np.log((0.8, 0.2))
-    alone, cost = sized(mean, sizes, chances)
+    alone, cost = choose_sizes(mean, sizes, chances)
     assert (alone.tolist(), cost) == ([4.0, 1.0, 1.0], pytest.approx(math.log(0.2 * 0.8 * 0.8)))
-    paired, cost = sized(mean, sizes, chances, np.array([0, 0, 2]))
+    paired, cost = choose_sizes(mean, sizes, chances, np.array([0, 0, 2]))
     assert (paired.tolist(), cost) == ([4.0, 4.0, 1.0], pytest.approx(math.log(0.2 * 0.8)))
 
 

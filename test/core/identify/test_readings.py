@@ -356,12 +356,12 @@ def test_servos_that_give_way_rest_where_the_driver_says_so() -> None:
     watch = RestWatch(settle_s=0.5, sightings=1)
     goal, hangs, tip = np.zeros(2), np.array([0.0, -0.02]), np.array([0.4, 0.1, 0.3])
     for told in (False, True):
-        watch.commanded(goal, History.unknown(2))
+        watch.on_command(goal, History.unknown(2))
         if told:
-            watch.reached()
+            watch.on_arrival()
         watch.joints(hangs, 1.0)
-        rest = watch.sighted(tip, np.zeros(3), 2.0)
+        rest = watch.on_sighting(tip, np.zeros(3), 2.0)
         assert (rest is not None) == told
-    watch.commanded(goal, History.unknown(2))
+    watch.on_command(goal, History.unknown(2))
     watch.joints(hangs, 3.0)
-    assert watch.sighted(tip, np.zeros(3), 4.0) is None
+    assert watch.on_sighting(tip, np.zeros(3), 4.0) is None

@@ -15,7 +15,7 @@ from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.calibration.candidates import Candidate, library
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.catalogue import searched
+from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.drive_errors import JointGain, ServoQuantisation
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -116,7 +116,7 @@ def test_a_step_that_was_looked_for_pays_for_the_looking() -> None:
     columns = FitColumns(fitted)
     marginal = columns.without(())
     (found,) = evidence_of_each(fitted, marginal, [Candidate(odd.name, (odd,))])
-    shift = fitted.whitened(columns.shift([odd])[..., None])[:, 0]
+    shift = fitted.whiten_columns(columns.shift([odd])[..., None])[:, 0]
     gain = marginal.project(shift) @ (marginal.y - 0.5 * shift)
     assert found == pytest.approx(gain - odd.price(ARM))
 
@@ -133,4 +133,4 @@ def test_effects_that_were_not_asked_for_are_not_scanned() -> None:
     rows = session([STEPS], n=120, seed=3)
     assert library(ARM, rows.context(), (JointGain,)).stepped == ()
     assert library(ARM, rows.context()).stepped == (ServoQuantisation,)
-    assert ServoQuantisation in searched()
+    assert ServoQuantisation in searched_effects()

@@ -11,7 +11,7 @@ from rows_with_play import session_of
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.candidates import Candidate, library
-from longarm_comp.core.calibration.fit import fit, unfitted
+from longarm_comp.core.calibration.fit import compare_unfitted, fit
 from longarm_comp.core.calibration.linear import OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
@@ -19,7 +19,7 @@ from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.posterior.explain import explain_session
-from longarm_comp.core.identify.posterior.forms import refined
+from longarm_comp.core.identify.posterior.forms import refine_form
 from longarm_comp.core.model.model import Model
 
 PLAY = Backlash(6, gate=0.1, blend=0.01, width=0.03)
@@ -34,7 +34,7 @@ def rows(arm: Arm) -> Session:
 def fitted(arm: Arm, rows: Session, start: Backlash, *others: JointCompliance) -> ModelFit:
     """A fit to the rows that a threshold does not contradict, taken for granted."""
     model = Model(arm, (LinkDeflection(), *geometry(arm, rows), start, *others))
-    off = np.abs(unfitted(model, rows).residual) / (OUTLIER * SIGMA)
+    off = np.abs(compare_unfitted(model, rows).residual) / (OUTLIER * SIGMA)
     return fit(model, rows, sigma=SIGMA, weights=(off.max(axis=1) <= 1.0).astype(float))
 
 
@@ -54,7 +54,7 @@ def test_rows_set_aside_on_the_wrong_side_move_the_threshold(
 ) -> None:
     found = fitted(arm, rows, dataclasses.replace(PLAY, gate=gate, blend=blend))
     assert len(found.outliers) > 1
-    moved = refined(found, play_of(found), tried(arm, rows))
+    moved = refine_form(found, play_of(found), tried(arm, rows))
     assert isinstance(moved, Backlash)
     assert moved.gate == pytest.approx(0.1, abs=0.01)
     assert moved.blend < 0.03
@@ -66,7 +66,7 @@ def test_a_threshold_that_rows_agree_on_stays(arm: Arm, rows: Session) -> None:
     xyz[[3, 40, 71]] += 0.02
     for session in (rows, dataclasses.replace(rows, xyz=xyz)):
         found = fitted(arm, session, PLAY, JointCompliance(2))
-        moved = refined(found, play_of(found), tried(arm, rows))
+        moved = refine_form(found, play_of(found), tried(arm, rows))
         assert moved.gate == pytest.approx(0.1, abs=0.01)  # type: ignore[union-attr]
     assert (np.abs(found.residual[[3, 40, 71]]) > OUTLIER * SIGMA).any(axis=1).all()
 

@@ -56,7 +56,7 @@ def test_what_a_camera_may_have_moved_is_a_commands_error_as_far_as_it_may_be_th
     proof = prove([Fold(models, fits, plain.session, np.arange(len(plain.session)))])
     (term,) = (b for b in camera.model.biases if isinstance(b, CameraDrift))
     sure, unsure, absent = (
-        proof.expected([single(term, *how)], list(fits))
+        proof.expected_errors([single(term, *how)], list(fits))
         for how in ((1.0,), (1.0, ("base_drift", 0.5)), (0.5,))
     )
     seen, told = ((e["with_effects"] ** 2).sum(1) for e in (proof.errors, proof.commanded))
@@ -64,7 +64,7 @@ def test_what_a_camera_may_have_moved_is_a_commands_error_as_far_as_it_may_be_th
     assert unsure["with_effects"] == pytest.approx(np.sqrt(0.5 * seen + 0.5 * told))
     assert unsure["with_effects"].mean() > 1.5 * sure["with_effects"].mean()
     assert absent["with_effects"] == pytest.approx(unsure["with_effects"])
-    nothing = proof.expected([single(PrismaticPitch(3), 0.6)], list(fits))
+    nothing = proof.expected_errors([single(PrismaticPitch(3), 0.6)], list(fits))
     assert nothing["with_effects"] == pytest.approx(
         sure["with_effects"]
     )  # the arm's own effects move the tip, sure or not
@@ -154,11 +154,11 @@ def test_an_explanation_without_a_name_takes_its_share_of_the_name() -> None:
     """Of odds of 1 to 4 a fifth, of its other names too; and what is there in its place gets it."""
     found = single(CameraDrift(), 1.0, ("discovered", 0.1), ("base_settling", 0.3))
     other = single(Discovered("joint 2", "turn z", "linear(q2)", "q2 0..1"), 1.0)
-    doubted = found.doubted(other, math.log(0.25))
+    doubted = found.with_doubt(other, math.log(0.25))
     assert doubted.names == pytest.approx(
         {"camera_drift": 0.48, "base_settling": 0.24, "discovered": 0.28}
     )
     assert [r.name for r in doubted.rivals] == ["discovered", "base_settling"]
     assert sum(doubted.names.values()) == pytest.approx(1.0)
-    new = single(CameraDrift(), 1.0).doubted(other, 0.0)
+    new = single(CameraDrift(), 1.0).with_doubt(other, 0.0)
     assert new.names == pytest.approx({"camera_drift": 0.5, "discovered": 0.5})

@@ -257,7 +257,7 @@ def test_constants_fold_and_common_work_is_shared():
     negative = -a
     assert -negative is a
     assert (a * 2.0 + 3.0) is (3.0 + 2.0 * a)
-    assert len(graph.needed([a * 2.0])) == 2
+    assert len(graph.needed_nodes([a * 2.0])) == 2
     assert isinstance(np.float64(2.0) * a, Symbol)
 
 

@@ -113,7 +113,7 @@ def test_normal_equations_in_blocks_of_rows_are_the_same(problem, monkeypatch):
     left = targets - stack().outputs(weights, columns)
     whole = stack().normal_equations(weights, columns, left, used)
     monkeypatch.setattr(
-        "longarm_comp.core.learn.stack._held", lambda device: 1300
+        "longarm_comp.core.learn.stack._numbers_at_once", lambda device: 1300
     )  # 7 rows or less
     for of in (stack(), Stack(TanhNetwork(SHAPE))):
         matrix, gradient = of.normal_equations(weights, columns, left, used)

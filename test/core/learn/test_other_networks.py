@@ -174,10 +174,10 @@ def test_a_network_of_a_package_is_found_by_its_name(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(others, "of_other_packages", lambda group: found)
     others._of_packages.cache_clear()
     try:
-        kind = others.chosen("linear")
+        kind = others.choose_network("linear")
         assert (kind.name, kind.origin) == ("linear", "package lines 1.0, entry point linear")
         with pytest.raises(InputError, match=r"lines, a Python file|linear, a Python file"):
-            others.chosen("curves")
+            others.choose_network("curves")
     finally:
         others._of_packages.cache_clear()
 

@@ -11,7 +11,7 @@ from quick_predictor import FAST, quick_predictor, rows
 
 from bench.smooth import LOWER, UPPER, rms_mm, smooth_residual, smooth_set
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.history import recorded
+from longarm_comp.core.arm.history import recorded_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.ensemble import train
 
@@ -256,7 +256,7 @@ def read_twin(folder):
         sets[name] = {
             "q": q[seen],
             "context": Context(
-                tuple(recorded(q, index, marks).approach[seen].T),
+                tuple(recorded_history(q, index, marks).approach[seen].T),
                 {"temperature_c": np.array([float(r["temperature_c"]) for r in rows])[seen]},
             ),
             "residual": (xyz(rows) - xyz(truth, "declared_"))[seen],

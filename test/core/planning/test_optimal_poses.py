@@ -60,9 +60,9 @@ def test_a_gain_is_what_the_criterion_loses(unknown: Uncertainty) -> None:
             lost = criterion(taken) - criterion([*taken, k])
             assert gains[k] == pytest.approx(lost, rel=1e-5)
         assert (gains[taken] == -np.inf).all()
-        grown = choice.grown([], 8)
-        assert criterion(choice.exchanged(grown)) <= criterion(grown) + 1e-12
-        assert len(set(choice.exchanged(grown))) == 8
+        grown = choice.add_best([], 8)
+        assert criterion(choice.exchange_worse(grown)) <= criterion(grown) + 1e-12
+        assert len(set(choice.exchange_worse(grown))) == 8
 
 
 def test_no_digits_are_lost_while_everything_is_unknown() -> None:
@@ -73,7 +73,7 @@ def test_no_digits_are_lost_while_everything_is_unknown() -> None:
     anew: list[int] = []
     for _ in range(20):
         anew.append(int(np.argmax(choice.after(anew).gains(anew))))
-    assert choice.grown([], 20) == anew
+    assert choice.add_best([], 20) == anew
 
 
 @pytest.mark.parametrize("measure", ["position", "pose", "distance"])

@@ -139,7 +139,7 @@ def test_a_shaper_cancels_its_mode_and_forgives_a_wrong_frequency() -> None:
     unshaped = along(found[-1], way, seconds, 0.03).size_m()
     for factor, most in ((1.0, 0.01), (1.1, 0.04), (0.9, 0.04)):
         wrong = replace(found[-1], omega=factor * found[-1].omega)
-        left = along(wrong, shaper.shaped(way, seconds), seconds + shaper.duration, 0.03)
+        left = along(wrong, shaper.shape_motion(way, seconds), seconds + shaper.duration, 0.03)
         assert left.size_m() < most * unshaped
     assert shaper_of([modes(Model(ONE), np.zeros(1))], way, seconds, 0.03) is None
 
@@ -151,12 +151,12 @@ def test_a_shaped_move_of_the_arm_leaves_little_straight_to_where_it_was_sent() 
     way = straight(start, end, took)
     shaper = shaper_of(way_modes(SOFT_ARM, way, took), way, took, 0.01)
     assert shaper is not None
-    ways = (way, took), (shaper.shaped(way, took), took + shaper.duration)
+    ways = (way, took), (shaper.shape_motion(way, took), took + shaper.duration)
     plain, shaped = (
-        np.abs(after(true, *sent).left(np.arange(0.0, 1.0, 0.01))).max() for sent in ways
+        np.abs(after(true, *sent).tip_ring(np.arange(0.0, 1.0, 0.01))).max() for sent in ways
     )
     assert plain > 0.01 and shaped < 0.02 * plain
-    places = shaper.shaped(way, took)(np.linspace(0.0, took + shaper.duration, 50))
+    places = shaper.shape_motion(way, took)(np.linspace(0.0, took + shaper.duration, 50))
     np.testing.assert_allclose(places[[0, -1]], [start, end], atol=1e-12)
     shares = (places - start) / (end - start)
     np.testing.assert_allclose(shares, np.repeat(shares[:, :1], ARM.n, axis=1), atol=1e-12)
@@ -171,7 +171,9 @@ def test_the_true_arm_rings_as_the_model_says() -> None:
     way = straight(start, end, took)
     ring = Ringing(true, 0.01)
     times = np.arange(0.0, took + 1.0, 2e-3)
-    seen = np.array([ring.moved(t, q) for t, q in zip(times.tolist(), way(times), strict=True)])
+    seen = np.array(
+        [ring.move_joints(t, q) for t, q in zip(times.tolist(), way(times), strict=True)]
+    )
     late = times >= took
     told = along(modes(SOFT_ARM, end), way, took, 0.01).at(times[late] - took)
     assert np.abs(told).max() > 3e-4
@@ -181,9 +183,9 @@ def test_the_true_arm_rings_as_the_model_says() -> None:
 def test_the_true_arms_wave_goes_on_as_its_modes_change() -> None:
     true = TrueArm(ARM, [loads.JointCompliance(SOFT)])
     step, ring = 0.019 * (ARM.upper - ARM.lower), Ringing(true, 0.01)
-    ring.moved(0.0, ARM.mid)
-    before = [ring.moved(0.1 + 0.01 * k, ARM.mid + step) for k in range(2)]
-    after = ring.moved(0.12, ARM.mid + 1.06 * step)  # beyond what one set of modes serves
+    ring.move_joints(0.0, ARM.mid)
+    before = [ring.move_joints(0.1 + 0.01 * k, ARM.mid + step) for k in range(2)]
+    after = ring.move_joints(0.12, ARM.mid + 1.06 * step)  # beyond what one set of modes serves
     speed = np.linalg.norm(before[1] - before[0])
     assert np.linalg.norm(before[1]) > 1e-3
     assert np.linalg.norm(after - before[1]) < 2.0 * speed + 0.1 * np.linalg.norm(before[1])
@@ -244,7 +246,7 @@ def test_encoders_at_the_joints_see_the_ring_and_those_at_motors_or_too_coarse_d
     way, took = straight(ARM.mid, ARM.mid + 0.1 * (ARM.upper - ARM.lower), 0.5), 0.5
     end, since = way(np.array([took]))[0], np.arange(0.0, 3.0, 0.01)
     true = TrueArm(ARM, [loads.JointCompliance(SOFT)])
-    read = end + after(true, way, took).turned(since)
+    read = end + after(true, way, took).joint_ring(since)
     slowest = vibration(true, end).omega[:2] / (2.0 * np.pi)
     fine, coarse = (step * np.round(read / step) for step in (2e-5, 5e-2))
     found = waves(since, fine)
@@ -258,7 +260,7 @@ def test_encoders_at_the_joints_see_the_ring_and_those_at_motors_or_too_coarse_d
     told = correct_modes(modes(model, other), modes(model, end), tips).hz[0]
     stiff, soft = modes(model, other).hz[0], modes(SOFT_ARM, other).hz[0]
     assert abs(told - soft) < 0.5 * abs(stiff - soft)  # its frequency is carried to other postures
-    assert not after(TrueArm(ARM), way, took).turned(since).any()  # what bends is behind them
+    assert not after(TrueArm(ARM), way, took).joint_ring(since).any()  # what bends is behind them
 
 
 def test_a_move_tells_what_ring_it_leaves_in_numbers_and_words() -> None:

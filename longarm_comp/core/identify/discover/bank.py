@@ -125,7 +125,7 @@ class Bank:
         s = several @ projected.transpose(1, 0, 2)
         values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
         z = np.einsum("cij,ci->cj", turned, t)
-        return _averaged(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
+        return _average_amplitudes(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
     def sizes(self, candidate: FunctionCandidate) -> np.ndarray:
         """Return the (r,) rms shift of the rows by a unit of each column, in units of the noise."""
@@ -143,7 +143,7 @@ class Bank:
         rows = max(len(white) // self.fit.width, 1)
         return np.asarray(np.sqrt(np.maximum((white**2).sum(0) / rows, 1e-300)))
 
-    def shortlisted(
+    def shortlist(
         self, kept: np.ndarray, left: Sequence[np.ndarray]
     ) -> list[list[list[FunctionCandidate]]]:
         """Return the best candidates of every kind by a first look, for each residual in `left`.
@@ -159,22 +159,22 @@ class Bank:
         size = np.sqrt((values**2).mean(axis=0))
         values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
         raw = np.einsum("nck,nck->kn", white, white) @ values**2
-        s = raw - self._taken(rows, kept, white, values)
+        s = raw - self._squares_taken_by_fit(rows, kept, white, values)
         usable = (raw > 1e-25) & (s > _WEAK * raw)
         unit = np.maximum(raw / len(rows), 1e-30)
         made = []
         for whole in left:
             t = np.einsum("nc,nck->kn", whole[rows].astype(np.float32), white) @ values
             each = _by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
-            made.append(list(self._best(np.where(usable, _averaged(each), -np.inf))))
+            made.append(list(self._best(np.where(usable, _average_amplitudes(each), -np.inf))))
         return made
 
-    def _taken(
+    def _squares_taken_by_fit(
         self, rows: np.ndarray, kept: np.ndarray, white: np.ndarray, values: np.ndarray
     ) -> np.ndarray:
         """Return the (K, G) part of each candidate's square that the fit's columns explain."""
         design = whitened_design(self.fit)[rows][..., kept]
-        flat = flattened(design)
+        flat = flatten_design(design)
         factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
         turned = np.einsum("ncp,nck->pkn", design, white, optimize=True)
         if turned.size:
@@ -261,7 +261,7 @@ def _by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
     return np.asarray(0.5 * (square * t**2 / grown - np.log(grown)))
 
 
-def _averaged(each: np.ndarray) -> np.ndarray:
+def _average_amplitudes(each: np.ndarray) -> np.ndarray:
     """Return the log of the mean evidence over the amplitudes (A, ...)."""
     return np.asarray(np.logaddexp.reduce(each, axis=0) - math.log(len(each)))
 
@@ -283,7 +283,7 @@ def whitened_design(fit: ModelFit) -> np.ndarray:
     return fit.columns * priors(fit.slots) * weight(fit)[..., None]
 
 
-def flattened(design: np.ndarray) -> np.ndarray:
+def flatten_design(design: np.ndarray) -> np.ndarray:
     """Reshape a design (N, d, p) to (N d, p), also for p = 0."""
     return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
 
@@ -302,7 +302,7 @@ def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Ma
     weights = weight(fit)
     design = whitened_design(fit)[inside]
     data = (fit.residual + fit.columns @ fit.model.values) * weights
-    columns = np.concatenate([flattened(design)[:, kept], beside], axis=1)
+    columns = np.concatenate([flatten_design(design)[:, kept], beside], axis=1)
     marginal = Marginal(columns, data[inside].ravel())
     left = np.zeros(data.shape)
     left[inside] = marginal.py.reshape(-1, data.shape[1])

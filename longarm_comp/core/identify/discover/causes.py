@@ -128,7 +128,7 @@ def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(made))
 
 
-def proposed(fit: ModelFit, found: Sequence[Found], count: int, seed: int) -> np.ndarray:
+def propose_poses(fit: ModelFit, found: Sequence[Found], count: int, seed: int) -> np.ndarray:
     """Propose (M, n) poses, rad and m, that would settle the doubts: `count` for each doubt."""
     from scipy.stats import qmc  # takes a quarter of a second
 

@@ -123,14 +123,14 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
         widest[type(found)] = max(largest, float(np.ptp(values)))
         read.append((name, found, values))
     for name, found, values in read:
-        if np.ptp(values) < _resolved(arm, posture, found, values, widest[type(found)]):
+        if np.ptp(values) < _resolution_of(arm, posture, found, values, widest[type(found)]):
             continue
         _add(made, name, values, arm)
     kept = {i.name for i in made} - {ORDER}
     return Arguments(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
 
 
-def _resolved(
+def _resolution_of(
     arm: Arm, posture: Posture, found: Quantity, values: np.ndarray, widest: float
 ) -> float:
     """Return the span from which on a quantity counts, because smaller ones are not known well

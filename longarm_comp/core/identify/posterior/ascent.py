@@ -59,11 +59,11 @@ def explain(
             without restarts of its own, because those were made there.
     """
     most = len(known) + AT_ONCE
-    starts = [_grown(bank, (), frozenset(), most)]
+    starts = [_grow(bank, (), frozenset(), most)]
     if begun or known:
         standing = begun or _standing(bank, known)
-        starts.append(_grown(bank, standing, frozenset(), most))
-    best = max(map(_pruned, starts), key=lambda e: e.evidence)
+        starts.append(_grow(bank, standing, frozenset(), most))
+    best = max(map(_prune, starts), key=lambda e: e.evidence)
     if begun is not None:
         return best
     shut_once: set[int] = set()
@@ -72,8 +72,8 @@ def explain(
         shut_once.add(effect.best)
         shut = frozenset(np.flatnonzero(effect.q > UNLIKELY).tolist())
         others = tuple(e for e in best.effects if e is not effect)
-        without = _grown(bank, others, shut, min(len(others) + 2, most))
-        again = _pruned(_grown(bank, without.effects, frozenset(), most))
+        without = _grow(bank, others, shut, min(len(others) + 2, most))
+        again = _prune(_grow(bank, without.effects, frozenset(), most))
         if again.evidence > best.evidence + BETTER:
             best = again
     return best
@@ -91,7 +91,7 @@ def _standing(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
     return made
 
 
-def _grown(
+def _grow(
     bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
 ) -> Explanation:
     """Add single effects until a new one is probably absent."""
@@ -100,13 +100,13 @@ def _grown(
         count = len(effects)
         none = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
         effects.append(SingleEffect(bank.offers, *none))
-        effects = [e for e in _ascended(bank, effects, shut) if e.there > 0.5]
+        effects = [e for e in _ascend(bank, effects, shut) if e.there > 0.5]
         if len(effects) <= count:
             break
     return Explanation(bank, tuple(effects))
 
 
-def _ascended(
+def _ascend(
     bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
 ) -> list[SingleEffect]:
     taken = np.sum([e.mean for e in effects], axis=0)
@@ -124,7 +124,7 @@ def _ascended(
     return effects
 
 
-def _pruned(found: Explanation) -> Explanation:
+def _prune(found: Explanation) -> Explanation:
     """Drop effects that the others make superfluous, the least first."""
     kept = found.bank.worth_their_price(found.chosen)
     return Explanation(found.bank, tuple(found.effects[k] for k in kept))

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 from longarm_comp.core.calibration import noise as noise_step
 from longarm_comp.core.calibration.candidates import Candidate, distinct
-from longarm_comp.core.calibration.fit import fit, unfitted
+from longarm_comp.core.calibration.fit import compare_unfitted, fit
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
@@ -45,7 +45,7 @@ from longarm_comp.core.identify.posterior.found import (
     instead,
 )
 from longarm_comp.core.identify.posterior.offered_effects import Explained, OfferedEffects
-from longarm_comp.core.identify.posterior.offers import offered
+from longarm_comp.core.identify.posterior.offers import make_offers
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
 from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
 from longarm_comp.core.identify.step_scan import scan
@@ -106,21 +106,21 @@ class _Search:
 
     def run(self, functions: bool, seed: int) -> ExplainedSession:
         self.say("geometry")
-        state = self._fitted(self.base, (), None)
+        state = self._judge_noise_and_fit(self.base, (), None)
         if any(t.through_others for t in self.base.terms):  # what yields a little tells of weights
             state = replace(state, fit=with_background(state.fit, self.candidates))
             self.usual = frozenset(t.key for t in state.fit.model.terms)
             self.usual -= frozenset(t.key for t in self.base.terms)
-        state = self._repeated(state)
+        state = self._repeat(state)
         if functions:  # only beside the best of what has a name
-            state, _, changed = self._compared(state)
-            state = self._repeated(state) if changed else state
+            state, _, changed = self._compare_rivals(state)
+            state = self._repeat(state) if changed else state
             self.nameless = True
-            state = self._by_halves(self._repeated(self._repeated(state), functions=True), seed)
-        state, doubtful, changed = self._compared(state)
+            state = self._by_halves(self._repeat(self._repeat(state), functions=True), seed)
+        state, doubtful, changed = self._compare_rivals(state)
         if changed:
-            state = self._repeated(state)
-            state, again, _ = self._compared(state)
+            state = self._repeat(state)
+            state, again, _ = self._compare_rivals(state)
             taken = {t.key for f in (*state.found, *again) for t in f.terms}
             left = (f for f in doubtful if taken.isdisjoint(t.key for t in f.terms))
             doubtful = (*again, *left)
@@ -132,11 +132,12 @@ class _Search:
             self.of_halves, self.usual,
         )  # fmt: skip
         found = tuple(
-            f.doubted(*absence[f.name]) if f.name in absence else f for f in linear.averaged(seed)
+            f.with_doubt(*absence[f.name]) if f.name in absence else f
+            for f in linear.average_samples(seed)
         )
         least = 0.5 * SAMPLES / (SAMPLES + len(self.of_halves))  # a half may have too few rows
         stable = tuple(f for f in found if f.there > least)
-        fewer = self._taken(state, stable) if len(stable) < len(found) else None
+        fewer = self._fit_with(state, stable) if len(stable) < len(found) else None
         if fewer is not None:
             doubtful = (*doubtful, *(f for f in found if f.there <= least))
             linear, state = replace(linear, fit=fewer.fit, found=fewer.found), fewer
@@ -152,7 +153,7 @@ class _Search:
             fitted, tuple(held), state.noise, tuple(left), tuple(self.candidates), tolerance, linear
         )
 
-    def _repeated(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
+    def _repeat(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
         """Explain and fit while a better explanation is found; with `functions`, propose new ones
         each time."""
         for _ in range(ROUNDS):
@@ -162,15 +163,15 @@ class _Search:
                 self.functions = propose_functions(
                     state.fit, state.found, self.candidates, tolerance
                 )
-            explained = self._explained(state)
+            explained = self._explain_better(state)
             if explained is None:
                 break
             for f in explained.found:
                 self.say(Candidate(f.name, f.terms).label)
-            taken = self._taken(state, tuple(map(loosen, explained.found)))
+            taken = self._fit_with(state, tuple(map(loosen, explained.found)))
             if taken is None:
                 break
-            taken = self._reformed(taken)
+            taken = self._move_forms(taken)
             if not self._rose(state, taken):
                 break
             state = taken
@@ -187,23 +188,23 @@ class _Search:
             return state
         for rows in split_in_half(self.session, seed):
             half = replace(self, session=self.session.take(rows))
-            begun = half._taken(state, ())
+            begun = half._fit_with(state, ())
             if begun is None:
                 continue
-            found = half._repeated(begun, functions=True).found
+            found = half._repeat(begun, functions=True).found
             self.of_halves = (*self.of_halves, found)
-            taken = self._taken(state, tuple(map(loosen, found)))
+            taken = self._fit_with(state, tuple(map(loosen, found)))
             if taken is not None and self._odds(state, taken) > BETTER:
-                state = self._repeated(taken, functions=True)
+                state = self._repeat(taken, functions=True)
         return state
 
-    def _explained(self, state: ExplainedSession) -> Explained | None:
+    def _explain_better(self, state: ExplainedSession) -> Explained | None:
         """Return the best explanation by any tolerance, or None if the present one is as good."""
         first, *others = sorted(
-            self._offered(state.fit, state.found), key=lambda bank: -bank.standing
+            self._offer_by_tolerance(state.fit, state.found), key=lambda bank: -bank.standing
         )
-        begun = first.explained()
-        best = max((begun, *(o.explained(begun) for o in others)), key=lambda e: e.evidence)
+        begun = first.explain()
+        best = max((begun, *(o.explain(begun) for o in others)), key=lambda e: e.evidence)
         return best if best.evidence >= first.standing + BETTER else None
 
     def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:
@@ -224,7 +225,7 @@ class _Search:
     ) -> tuple[float, ModelTolerance]:
         """Return the log evidence of an explanation in the model, and the tolerance where it is
         highest."""
-        every = self._offered(fitted, found, others=False)
+        every = self._offer_by_tolerance(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
     def _rest(self, state: ExplainedSession) -> float:
@@ -234,7 +235,7 @@ class _Search:
         Where one part has a name for being soft, equally soft others are no cause of their own.
         """
         soft = any(t.elastic for f in state.found for t in f.terms)
-        every = self._offered(state.fit, state.found, others=False)
+        every = self._offer_by_tolerance(state.fit, state.found, others=False)
         best = max(every, key=lambda b: b.pruned - b.tolerance.log_prior * soft)
         return best.tolerance.compliance
 
@@ -244,10 +245,10 @@ class _Search:
         None of them is dropped: the columns tell little about the arm without an effect that is
         large.
         """
-        every = self._offered(fitted, found, others=False, **near)
+        every = self._offer_by_tolerance(fitted, found, others=False, **near)
         return max(bank.standing for bank in every)
 
-    def _compared(
+    def _compare_rivals(
         self, state: ExplainedSession
     ) -> tuple[ExplainedSession, tuple[FoundEffect, ...], bool]:
         """Converge the fit, and compare every effect with those that may stand in its place.
@@ -258,22 +259,24 @@ class _Search:
         """
         was = state.fit
         state = replace(state, fit=fit(was.model, self.session, begun=was, **was.judged))
-        banks = self._offered(state.fit, state.found)
-        found, doubtful = max(banks, key=lambda b: b.standing).judged(state.found, banks)
+        banks = self._offer_by_tolerance(state.fit, state.found)
+        found, doubtful = max(banks, key=lambda b: b.standing).judge(state.found, banks)
         sure = tuple(f for f in found if f.there >= CREDIBLE)
-        if len(sure) < len(found) and (fewer := self._taken(state, sure)) is not None:
+        if len(sure) < len(found) and (fewer := self._fit_with(state, sure)) is not None:
             return fewer, (*doubtful, *(f for f in found if f.there < CREDIBLE)), True
         state = replace(state, found=sure)
         here = self._whole(state.fit, sure)
         for k, mine in enumerate(sure):
             worth = {
-                rival.name: self._refitted(state, instead(state.found, k, mine.led_by(rival, ())))
+                rival.name: self._evidence_refitted(
+                    state, instead(state.found, k, mine.led_by(rival, ()))
+                )
                 - here
                 for rival in mine.fitted_rivals
             }
             judged, better = mine.against(worth)
             if better:
-                taken = self._taken(state, instead(state.found, k, judged))
+                taken = self._fit_with(state, instead(state.found, k, judged))
                 if taken is not None:
                     return taken, doubtful, True
             else:
@@ -304,8 +307,8 @@ class _Search:
             held.add(name)
             others = replace(self, candidates=[c for c in self.candidates if c.name != name])
             rest = tuple(f for f in state.found if not f.unnamed and f.name != name)
-            left = others._taken(state, rest)
-            left = None if left is None else others._repeated(left, functions=True)
+            left = others._fit_with(state, rest)
+            left = None if left is None else others._repeat(left, functions=True)
             new = [] if left is None else [f for f in left.found if f.unnamed]
             if left is None or not new:
                 continue
@@ -328,7 +331,7 @@ class _Search:
             made.append(theirs - mine)
         return sum(made) / len(made)
 
-    def _refitted(self, state: ExplainedSession, found: tuple[FoundEffect, ...]) -> float:
+    def _evidence_refitted(self, state: ExplainedSession, found: tuple[FoundEffect, ...]) -> float:
         """Return the log evidence of other effects in the place of a state's, fitted with the same
         noise.
 
@@ -344,7 +347,7 @@ class _Search:
         except JobError:
             return -math.inf
 
-    def _offered(
+    def _offer_by_tolerance(
         self,
         fitted: ModelFit,
         found: Sequence[FoundEffect],
@@ -360,7 +363,7 @@ class _Search:
             for tolerance in TOLERANCES
             if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.soft)
         ]
-        return offered(
+        return make_offers(
             fitted, self.candidates, self.functions, found, tried, others=others, near=near,
             usual=self.usual,
         )  # fmt: skip
@@ -371,17 +374,17 @@ class _Search:
         shown = [c for kind in self.stepped for c in scan(state.fit, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
 
-    def _taken(
+    def _fit_with(
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
         """Fit the model with these effects; None where the fit diverges."""
         model = put_in(self.base, state.fit.model, found)
         try:
-            return self._fitted(model, found, state)
+            return self._judge_noise_and_fit(model, found, state)
         except JobError:
             return None
 
-    def _fitted(
+    def _judge_noise_and_fit(
         self, model: Model, found: tuple[FoundEffect, ...], before: ExplainedSession | None
     ) -> ExplainedSession:
         """Judge the noise by the residual of all that the library could explain, then fit."""
@@ -389,7 +392,7 @@ class _Search:
             first = fit(model, self.session)
             at = FitColumns(first)
         else:
-            first, at = unfitted(model, self.session, before.fit), FitColumns(before.fit)
+            first, at = compare_unfitted(model, self.session, before.fit), FitColumns(before.fit)
         held = {t.key for f in found for t in f.terms}
         judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
         noise = judged if self.known is None else noise_step.limit_by_repeats(self.known, judged)
@@ -399,7 +402,7 @@ class _Search:
         )  # fmt: skip
         return ExplainedSession(fitted, found, noise)
 
-    def _reformed(self, state: ExplainedSession) -> ExplainedSession:
+    def _move_forms(self, state: ExplainedSession) -> ExplainedSession:
         """Move forms on a scale to where the evidence is highest, while more rows agree with the
         model."""
         for _ in range(ROUNDS):
@@ -412,7 +415,7 @@ class _Search:
             found = tuple(
                 replace(f, terms=tuple(moved.get(t.key, t) for t in f.terms)) for f in state.found
             )
-            taken = self._taken(state, found)
+            taken = self._fit_with(state, found)
             before = agreement(state.fit, state.fit.residual)
             if taken is None or agreement(state.fit, taken.fit.residual) < before + BETTER:
                 break

@@ -37,13 +37,13 @@ def better_forms(
     moved: dict[tuple[str, str], Term] = {}
     for term in terms:
         if term.scales():
-            better = refined(fit, fitted[term.key], candidates, tuple(moved.values()))
+            better = refine_form(fit, fitted[term.key], candidates, tuple(moved.values()))
             if better.variant != term.variant:
                 moved[term.key] = better
     return moved
 
 
-def refined(
+def refine_form(
     fit: ModelFit, term: Term, candidates: Sequence[Candidate], moved: Sequence[Term] = ()
 ) -> Term:
     """Return the term in the form of highest evidence, first of the tried values, then between
@@ -77,7 +77,7 @@ def refined(
         looks = [_at(term, list(scales), np.array(point)) for point in crosses]
         if agree(looks).max() > agree([term])[0] + BETTER:
             return _highest(term, np.array(crosses), agree)
-    tried = itertools.product(*(_tried(term, field, candidates) for field in scales))
+    tried = itertools.product(*(_values_tried(term, field, candidates) for field in scales))
     return _highest(term, np.array(list(tried)), evidence)
 
 
@@ -137,10 +137,10 @@ def _at(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:
 
 def neighbours(term: Term, field: str, candidates: Sequence[Candidate]) -> tuple[float, float]:
     """Return the tried values of a scale to either side of a term's value, or the scale's ends."""
-    return _beside(float(getattr(term, field)), _tried(term, field, candidates))
+    return _beside(float(getattr(term, field)), _values_tried(term, field, candidates))
 
 
-def _tried(term: Term, field: str, candidates: Sequence[Candidate]) -> list[float]:
+def _values_tried(term: Term, field: str, candidates: Sequence[Candidate]) -> list[float]:
     """Return the values of a scale that were tried, and its ends, sorted."""
     tried = {float(getattr(t, field)) for c in candidates if c.name == term.name for t in c.terms}
     return sorted({*tried, *term.scales()[field]})

@@ -163,7 +163,7 @@ class FoundEffect:
         best = max(every, key=lambda r: worth.get(r.name, 0.0))
         return self.led_by(best, [r for r in every if r is not best]), best is not every[0]
 
-    def doubted(self, other: FoundEffect, odds: float) -> FoundEffect:
+    def with_doubt(self, other: FoundEffect, odds: float) -> FoundEffect:
         """Return the effect with one more rival, from an explanation without any of its names.
 
         Args:

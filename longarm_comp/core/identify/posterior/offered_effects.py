@@ -76,14 +76,14 @@ class OfferedEffects:
     base: float
     tolerance: ModelTolerance
 
-    def explained(self, begun: Explained | None = None) -> Explained:
+    def explain(self, begun: Explained | None = None) -> Explained:
         """Compute the posterior over the offers.
 
         Args:
             begun: what another tolerance explained, as the start of the search.
         """
         best = explain(self.bank, self.known, None if begun is None else begun.effects)
-        offers = self._located(best.chosen)
+        offers = self._locate(best.chosen)
         evidence, values = self.bank.joint(offers)
         every = [
             FoundEffect(
@@ -104,7 +104,7 @@ class OfferedEffects:
             for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
                 terms = self.things[n].terms
                 alike = [Candidate(terms[0].name, terms)]
-                alike += [self._named(name, terms) for name in self._alike(terms)]
+                alike += [self._candidate_of_name(name, terms) for name in self._alike(terms)]
                 for one in alike:
                     before, first = shares.get(one.name, (0.0, one))
                     share = float(effect.q[n]) / effect.there / len(alike)
@@ -129,9 +129,9 @@ class OfferedEffects:
         their price."""
         offers = [self.bank.offers[n] for n in self.known]
         offers = [offers[k] for k in self.bank.worth_their_price(offers)]
-        return self.base + max(map(self.bank.evidence, (offers, self._located(offers))))
+        return self.base + max(map(self.bank.evidence, (offers, self._locate(offers))))
 
-    def judged(
+    def judge(
         self, found: Sequence[FoundEffect], banks: Sequence[OfferedEffects]
     ) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
         """Judge the effects that are in the model.
@@ -163,7 +163,7 @@ class OfferedEffects:
                 )
                 made.append(self._credible(f, offers, k))
         held = {t.key for f in found for t in f.terms}
-        left = (f for f in self.explained().doubtful if held.isdisjoint(t.key for t in f.terms))
+        left = (f for f in self.explain().doubtful if held.isdisjoint(t.key for t in f.terms))
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
     def _credible(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
@@ -177,7 +177,7 @@ class OfferedEffects:
         likeliest: dict[str, tuple[float, int, Offer, list[Offer]]] = {}
         where = {tuple(t.where for t in found.terms): 1.0}
         for n, offer, rest in self._may_stand(offers, k, here + math.log(LOOKED_AT)):
-            tried = (offer, self._needed([*rest, offer], len(rest)))
+            tried = (offer, self._without_idle_places([*rest, offer], len(rest)))
             worth = (self.bank.evidences([[*rest, each] for each in tried]) - here).tolist()
             odds = max(worth)
             if offer.name == found.name:
@@ -186,7 +186,7 @@ class OfferedEffects:
                     where.setdefault(places, math.exp(min(value, 0.0)))
             elif odds > likeliest.get(offer.name, (-math.inf,))[0]:
                 likeliest[offer.name] = odds, n, tried[int(np.argmax(worth))], rest
-        first = [self._named(n, found.terms) for n in self._alike(found.terms)]
+        first = [self._candidate_of_name(n, found.terms) for n in self._alike(found.terms)]
         mine = [Candidate(found.name, found.terms), *first]
         judged = [(0.0, own, offers[k].log_prior, mine)]
         names = {c.name for c in mine}
@@ -194,7 +194,11 @@ class OfferedEffects:
             if offer.name in names:
                 continue
             terms = self._terms(n, offer, self.bank.joint([*rest, offer])[1][-1])
-            shared = [self._named(each, terms) for each in self._alike(terms) if each not in names]
+            shared = [
+                self._candidate_of_name(each, terms)
+                for each in self._alike(terms)
+                if each not in names
+            ]
             factor = own + odds - offer.log_prior + offers[k].log_prior
             alike = [Candidate(offer.name, terms), *shared]
             judged.append((odds, factor, offer.log_prior, alike))
@@ -248,14 +252,14 @@ class OfferedEffects:
         odds = self.bank.evidence(offers) - self.bank.evidence(rest)
         return odds - offers[k].log_prior + NONE
 
-    def _located(self, chosen: Sequence[Offer]) -> list[Offer]:
+    def _locate(self, chosen: Sequence[Offer]) -> list[Offer]:
         """Return the offers without the places that contribute too little."""
         offers = list(chosen)
         for k in range(len(offers)):
-            offers[k] = self._needed(offers, k)
+            offers[k] = self._without_idle_places(offers, k)
         return offers
 
-    def _needed(self, offers: list[Offer], k: int) -> Offer:
+    def _without_idle_places(self, offers: list[Offer], k: int) -> Offer:
         """Return offer k without the places that contribute too little.
 
         Each place costs as much as the choice among all places.  The rest pays for the choice of
@@ -315,7 +319,7 @@ class OfferedEffects:
         stood = [self.fitted.session.q[:, commanded.index(j)] for j in term.joints]
         return max((levels_of(q) for q in stood), default=0)
 
-    def _named(self, name: str, at: Sequence[Term]) -> Candidate:
+    def _candidate_of_name(self, name: str, at: Sequence[Term]) -> Candidate:
         """Return an effect of another name at the places of terms, in their forms.
 
         Where it is not on offer there, its first offer is returned.

@@ -18,7 +18,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
 from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
-from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalised
+from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalise
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.model_tolerance import ModelTolerance, background_columns
@@ -33,7 +33,7 @@ AMPLITUDES = (3.0, 30.0, 300.0)
 """Of a function without a name: prior standard deviations of its shift, in units of the noise."""
 
 
-def offered(
+def make_offers(
     fitted: ModelFit,
     library: Sequence[Candidate],
     functions: Sequence[ProposedFunction],
@@ -59,7 +59,7 @@ def offered(
         counts: (N,) how often each row counts; None: once.
         usual: places where the fit holds what every arm has; the banks marginalise these.
     """
-    listed = _listed(fitted.model.arm, library, functions, found)
+    listed = _list_with_prices(fitted.model.arm, library, functions, found)
     if not others:
         kept = {_variant(f.terms) for f in found}
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
@@ -73,7 +73,7 @@ def offered(
         columns = root[:, None] * columns
     gram, along = marginal.normal(columns)
     own = gram[beside.shape[1] :, beside.shape[1] :]
-    moving, plain = _priced(fitted.model.arm, np.diag(own), raw, listed)
+    moving, plain = _make_offers_that_move(fitted.model.arm, np.diag(own), raw, listed)
     every = OfferBank(plain, own, along[beside.shape[1] :], raw.lower, raw.upper)
     free = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
     moving, plain = [moving[n] for n in free], [plain[n] for n in free]
@@ -82,7 +82,7 @@ def offered(
     known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
     banks = []
     for tolerance, size in zip(tolerances, sizes, strict=True):
-        evidence, s, t = marginalised(gram, along, size)
+        evidence, s, t = marginalise(gram, along, size)
         offers = [_as_stiff(o, c, tolerance) for o, c in zip(plain, things, strict=True)]
         bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like, fitted.model.arm.n)
         base = marginal.evidence + evidence + tolerance.log_prior
@@ -94,7 +94,7 @@ _Listed = tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]
 """A candidate with the log prior, sizes and chances of its offer."""
 
 
-def _listed(
+def _list_with_prices(
     arm: Arm,
     library: Sequence[Candidate],
     functions: Sequence[ProposedFunction],
@@ -139,7 +139,7 @@ def _variant(terms: Sequence[Term]) -> tuple[object, ...]:
     return tuple(t.variant for t in terms)
 
 
-def _priced(
+def _make_offers_that_move(
     arm: Arm, squares: np.ndarray, raw: _Raw, listed: Sequence[_Listed]
 ) -> tuple[list[int], list[Offer]]:
     """Return the numbers of the candidates that move a row, and their offers.
@@ -178,7 +178,7 @@ def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candid
               for c in each]  # fmt: skip
     raw = _raw(fitted, listed)
     gram, along = marginal.normal(raw.b)
-    kept, offers = _priced(fitted.model.arm, np.diag(gram), raw, listed)
+    kept, offers = _make_offers_that_move(fitted.model.arm, np.diag(gram), raw, listed)
     made = np.zeros(len(listed))
     made[kept] = OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like).scores
     return made
@@ -234,16 +234,16 @@ def _beside(
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
             shift = shift_of(fitted, FitColumns(fitted), terms)
-            made.append(fitted.whitened(shift[:, :, None] * ways[:, None, :]))
+            made.append(fitted.whiten_columns(shift[:, :, None] * ways[:, None, :]))
             sizes.append(forms[:, None] * np.ones(ways.shape[1]))
             for term in terms:
                 for form in np.unique(forms).tolist() if term.scales() else ():
-                    made.append(fitted.whitened(_undecided(fitted, term, form)))
+                    made.append(fitted.whiten_columns(_undecided_rows(fitted, term, form)))
                     sizes.append((forms == form)[:, None] * np.ones(made[-1].shape[1]))
     return np.concatenate(made, axis=1), np.concatenate(sizes, axis=1)
 
 
-def _undecided(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
+def _undecided_rows(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
     """Return (N, d, k) columns of single rows that a form's tolerance changes by more than its
     share."""
     columns = FitColumns(fitted)
@@ -302,7 +302,7 @@ def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
     widths = priors(slots)
     whole = [term for t, term in enumerate(terms) if t not in of_term]
     where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}
-    shifts = [fitted.whitened(columns.shift([term])[..., None]) for term in whole]
+    shifts = [fitted.whiten_columns(columns.shift([term])[..., None]) for term in whole]
     most = np.array([INCREDIBLE if s.owner.searched else np.inf for s in slots])
     free = np.full(len(whole), np.inf)
     first: dict[object, int] = {}

@@ -57,7 +57,7 @@ def propose_functions(
     marginals = [_without(fit, found, some, library, tolerance) for some in gone]
     ranked: list[list[_Ranked]] = [[] for _ in gone]
     for bank in banks(fit):
-        looked = bank.shortlisted(_columns_beside(fit, found), [left for _, left in marginals])
+        looked = bank.shortlist(_columns_beside(fit, found), [left for _, left in marginals])
         for (marginal, _), kinds, mine in zip(marginals, looked, ranked, strict=True):
             mine += _of_bank(bank, marginal, kinds)
     few = SHORTLIST // 2 if found else SHORTLIST
@@ -67,7 +67,7 @@ def propose_functions(
         offered |= {one.candidate: one.bank for one in better[:few]}
         offered |= {one.candidate: one.bank for one in better if one.first}
         few = SHORTLIST // (2 * max(len(gone) - 1, 1))  # of what may take the place of each
-    return tuple(_proposed(bank, h) for h, bank in offered.items())
+    return tuple(_propose(bank, h) for h, bank in offered.items())
 
 
 def _without(
@@ -98,11 +98,11 @@ def _of_bank(
     """Return the best candidates of a bank on top of a marginal, also with other thresholds."""
     made, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
     for some in kinds:
-        weighed = _weighed(bank, marginal, [h for h in some if not _geometric(h)])[:each]
+        weighed = _rank_by_odds(bank, marginal, [h for h in some if not _geometric(h)])[:each]
         made += [_Ranked(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed)]
     made.sort(key=lambda one: -one.worth)
     best = [(one.worth, one.candidate) for one in made[:REFINED]]
-    refined = (_Ranked(worth, h, bank) for worth, h in _refined(bank, marginal, best))
+    refined = (_Ranked(worth, h, bank) for worth, h in _refine(bank, marginal, best))
     return [*made, *refined]
 
 
@@ -112,7 +112,7 @@ def _columns_beside(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
     return np.array([s.owner.key not in of for s in fit.slots], dtype=bool)
 
 
-def _weighed(
+def _rank_by_odds(
     bank: Bank, marginal: Marginal, few: Sequence[FunctionCandidate]
 ) -> list[tuple[float, FunctionCandidate]]:
     """Return the log odds of each candidate with it, the best first."""
@@ -128,7 +128,7 @@ def _geometric(candidate: FunctionCandidate) -> bool:
     return still and all(a or b for a, b in zip(rigid, seen, strict=True))
 
 
-def _proposed(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction:
+def _propose(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction:
     """Return the terms of a candidate, with its log prior.
 
     One prior standard deviation of each moves the rows by one noise, rms, times its decay.
@@ -141,7 +141,7 @@ def _proposed(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction:
     return ProposedFunction(terms, candidate.log_prior)
 
 
-def _refined(
+def _refine(
     bank: Bank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
 ) -> Iterator[tuple[float, FunctionCandidate]]:
     """Yield each candidate with better thresholds or frequencies, sought closer and closer to the
@@ -150,7 +150,9 @@ def _refined(
         prior = best[1].log_prior - math.log(REFINED)
         for width in (1.0, 2.0 / (DENSE - 1)):  # then between the neighbours of the best
             tried = (dataclasses.replace(h, log_prior=prior) for h in _around(bank, best[1], width))
-            best = max((best, *_weighed(bank, marginal, list(tried))), key=lambda each: each[0])
+            best = max(
+                (best, *_rank_by_odds(bank, marginal, list(tried))), key=lambda each: each[0]
+            )
         yield best
 
 

@@ -22,7 +22,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.holdout import resample
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, Rival
-from longarm_comp.core.identify.posterior.offers import offered
+from longarm_comp.core.identify.posterior.offers import make_offers
 
 SAMPLES = 12
 """Samples of the rows; a probability is then known to 0.15 at worst, and to less near 0 and 1."""
@@ -41,7 +41,7 @@ class Resampling:
         found: what was found.
         tolerance: what moves the rows besides.
         of_halves: what a search on either half of the rows found.
-        usual: as in `offered`.
+        usual: as in `make_offers`.
     """
 
     fit: ModelFit
@@ -52,28 +52,28 @@ class Resampling:
     of_halves: Sequence[Sequence[FoundEffect]] = ()
     usual: frozenset[tuple[str, str]] = frozenset()
 
-    def explained(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
+    def explain_sample(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
         """Find the effects that explain the rows if each row counts `counts` (N,) times.
 
         The search starts from nothing and from what was found; the better explanation stays.
         """
-        (bank,) = offered(
+        (bank,) = make_offers(
             self.fit, self.candidates, self.functions, self.found, [self.tolerance],
             counts=counts, usual=self.usual,
         )  # fmt: skip
         return bank.single_effects()
 
-    def averaged(self, seed: int) -> tuple[FoundEffect, ...]:
+    def average_samples(self, seed: int) -> tuple[FoundEffect, ...]:
         """Return the found effects; the probability of each, and of its names, is a mean over
         samples of the rows."""
         if not self.found:
             return ()
-        whole = self.explained(np.ones(len(self.fit.session)))
-        samples = [self.explained(c) for c in resample(self.fit.session, SAMPLES, seed)]
+        whole = self.explain_sample(np.ones(len(self.fit.session)))
+        samples = [self.explain_sample(c) for c in resample(self.fit.session, SAMPLES, seed)]
         every = [*samples, *self.of_halves]
-        return tuple(self._averaged(f, whole, every) for f in self.found)
+        return tuple(self._average_effect(f, whole, every) for f in self.found)
 
-    def _averaged(
+    def _average_effect(
         self,
         found: FoundEffect,
         whole: Sequence[FoundEffect],
@@ -129,7 +129,7 @@ class Resampling:
         shares = {e: _correlation(mine, self._shift(e.terms)) ** 2 for e in effects}
         namesakes = [e for e in effects if found.name in e.credible]
         each = [self._shift((t,)) for e in namesakes for t in e.terms]
-        if each and _explained(mine, np.stack(each, axis=1)) >= SAME_ROLE:
+        if each and _explained_share(mine, np.stack(each, axis=1)) >= SAME_ROLE:
             missing = math.prod(1.0 - e.there for e in namesakes)
             return replace(max(namesakes, key=shares.__getitem__), there=1.0 - missing)
         alike = [e for e, share in shares.items() if share >= SAME_ROLE]
@@ -143,10 +143,10 @@ class Resampling:
     def _shift(self, terms: Sequence[Term]) -> np.ndarray:
         """Return the (m,) shift of the rows by terms beyond the geometry, in units of the noise."""
         shift = shift_of(self.fit, FitColumns(self.fit), terms)
-        return self._geometry.project(self.fit.whitened(shift[..., None]))[:, 0]
+        return self._geometry.project(self.fit.whiten_columns(shift[..., None]))[:, 0]
 
 
-def _explained(y: np.ndarray, columns: np.ndarray) -> float:
+def _explained_share(y: np.ndarray, columns: np.ndarray) -> float:
     """Return the share of the square of y (m,) that columns (m, k) explain."""
     left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
     return 1.0 - float(left @ left / max(y @ y, 1e-300))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of, sized
+from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_prior_mass, root_of
 from longarm_comp.core.identify.model_tolerance import FORMS
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
@@ -221,9 +221,9 @@ class OfferBank:
             # Sizes are chosen at the coefficients that the smallest, or the largest, would give:
             # where the data hardly tell two apart, the largest lets them grow against each other.
             for begun in (sizes.min(-1), sizes.max(-1)):
-                first = _solved(s, t, begun[..., None] * root)[0]
-                scale, chance = sized(first, sizes, chances, like)
-                mean, sd, factor = _solved(s, t, scale[..., None] * root)
+                first = _solve_joint(s, t, begun[..., None] * root)[0]
+                scale, chance = choose_sizes(first, sizes, chances, like)
+                mean, sd, factor = _solve_joint(s, t, scale[..., None] * root)
                 inside = log_mass((lower - mean) / sd, (upper - mean) / sd).sum(-1)
                 inside = inside - log_prior_mass(lower / scale, upper / scale, like)
                 found.append((factor + chance + inside, mean))
@@ -235,7 +235,7 @@ class OfferBank:
         return totals, means
 
 
-def _solved(
+def _solve_joint(
     s: np.ndarray, t: np.ndarray, root: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return mean, standard deviation and log evidence of coefficients ``root w``, w unit

@@ -78,7 +78,7 @@ class _Writer:
 
     def program(self, graph: Graph, outputs: Outputs) -> list[str]:
         lines = []
-        for node in graph.needed(list(outputs.values())):
+        for node in graph.needed_nodes(list(outputs.values())):
             lines += self._instructions(node, *graph.nodes[node])
         for k, (place, out) in enumerate(outputs.items()):
             value = self._value(out.node if isinstance(out, Symbol) else float(out))

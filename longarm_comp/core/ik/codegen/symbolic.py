@@ -78,7 +78,7 @@ class Graph:
             self._symbols[node] = Symbol(self, node)
         return self._symbols[node]
 
-    def needed(self, outputs: Sequence[Any]) -> list[int]:
+    def needed_nodes(self, outputs: Sequence[Any]) -> list[int]:
         """Return the nodes that the outputs depend on, in order."""
         keep = [False] * len(self.nodes)
         for out in outputs:
