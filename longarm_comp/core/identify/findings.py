@@ -27,6 +27,9 @@ from longarm_comp.core.yaml_file import Closed
 
 Pair = tuple[float, float]
 
+UNWEIGHED = "arm.yaml declares no weight, so which part yields is not sure"
+"""The doubt of every part that yields, where the load on it is not known."""
+
 
 class ReportPart(Closed):
     """A part of report.json."""
@@ -94,7 +97,7 @@ class Finding(ReportPart):
         compensated: whether commands with the model to use correct for it.
         seen_mm, commanded_mm: mean held-out errors without the effect (all others fitted again) and
             with it: as seen, and as a command would have it.
-        doubts: names that may stand for one of its parts only, in words.
+        doubts: in words: names that may stand for one of its parts only, and `UNWEIGHED`.
         action: one sentence for a mechanic.
         parts: the single effects of the posterior that it is made of; not in report.json.
         left_out: whether the model to use is without it; not in report.json.
@@ -254,9 +257,11 @@ def complete_findings(
     """
     known = {(*s.owner.key, s.parameter.name): intervals[k] for k, s in enumerate(written.slots)}
     in_model = {t.key for t in written.model.terms}
+    weighed = not any(effect.through_others for effect in fit.model.effects)
     made = []
     for finding in found:
         places = {t.key for t in finding.terms}
+        open_place = not weighed and any(t.elastic for t in finding.terms)
         left_out = in_model.isdisjoint(places)
         parameters = []
         for slot in fit.slots:
@@ -284,6 +289,7 @@ def complete_findings(
             "commanded_mm": (1e3 * commanded.before, 1e3 * commanded.after),
             "action": finding.terms[0].advice(arm),
             "left_out": left_out,
+            "doubts": (*finding.doubts, *((UNWEIGHED,) if open_place else ())),
         }
         made.append(finding.model_copy(update=values))
     return tuple(made)

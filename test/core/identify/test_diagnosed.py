@@ -25,6 +25,7 @@ from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.findings import UNWEIGHED
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 
@@ -122,7 +123,7 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
     (finding,) = found.findings
     assert "joint_compliance" in finding.names and "gear_eccentricity" not in finding.names
     assert "joint 2" in finding.where
-    assert "declares no weight" in found.summary
+    assert "declares no weight" in found.summary and UNWEIGHED in finding.doubts
     calibrated, written = (found.proof.rows[name].mean for name in ("calibrated", found.written))
     assert written < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA < 0.6 * calibrated
     (held,) = (e for e in found.model.effects if e.through_others)

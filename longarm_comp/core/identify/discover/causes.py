@@ -115,10 +115,8 @@ def _places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]
 
 def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
     """Say what the data leave open about functions: few positions of a joint, a threshold in a gap
-    of the data, weights that are not declared."""
+    of the data."""
     made = []
-    if any(effect.through_others for effect in fit.model.effects):
-        made.append("arm.yaml declares no weight, so which part yields is not sure")
     for shape in _shapes(found):
         if _on_few(fit, shape):
             made.append(f"{shape.of} was measured at few positions; between them it is a guess")
