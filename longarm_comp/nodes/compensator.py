@@ -16,6 +16,7 @@ from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.online import StaleContext, check_inside
 from longarm_comp.core.compensation.result import CompensationOptions, Method, Status
+from longarm_comp.core.compensation.target_frame import MEASURED
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
@@ -24,7 +25,7 @@ from longarm_comp.core.model.link_frames import describe_entry
 from longarm_comp.nodes.answers import Answer, Refusal, TargetRequest, target_of
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns, steady_timer
-from longarm_comp.nodes.frames import FrameListener
+from longarm_comp.nodes.frames import FrameListener, prefix_of
 from longarm_comp.nodes.health import OK, WARN, Report, Twins
 from longarm_comp.nodes.messages import joints_message, joints_of, pose_message
 from longarm_comp.nodes.params import Param
@@ -51,6 +52,7 @@ class Compensator:
         self._declared = declared_model(state.arm)
         self._frames = frames
         self._base_frame = state.base_frame
+        self._measured = prefix_of(state.node) + MEASURED
 
     def kind(self) -> Hashable:
         """Return what a target's programs depend on: model, options, and which circumstances are
@@ -105,9 +107,11 @@ class Compensator:
         if target.execute and (why := self._state.worker.failing):
             raise Refusal(Status.NOT_READY, f"not sent: {why}")
         loaded = self._files.loaded
-        stands = loaded.stands
+        stands, model = loaded.stands, loaded.model
+        if not self._frames.hangs_on(target.pose.header.frame_id, self._measured):
+            model = stands.promising(model)
         compensate = partial(
-            compensate_move, loaded.model, target=stands.carried(place), start=start, seed=seed,
+            compensate_move, model, target=stands.carried(place), start=start, seed=seed,
             history=self._state.driver.history, position_only=target.position_only,
             context_after=partial(
                 self._state.readings.context, physics_of(loaded.model, options.method),

@@ -99,6 +99,11 @@ class FrameListener:
                     if not self._told.wait(end - time.monotonic()):
                         raise
 
+    def hangs_on(self, frame: str, other: str) -> bool:
+        """True if a frame is another one, or tf tells it in one that is."""
+        with self._told:
+            return self._tree.hangs_on(frame, other)
+
     def know(self, frames: Sequence[Placed]) -> None:
         """Take over frames that stand still, as if tf had published them."""
         with self._told:

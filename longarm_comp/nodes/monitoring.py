@@ -76,8 +76,9 @@ class ReadingsTeller:
         now = self._state.standing
         if now is None:
             return None
-        state = self._state
-        stands, found = state.files.loaded.stands, tip_by_readings(*now)
+        state, (model, q, context) = self._state, now
+        stands = state.files.loaded.stands
+        found = tip_by_readings(stands.promising(model), q, context)
         found = self.last = replace(found, tip=stands.asked(found.tip))
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = np.nan_to_num(found.doubt.covariance)

@@ -190,7 +190,7 @@ class _TrajectoryCompensator(ArmNode):
         history = History.unknown(self._arm.n) if self._following else self._driver.history
         try:
             compensate = partial(
-                compensate_path, loaded.model,
+                compensate_path, loaded.stands.promising(loaded.model),
                 plan=self._plan(request.trajectory, start).seen_from(loaded.stands.motion),
                 start=start, history=history, limits=self._limits,
                 context_at=partial(self._state.context, model=physics),

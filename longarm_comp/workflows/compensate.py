@@ -195,11 +195,12 @@ def compensate(
     ):
         still = np.zeros(model.arm.n)
         made: dict[int, Arrival] = {}
-        for ndim in {goal.ndim for goal in goals}:  # positions, poses
-            ids = [k for k, goal in enumerate(goals) if goal.ndim == ndim]
+        kinds = [(goal.ndim, placed.frame) for goal, placed in zip(goals, placements, strict=True)]
+        for kind in dict.fromkeys(kinds):  # positions or poses, of either frame
+            ids = [k for k, other in enumerate(kinds) if other == kind]
             context = after(told.take(np.array(ids)), unknown)
             outcomes = compensate_each(
-                model,
+                placements[ids[0]].promising(model),
                 predictor,
                 np.array([to[k] for k in ids]),
                 context=context,
@@ -216,7 +217,7 @@ def compensate(
     for k, target in enumerate(to):
         sides = np.sign(np.broadcast_to(contexts[k].approach or 0.0, model.arm.n)).astype(float)
         arrival = compensate_move(
-            model,
+            placements[k].promising(model),
             predictor,
             target,
             start=at,

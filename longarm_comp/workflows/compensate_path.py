@@ -107,6 +107,7 @@ def compensate_path(
                     _each(max_acceleration, n, "max_acceleration"))  # fmt: skip
     start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
     first = start if seed is None else np.asarray(seed, float)
+    model = placements[0].promising(model)
     found = solve_path(
         model, predictor,
         PlannedPath(

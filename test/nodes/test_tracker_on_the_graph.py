@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,16 +22,34 @@ from small_arm import ARM as SMALL
 from small_arm import AWAY
 from visualization_msgs.msg import MarkerArray
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.drive_errors import GearEccentricity
-from longarm_comp.core.effects.geometry_errors import DhError
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.effects.geometry_errors import DhError, JointZero
+from longarm_comp.core.ik.engines import posture_at
+from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.core.model.uncertainty import ModelUncertainty
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, pose_message, sighting_of
 from longarm_interfaces.action import Reach
 
 BENT = Model(SMALL, (DhError(row=2, alpha=0.01), GearEccentricity(2, cosine=0.01, sine=-0.01)))
-KNOWN = BENT.plus(AWAY)
+
+
+def known_by_a_tracker() -> Model:
+    """The bent arm, its tracker's place, and what rows of a tracker do not tell: a turn of the
+    first joint's zero against one of the base."""
+    zero = JointZero(1, 0.0)
+    model, slots = BENT.plus(zero).plus(AWAY), slots_of(SMALL, (zero, AWAY))
+    q = np.random.default_rng(0).uniform(SMALL.lower, SMALL.upper, (20, SMALL.n))
+    columns = model.columns(posture_at(model, q, Context()), slots)[1].reshape(60, len(slots))
+    base = np.linalg.lstsq(columns[:, 1:], -columns[:, 0])[0]
+    together = 2e-3 * np.r_[1.0, base][:, None] * np.eye(len(slots))[:1]
+    none = np.zeros((3, 3))
+    record = ModelUncertainty(tuple(s.identity for s in slots), together, none, none, 1e-3, 200)
+    return dataclasses.replace(model, uncertainty=record)
+
+
 STANDS = AWAY.base(SMALL).matrix() @ np.linalg.inv(SMALL.base.frame().matrix())
 
 
@@ -77,7 +96,7 @@ class Scene:
 
     def calibrated(self) -> None:
         """Have both nodes read the model that knows the tracker's place."""
-        save_model(self.model, store(KNOWN))
+        save_model(self.model, store(known_by_a_tracker()))
         for node in ("kinematics", "trajectory_compensator"):
             self.stage.spin(lambda node=node: "loaded" in self.part(f"{node}: model").message)
 
@@ -148,6 +167,7 @@ def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
         at = story.pseudo_target.pose.position
         np.testing.assert_allclose([at.x, at.y, at.z], target, atol=1e-9)
         assert story.target.header.frame_id == "base"
+        assert (story.sigma > 2e-4) == (frame == "base")  # else what is not known cancels
     assert "as expected" in scene.part("kinematics: monitor").message
     told = scene.latest(scene.seen)
     assert told.header.frame_id == "base"

@@ -113,6 +113,10 @@ class FrameTree:
         up, down = (self._in_ancestor(way, t_ns) for way in ways)
         return np.asarray(np.linalg.inv(down) @ up)
 
+    def hangs_on(self, frame: str, other: str) -> bool:
+        """True if a frame is another one, or was told in one that is."""
+        return other in self._line(frame)
+
     def _line(self, name: str) -> list[str]:
         """Return a frame, its parent, and so on to the root."""
         line = [name]

@@ -56,6 +56,21 @@ class Placement:
             f"rpy {', '.join(turned)} deg in the frame of the measurements, {how}"
         )
 
+    def promising(self, model: Model) -> Model:
+        """Return the model with the record of what is not known at targets of this frame.
+
+        Targets in the frame of the measurements lie where the rows lay: what the fit does not know
+        of the base and of the joints' zeros cancels. From the arm's own base only the arm counts.
+        """
+        if self.frame == MEASURED or not self.solved or model.uncertainty is None:
+            return model
+        if "promising_from_base" not in model.memo:
+            bases = [e for e in model.effects if e.base(model.arm) is not None]
+            known = model.uncertainty.without({s.identity for s in slots_of(model.arm, bases)})
+            model.memo["promising_from_base"] = replace(model, uncertainty=known)
+        made: Model = model.memo["promising_from_base"]
+        return made
+
     def carried(self, target: np.ndarray) -> np.ndarray:
         """Carry targets (..., 3) or (..., 4, 4) to the frame of the model."""
         return carry_place(self.motion, target)

@@ -12,8 +12,8 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from statistics import NormalDist
 
@@ -54,6 +54,12 @@ class ModelUncertainty:
     def row(self) -> dict[_Identity, int]:
         """Row of the factor by identity."""
         return {identity: k for k, identity in enumerate(self.slots)}
+
+    def without(self, slots: Collection[_Identity]) -> ModelUncertainty:
+        """Return the record of the other parameters, whatever these are."""
+        kept = [k for k, identity in enumerate(self.slots) if identity not in slots]
+        names = tuple(self.slots[k] for k in kept)
+        return replace(self, slots=names, factor=triangular(self.factor[kept]))
 
     def carry_to_tip(self, columns: np.ndarray, slots: Sequence[_Identity]) -> np.ndarray:
         """(N, 3, 3) m^2 that the parameters bring to the tip.
