@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict
 
 import numpy as np
@@ -152,8 +153,16 @@ def _held_out(diagnosis: Diagnosis, sigma_mm: tuple[float, float, float] | None)
         after=after,
         before_after_ci95_mm=seen,
         commanded_ci95_mm=commanded,
-        not_commanded=not_commanded(diagnosis.model, diagnosis.held_out),
+        not_commanded=_left_out_by_commands(diagnosis),
     )
+
+
+def _left_out_by_commands(diagnosis: Diagnosis) -> list[str]:
+    """Name what commands leave out: of the model to use, and of those that the proof is by."""
+    own = not_commanded(diagnosis.model, diagnosis.held_out)
+    folds = [not_commanded(f.fits[diagnosis.written].model, f.rows) for f in diagnosis.folds]
+    other = Counter(said for fold in folds for said in fold if said not in own)
+    return [*own, *(f"{said} in {n} of {len(folds)} folds" for said, n in other.items())]
 
 
 def _outliers(diagnosis: Diagnosis) -> list[record.Outlier]:

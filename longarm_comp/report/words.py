@@ -160,7 +160,8 @@ def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
     `commanded`: as a command would have it; `between`: what a command leaves out, where it differs
     from `seen`, which is else empty. `between_mm`: the error of the stage from which what was found
     is counted, and its name. `proof`: what the interval says. `camera`: a finding is on the
-    measuring side. None: there are no rows.
+    measuring side. `expected`: the error that a command may expect, if that is right with the
+    probability of its name. None: there are no rows.
     """
     held = report.held_out
     rows = {row.model: row for row in held.rows}
@@ -184,7 +185,8 @@ def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
             proof = f"The mean falls by {interval(pair, 3)} mm (95 %)."
         elif pair[1] < 0:
             proof = f"The mean grows by {rise} mm (95 %)."
-    camera = any(said.endswith(MEASURING_SIDE) for said in held.not_commanded)
+    camera = any(MEASURING_SIDE in said for said in held.not_commanded)
+    expected = {} if report.written is None else report.written.expected_commanded_mm
     return {
         "stages": (STAGES[first.model], STAGES[after.model]),
         "commanded": commanded,
@@ -193,6 +195,7 @@ def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
         "proof": proof,
         "between": held.not_commanded if differs else [],
         "camera": camera and bool(report.findings),
+        "expected": millimetres(expected[held.after]) if held.after in expected else "",
     }
 
 

@@ -231,6 +231,19 @@ def test_what_is_said_of_the_gain_is_what_its_interval_says(told: list[Told]) ->
         assert ("The mean grows by" in words) == (high < 0)
 
 
+def test_what_the_folds_leave_out_of_commands_is_said_where_the_model_holds_it() -> None:
+    """All folds found a camera's drift; the fit of all rows explains it by the arm."""
+    found = real()
+    by_the_arm = {**found.fits, found.written: found.fits["calibrated"]}
+    report = build_report(dataclasses.replace(found, fits=by_the_arm), "0" * 64)
+    n = len(found.folds)
+    assert f"camera_drift (measuring side) in {n} of {n} folds" in report.held_out.not_commanded
+    gain = words.improvement(report)
+    assert gain is not None and gain["camera"] and gain["expected"].endswith("mm")
+    own = build_report(found, "0" * 64).held_out.not_commanded
+    assert "camera_drift (measuring side)" in own and not any("folds" in said for said in own)
+
+
 def test_no_line_of_the_table_is_below_the_noise(told: list[Told]) -> None:
     for _, page in told:
         rows = page.tables["errors"]
