@@ -159,6 +159,7 @@ def at_the_tip(
         xscale="log", ylim=(0, 1.02), xlabel=f"|{error}|, mm (log scale)",
         ylabel=f"share of {rows}", title=f"Share of {rows} below an error",
     )  # fmt: skip
+    left.xaxis.set_major_formatter("{x:g}")
     left.legend(fontsize=8, loc="best")
     right.axhline(0, color=INK, linewidth=0.8)
     right.set_xticks(range(3), ["x", "y", "z"])
@@ -166,7 +167,8 @@ def at_the_tip(
         ylabel=f"{error}, mm", yscale="symlog", title="Per axis: quartiles and 95 % range\n(from "
         "left to right in the order of the legend)",
     )  # fmt: skip
-    drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.13, top=0.86, wspace=0.2)
+    right.yaxis.set_major_formatter("{x:g}")
+    drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.13, top=0.86, wspace=0.25)
     return drawn
 
 

@@ -88,6 +88,8 @@ def believe(model: Model, session: Session) -> _Belief | None:
         axes = _find_mistake_of_axes(model, session)
         if axes is not None:
             return dataclasses.replace(belief, mistake=axes[0], fall=axes[1])
+        if (session.located & session.turned).any():  # axes of the tip show every sign
+            return belief
         some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
         signs = _find_unknown_signs(model, seen.take(some), found.misfit)
         return dataclasses.replace(belief, signs=signs)

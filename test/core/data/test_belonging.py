@@ -13,6 +13,7 @@ from small_arm import ARM as SMALL
 
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.quaternion import from_rotation
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.belonging import MIN_POSES, believe, mistakes
@@ -177,6 +178,9 @@ def test_a_sign_that_does_not_move_the_tip_is_said_to_be_untold(
     (part,) = laser_tracked(data_dir, name)
     said = [f for f in admit(part.train, part.arm).findings if f.check == "sign"]
     assert [f.field for f in said] == [last] and "does not show" in said[0].message
+    axes = np.array([from_rotation(m[:3, :3]) for m in Model(part.arm).pose(part.train.q)])
+    posed = Session.record(part.train.q, part.train.xyz, readings={"orientation": axes})
+    assert all(f.check != "sign" for f in admit(posed, part.arm).findings)  # axes show it
     negated = joint(part.arm.n - 1, np.negative)
     left = []
     for train, test in ((part.train, part.test), (negated(part.train), negated(part.test))):
