@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import exaggerated, outline
+from longarm_comp.core.model.link_frames import exaggerate_sag, outline
 from longarm_comp.core.model.model import Model
 from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
@@ -24,8 +24,8 @@ def deflection(figure: Figure) -> None:
     arm = Arm.load(folder("config") / "arm_demo.yaml")
     straight, bent = outline(Model(arm), arm.mid), outline(declared_model(arm), arm.mid)
     true = TrueArm(arm).tip(arm.mid)
-    shown = 1e3 * exaggerated(bent, straight, _SAG_TIMES)
-    tip = 1e3 * exaggerated(true[None], straight[-1:], _SAG_TIMES)[0]
+    shown = 1e3 * exaggerate_sag(bent, straight, _SAG_TIMES)
+    tip = 1e3 * exaggerate_sag(true[None], straight[-1:], _SAG_TIMES)[0]
     axes.plot(*(1e3 * straight[:, [0, 2]].T), color=GREY, lw=5, ls=(0, (2, 0.6)), label="straight")
     axes.plot(*shown[:, [0, 2]].T, color=BLUE, lw=3, label=f"bent, sag × {_SAG_TIMES:g}")
     axes.plot(*tip[[0, 2]], "o", ms=11, mfc="none", mec=VERMILLION, mew=2,

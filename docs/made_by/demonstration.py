@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import longarm_comp as la
-from longarm_comp.core.model.link_frames import exaggerated, outline
+from longarm_comp.core.model.link_frames import exaggerate_sag, outline
 from longarm_comp.jobs.demo import DECLARED, FOUND, LEARNED, ORIGINAL
 from longarm_comp.share import folder
 
@@ -90,7 +90,7 @@ def bent_and_straight(demo: Demonstration) -> Callable[[Figure], None]:
         moves = np.linalg.norm(np.diff(straight, axis=0), axis=1) > 1e-3
         kept = [0, *np.flatnonzero(moves) + 1, -1]  # one station at each place
         straight, bent = straight[kept], bent[kept]
-        shown = exaggerated(bent, straight, _BENT_TIMES)
+        shown = exaggerate_sag(bent, straight, _BENT_TIMES)
         _arm(side, straight, GREY, 6, (0, (1.6, 0.5)), "as declared: straight")
         _arm(side, shown, BLUE, 4, "-", f"real arm, error × {_BENT_TIMES:g}")
         side.plot(*(1e3 * target[[0, 2]]), "+", color=INK, ms=20, mew=2.5, label="target")
