@@ -4,8 +4,9 @@ PYTHON ?= python3
 # dies ends the run with its name and test: pytest-xdist gives a new one the same test, and hangs.
 WORKERS ?= 4
 # The middleware has once left a reader beside a writer without a message for 300 s, in some hundred
-# runs of the suite. A test that waited in vain runs once more; the summary names it.
-AGAIN := --reruns 1 -rR --only-rerun 'not within [0-9]+ s'
+# runs of the suite, and an emulated servo is a thread of its test. A test that waited for either in
+# vain runs once more; the summary names it.
+AGAIN := --reruns 1 -rR --only-rerun 'not within [0-9]+ s|servos did not answer in time'
 SPREAD := -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0 $(AGAIN)
 PYTEST_ARGS ?= -m 'not long' $(SPREAD)
 

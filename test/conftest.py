@@ -8,6 +8,7 @@ for _pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_pool, "1")  # tests run side by side; read when numpy is first imported
 
 import fcntl
+import gc
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -61,6 +62,22 @@ def state_of_this_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Non
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_long_collections(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Keep emulated servos within a driver's patience.
+
+    Python's collector stops every thread while it scans the heap: after a thousand tests, on a busy
+    machine, for half a second.  So it scans what these files make, not what was there before.
+    """
+    emulated = request.path.parent.name in ("devices", "nodes", "jobs")
+    if emulated:
+        gc.collect()
+        gc.freeze()
+    yield
+    if emulated:
+        gc.unfreeze()
 
 
 @pytest.fixture(scope="session")
