@@ -90,7 +90,7 @@ def test_a_registry_out_of_reach_is_no_failure(machine: Machine) -> None:
 
 def test_a_worker_that_dies_ends_the_run_with_its_name(tmp_path: Path) -> None:
     """As the garbage collector died in one once, and the others waited for ever."""
-    asks = "include Makefile\nshown: ; @printf '%s' '$(SPREAD)'"
+    asks = "include Makefile\n$(info $(SPREAD))\nshown: ; @:"
     words = ["make", "-s", "-f", "-", "shown", "WORKERS=2"]
     options = subprocess.run(
         words, cwd=ROOT, input=asks, capture_output=True, text=True, check=True
