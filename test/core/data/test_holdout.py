@@ -19,7 +19,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.posterior.explain import _Search, explain_session
-from longarm_comp.core.identify.posterior.explained import ExplainedSession
+from longarm_comp.core.identify.posterior.explained import ExplainedSession, judge_noise_and_fit
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.resampled import SAMPLES
 from longarm_comp.core.identify.practical import Gain
@@ -79,7 +79,7 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
     rows = session([drives.JointGain(at(2, 0.02))])
     useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
     search = _Search(Model(ARM), rows, [], None, (), lambda _: None, nameless=True)
-    first = search._judge_noise_and_fit(search.base, (), None)
+    first = judge_noise_and_fit(search.base, rows, [])
     poor = search._fit_with(first, (FoundEffect((useless,), 1.0, 0.0),))
     assert poor is not None
     rows_of, explain = [], _Search._repeat

@@ -13,10 +13,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from longarm_comp.core.calibration import noise as noise_step
-from longarm_comp.core.calibration.candidates import Candidate, distinct
-from longarm_comp.core.calibration.fit import compare_unfitted, fit
-from longarm_comp.core.calibration.fit_columns import FitColumns
+from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.holdout import split_in_half
@@ -31,7 +29,9 @@ from longarm_comp.core.identify.model_tolerance import (
 )
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.explained import (
+    NEAR,
     ExplainedSession,
+    judge_noise_and_fit,
     loosen,
     put_in,
     without_idle,
@@ -52,11 +52,7 @@ from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
 
 ROUNDS = 8
-"""Of posterior and fit at most, of the library and then of functions; of forms within one. Three
-are usual."""
-NEAR = 0.3
-"""Last step of a fit between rounds, in standard errors: the next would be a tenth of it or less.
-The last fit converges."""
+"""Most rounds of posterior and fit, of one kind, and of forms within one; three are usual."""
 
 
 def explain_session(
@@ -106,7 +102,7 @@ class _Search:
 
     def run(self, functions: bool, seed: int) -> ExplainedSession:
         self.say("geometry")
-        state = self._judge_noise_and_fit(self.base, (), None)
+        state = judge_noise_and_fit(self.base, self.session, self.candidates, known=self.known)
         if any(t.through_others for t in self.base.terms):  # what yields a little tells of weights
             state = replace(state, fit=with_background(state.fit, self.candidates))
             self.usual = frozenset(t.key for t in state.fit.model.terms)
@@ -154,8 +150,7 @@ class _Search:
         )
 
     def _repeat(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
-        """Explain and fit while a better explanation is found; with `functions`, propose new ones
-        each time."""
+        """Explain and fit while that is better; with `functions`, propose new ones each time."""
         for _ in range(ROUNDS):
             self._scan(state)
             if functions:
@@ -223,8 +218,7 @@ class _Search:
     def _standing(
         self, fitted: ModelFit, found: Sequence[FoundEffect]
     ) -> tuple[float, ModelTolerance]:
-        """Return the log evidence of an explanation in the model, and the tolerance where it is
-        highest."""
+        """Return the log evidence of an explanation at its best tolerance, and that tolerance."""
         every = self._offer_by_tolerance(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
@@ -380,31 +374,14 @@ class _Search:
         """Fit the model with these effects; None where the fit diverges."""
         model = put_in(self.base, state.fit.model, found)
         try:
-            return self._judge_noise_and_fit(model, found, state)
+            return judge_noise_and_fit(
+                model, self.session, self.candidates, found, state, known=self.known
+            )
         except JobError:
             return None
 
-    def _judge_noise_and_fit(
-        self, model: Model, found: tuple[FoundEffect, ...], before: ExplainedSession | None
-    ) -> ExplainedSession:
-        """Judge the noise by the residual of all that the library could explain, then fit."""
-        if before is None or not found:
-            first = fit(model, self.session)
-            at = FitColumns(first)
-        else:
-            first, at = compare_unfitted(model, self.session, before.fit), FitColumns(before.fit)
-        held = {t.key for f in found for t in f.terms}
-        judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
-        noise = judged if self.known is None else noise_step.limit_by_repeats(self.known, judged)
-        fitted = fit(
-            first.model, self.session, sigma=noise.sigma, rho=noise.rho, weights=weights,
-            close=NEAR, begun=first,
-        )  # fmt: skip
-        return ExplainedSession(fitted, found, noise)
-
     def _move_forms(self, state: ExplainedSession) -> ExplainedSession:
-        """Move forms on a scale to where the evidence is highest, while more rows agree with the
-        model."""
+        """Move forms on a scale to where the evidence is highest, while more rows agree."""
         for _ in range(ROUNDS):
             terms = [t for f in state.found for t in f.terms]
             moved = better_forms(state.fit, terms, self.candidates)

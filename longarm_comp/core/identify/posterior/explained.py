@@ -6,15 +6,22 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from longarm_comp.core.calibration.candidates import Candidate, Term
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration import noise as noise_step
+from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
+from longarm_comp.core.calibration.fit import compare_unfitted, fit
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
 from longarm_comp.core.identify.posterior.found import NONE, FoundEffect
 from longarm_comp.core.identify.posterior.resampled import Resampling
 from longarm_comp.core.model.model import Model
+
+NEAR = 0.3
+"""Last step of a fit between rounds, in standard errors: the next would be a tenth of it or less.
+The last fit converges."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,38 @@ class ExplainedSession:
     def need(self) -> float:
         """Log Bayes factor from which on a candidate is more likely there than not."""
         return NONE + math.log(max(len(self.candidates), 1))
+
+
+def judge_noise_and_fit(
+    model: Model,
+    session: Session,
+    candidates: Sequence[Candidate],
+    found: tuple[FoundEffect, ...] = (),
+    before: ExplainedSession | None = None,
+    *,
+    known: NoiseEstimate | None = None,
+) -> ExplainedSession:
+    """Judge the noise by the residual of all that the library could explain, then fit.
+
+    Args:
+        model: holds what was found.
+        candidates: the library.
+        before: what was fitted before; the columns are those of its fit.
+        known: the noise by repeats, if there are any.
+    """
+    if before is None or not found:
+        first = fit(model, session)
+        at = FitColumns(first)
+    else:
+        first, at = compare_unfitted(model, session, before.fit), FitColumns(before.fit)
+    held = {t.key for f in found for t in f.terms}
+    judged, weights = noise_step.from_residual(first, at.of(distinct(candidates, held)))
+    noise = judged if known is None else noise_step.limit_by_repeats(known, judged)
+    fitted = fit(
+        first.model, session, sigma=noise.sigma, rho=noise.rho, weights=weights, close=NEAR,
+        begun=first,
+    )  # fmt: skip
+    return ExplainedSession(fitted, found, noise)
 
 
 def without_idle(fitted: ModelFit) -> ModelFit:
