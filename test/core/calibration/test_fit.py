@@ -391,11 +391,9 @@ def test_what_a_solver_rounds_beyond_a_bound_is_no_value(monkeypatch: pytest.Mon
 
     def rounded(*problem: Any) -> Any:
         found = exact(*problem)
-        beyond = found.u - 1e-17 * (found.u == 0.0)
-        return dataclasses.replace(found, u=beyond)
+        return dataclasses.replace(found, u=found.u - 1e-17 * (found.u == 0.0))
 
-    yields = JointCompliance.for_arm(HEAVY)[1]
-    model = declared_model(HEAVY).plus(yields)
+    model = declared_model(HEAVY).plus(JointCompliance.for_arm(HEAVY)[1])
     q = np.random.default_rng(1).uniform(HEAVY.lower, HEAVY.upper, (20, HEAVY.n))
     lifted = model.with_values(np.array([-1e-3])).tip(q)  # against its load
     monkeypatch.setattr(linear, "solve_products", rounded)
