@@ -14,10 +14,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from kinematics_inside import kinematics_inside
 from nodes_bench import Bench
-from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64
 from watched_kinematics import Watched
@@ -37,30 +36,11 @@ STATUS = Compensate.Response
 @pytest.fixture
 def inside(stage: Bench, demo_arm_path: Path) -> Iterator[Kinematics]:
     """The node in this process, so that a test can break parts of it."""
-    given = {
-        "arm": demo_arm_path, "compiled": "false", "acknowledged": "false", "method": "deflection",
-        "diagnostics_period_s": 0.1, "target_max_age_s": 60.0, "joints_max_age_s": 60.0,
-    }  # fmt: skip
-    words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
-    rclpy.init(args=["--ros-args", *words])
-    executor = SingleThreadedExecutor()
-    node = Kinematics(executor)
-    executor.add_node(node)
-    over = threading.Event()
-
-    def spin() -> None:
-        while not over.is_set():
-            executor.spin_once(timeout_sec=0.1)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    yield node
-    over.set()
-    thread.join()
-    node.close()
-    executor.shutdown(timeout_sec=1.0)
-    node.destroy_node()
-    rclpy.try_shutdown()
+    with kinematics_inside(
+        arm=demo_arm_path, compiled="false", acknowledged="false", method="deflection",
+        diagnostics_period_s=0.1, target_max_age_s=60.0, joints_max_age_s=60.0,
+    ) as node:  # fmt: skip
+        yield node
 
 
 class Moving(Watched):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -13,10 +12,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-import rclpy
 from builtin_interfaces.msg import Time
+from kinematics_inside import kinematics_inside
 from nodes_bench import Bench
-from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 from watched_kinematics import Watched
@@ -137,30 +135,11 @@ def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(
 @pytest.fixture
 def inside(stage: Bench, demo_arm_path: Path) -> Iterator[Kinematics]:
     """The node in this process, on a clock that the test tells."""
-    given = {
-        "arm": demo_arm_path, "compiled": "false", "acknowledged": "false", "method": "deflection",
-        "use_sim_time": "true", "joints_max_age_s": 1.0, "diagnostics_period_s": 0.1,
-    }  # fmt: skip
-    words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
-    rclpy.init(args=["--ros-args", *words])
-    executor = SingleThreadedExecutor()
-    node = Kinematics(executor)
-    executor.add_node(node)
-    over = threading.Event()
-
-    def spin() -> None:
-        while not over.is_set():
-            executor.spin_once(timeout_sec=0.1)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    yield node
-    over.set()
-    thread.join()
-    node.close()
-    executor.shutdown(timeout_sec=1.0)
-    node.destroy_node()
-    rclpy.try_shutdown()
+    with kinematics_inside(
+        arm=demo_arm_path, compiled="false", acknowledged="false", method="deflection",
+        use_sim_time="true", joints_max_age_s=1.0, diagnostics_period_s=0.1,
+    ) as node:  # fmt: skip
+        yield node
 
 
 def test_whatever_the_clock_does_targets_and_joints_are_judged_by_it_and_loops_go_on(

@@ -1,0 +1,37 @@
+"""`kinematics` in the process of a test, which may break parts of it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+from longarm_comp.nodes.kinematics import Kinematics
+
+
+@contextmanager
+def kinematics_inside(**parameters: object) -> Iterator[Kinematics]:
+    """Spin the node in a thread of this process, with these parameters."""
+    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    rclpy.init(args=["--ros-args", *words])
+    executor = SingleThreadedExecutor()
+    node = Kinematics(executor)
+    executor.add_node(node)
+    over = threading.Event()
+
+    def spin() -> None:
+        while not over.is_set():
+            executor.spin_once(timeout_sec=0.1)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    yield node
+    over.set()
+    thread.join()
+    node.close()
+    executor.shutdown(timeout_sec=1.0)
+    node.destroy_node()
+    rclpy.try_shutdown()
