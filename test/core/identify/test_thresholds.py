@@ -19,7 +19,7 @@ from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.posterior.explain import explain_session
-from longarm_comp.core.identify.posterior.forms import refine_form
+from longarm_comp.core.identify.posterior.forms import _highest, refine_form
 from longarm_comp.core.model.model import Model
 
 PLAY = Backlash(6, gate=0.1, blend=0.01, width=0.03)
@@ -81,3 +81,14 @@ def test_the_search_ends_at_a_threshold_between_two_that_are_tried(arm: Arm, see
     )
     assert play_of(found.fit).gate == pytest.approx(0.2, abs=0.005)
     assert len(found.fit.outliers) <= 1
+
+
+def test_a_form_at_the_end_of_its_scale_stays_on_it() -> None:
+    """A mean of ends was the end and a rounding more: a file that could not be read again."""
+    term = Backlash(joint=1, gate=0.1, blend=0.1)
+    scales = term.scales()
+    grid = np.array([[high for _, high in scales.values()]] * 7)
+    for seed in range(20):
+        draw = np.random.default_rng(seed)
+        found = _highest(term, grid, lambda terms, d=draw: 9.0 * d.random(len(terms)))
+        assert all(low <= getattr(found, f) <= high for f, (low, high) in scales.items())

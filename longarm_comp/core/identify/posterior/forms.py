@@ -96,7 +96,8 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
     while closer:
         found = worth([_at(term, fields, point) for point in grid])
         chances = np.exp(found - found.max())
-        centre = chances @ grid / chances.sum()
+        mean = chances @ grid / chances.sum()
+        centre = np.clip(mean, grid.min(axis=0), grid.max(axis=0))  # rounding may leave the scale
         looked = [_at(term, fields, point) for point in (centre, grid[int(np.argmax(found))])]
         closer = False
         for moved, now in zip(looked, worth(looked).tolist(), strict=True):
