@@ -150,6 +150,11 @@ class Arm(Declared):
         return tuple(masses)
 
     @cached_property
+    def usual_mass_kg(self) -> float:
+        """Weight of an arm that declares none, a kilogram a metre."""
+        return sum(mass for *_, mass in self.usual_masses)
+
+    @cached_property
     def commanded(self) -> tuple[int, ...]:
         """Row ids of the commanded joints, in the order of q."""
         return tuple(j.id for j in self.joints if j.commanded)

@@ -42,6 +42,7 @@ from longarm_comp.core.effects.masses import (
     GravityDirection,
     LinkMass,
     TipPayload,
+    UndeclaredDrive,
     UndeclaredWeight,
 )
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
@@ -80,7 +81,7 @@ GROUP = "longarm_comp.effects"
 _OURS: tuple[Kind, ...] = (
     *(JointZero, DhError, CylinderPins, BasePose, TipOffset, TipOrientation, AnchorPlace),
     *(SensorPlace, TouchPlace, TouchBeside, PlanePlace, CameraPose, Encoder, LinkDeflection),
-    UndeclaredWeight,
+    *(UndeclaredWeight, UndeclaredDrive),
     *(JointCompliance, BearingTilt, LinkStiffness, TipPayload, LinkMass, TelescopeClearance),
     *(LinkBending, SlidePlay, GuideCurvature, BaseCompliance, BaseSettling, MeasuredTilt),
     *(GravityDirection, Backlash, CylinderPlay, FrictionHysteresis, GearEccentricity, JointGain),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Lumped, Posture, Twists
-from longarm_comp.core.arm.spatial import ZERO, Vec, add, cross
+from longarm_comp.core.arm.spatial import ZERO, Scalar, Vec, add, cross
 from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
 from longarm_comp.core.effects.sites import moving_joints, rows
 from longarm_comp.core.effects.typical_loads import typical_loads
@@ -78,10 +79,10 @@ class LinkMass(_Weight):
 
 @dataclass(frozen=True)
 class UndeclaredWeight(_Weight):
-    """The weight of an arm that declares none: a kilogram a metre, and what the rows say.
+    """The weight of an arm that declares none: a kilogram a metre of its links, or at its tip.
 
-    The rows tell only the products of weights and what yields under them.  So the kilogram stays as
-    it is, and the sizes of compliances are relative to it.
+    The rows tell only the products of weights and what yields under them.  So the whole weight is
+    given, and the sizes of compliances are relative to it.  `UndeclaredDrive` is a part of it, too.
     """
 
     name = "undeclared_weight"
@@ -90,10 +91,7 @@ class UndeclaredWeight(_Weight):
     searched = False
     through_others = True
 
-    tip: float = parameter("kg", "mass at the tip beyond a kilogram a metre", prior=0.3, lower=0.0)
-    drives: float = parameter(
-        "kg", "mass at every joint beyond a kilogram a metre", prior=0.3, lower=0.0
-    )
+    tip: float = parameter("kg", "what weighs at the tip, not along the links", 0.3, lower=0.0)
     guides: float = parameter(
         "kg", "mass a metre of what every slide moves in", prior=1.0, lower=0.0
     )
@@ -103,24 +101,59 @@ class UndeclaredWeight(_Weight):
         return [] if arm.weighed else [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Priors: a quarter of the arm's weight at the tip, and another shared by the joints; a
-        guide weighs as much as its slide."""
-        quarter = typical_loads(arm).force / 9.81 / 4
-        shares = self.with_prior(quarter, quarter / len(moving_joints(arm)), 1.0)
-        return shares if _guides(arm) else shares[:2]
+        """Priors: an equal share at every joint and at the tip; a guide weighs like its slide."""
+        shares = self.with_prior(_share(arm), 1.0)
+        return shares if _guides(arm) else shares[:1]
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         arm = posture.arm
         tip = Lumped(posture.frame(arm.tip.frame), self.tip, arm.tip.position_m)
-        drives = (Lumped(posture.frame(row), self.drives, ZERO) for row in moving_joints(arm))
         guides = (
             Lumped(posture.bearing(row), self.guides * abs(size), (0.0, 0.0, size / 2))
             for row, size in _guides(arm)
         )
-        usual = (
-            Lumped(posture.frame(row), mass, position) for row, position, mass in arm.usual_masses
-        )
-        return (tip, *drives, *guides, *usual)
+        return (tip, *guides, *_along_links(posture, arm.usual_mass_kg - self.tip))
+
+
+@dataclass(frozen=True)
+class UndeclaredDrive(_Weight):
+    """What of the weight of an arm that declares none is at a joint, not along the links.
+
+    Each joint has its own: the motor at an elbow, the gripper at a wrist.  What is at the first
+    joints loads nothing, and so leaves the links less.
+    """
+
+    name = "undeclared_drive"
+    title = "weight at a joint that is not declared"
+    action = "Weigh the drive with all that it carries, and declare it in arm.yaml."
+    searched = False
+    through_others = True
+
+    joint: int = place(moving_joints)
+    mass: float = parameter("kg", "what weighs at the joint, not along the links", 0.3, lower=0.0)
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        return [] if arm.weighed else [{"joint": row} for row in moving_joints(arm)]
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: an equal share at every joint and at the tip."""
+        return self.with_prior(_share(arm))
+
+    def masses(self, posture: Posture) -> tuple[Lumped, ...]:
+        here = Lumped(posture.frame(self.joint), self.mass, ZERO)
+        return (here, *_along_links(posture, -self.mass))
+
+
+def _share(arm: Arm) -> float:
+    return arm.usual_mass_kg / (len(moving_joints(arm)) + 1)
+
+
+def _along_links(posture: Posture, mass: Scalar) -> Iterator[Lumped]:
+    """Spread a mass along the links, by their lengths."""
+    share = mass / posture.arm.usual_mass_kg
+    every = posture.arm.usual_masses
+    return (Lumped(posture.frame(row), share * usual, at) for row, at, usual in every)
 
 
 def _guides(arm: Arm) -> list[tuple[int, float]]:

@@ -103,11 +103,8 @@ class _Search:
     def run(self, functions: bool, seed: int) -> ExplainedSession:
         self.say("geometry")
         state = judge_noise_and_fit(self.base, self.session, self.candidates, known=self.known)
-        if any(t.through_others for t in self.base.terms):  # what yields a little tells of weights
-            state = replace(state, fit=with_background(state.fit, self.candidates))
-            self.usual = frozenset(t.key for t in state.fit.model.terms)
-            self.usual -= frozenset(t.key for t in self.base.terms)
-        state = self._repeat(state)
+        weighed = not any(t.through_others for t in self.base.terms)
+        state = self._repeat(state) if weighed else self._start_soft(state)
         if functions:  # only beside the best of what has a name
             state, _, changed = self._compare_rivals(state)
             state = self._repeat(state) if changed else state
@@ -148,6 +145,20 @@ class _Search:
         return ExplainedSession(
             fitted, tuple(held), state.noise, tuple(left), tuple(self.candidates), tolerance, linear
         )
+
+    def _start_soft(self, state: ExplainedSession) -> ExplainedSession:
+        """Search also from each elastic effect at all its places; return the best explanation.
+
+        Only a fit moves the weights of an arm that declares none.  At those of another effect the
+        columns show the wrong part, and without what yields a little there are none.
+        """
+        state = replace(state, fit=with_background(state.fit, self.candidates))
+        self.usual = frozenset(t.key for t in state.fit.model.terms)
+        self.usual -= frozenset(t.key for t in self.base.terms)
+        families = (c.terms for c in self.candidates if len(c.terms) > 1 and c.terms[0].elastic)
+        begun = (self._fit_with(state, (FoundEffect(terms, 1.0, 0.0),)) for terms in families)
+        first, *others = (self._repeat(start) for start in (state, *begun) if start is not None)
+        return max((first, *others), key=lambda one: self._odds(first, one))
 
     def _repeat(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
         """Explain and fit while that is better; with `functions`, propose new ones each time."""
