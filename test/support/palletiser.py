@@ -51,7 +51,7 @@ def truth(rng: np.random.Generator) -> Model:
     """An arm as it was made: errors of its drawing's tolerances."""
     drawn = Model(PALLETISER).plus(*(t for t in geometry(PALLETISER, rows(np.zeros((4, 6))))))
     sizes = [0.0 if s.parameter.unknown else 0.3 * s.parameter.width for s in drawn.slots]
-    return drawn.with_values(sizes * rng.standard_normal(len(sizes)))
+    return drawn.with_values(np.array(sizes) * rng.standard_normal(len(sizes)))
 
 
 def rows(commanded: np.ndarray, made: Model | None = None, seed: int = 0) -> Session:
