@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -46,10 +47,15 @@ def forms(arm: Arm) -> Iterator[tuple[Effect, ...]]:
         placed = issubclass(kind, JointTerm) or (kind.searched and not kind.geometry)
         if placed and not kind.candidates(arm):
             continue  # another arm has a place for it
-        for group in kind.candidates(arm) or [kind.for_arm(arm) or (kind(),)]:
+        for group in kind.candidates(arm) or [kind.for_arm(arm) or (somewhere(kind),)]:
             at = by_form.setdefault(Candidate(kind.name, group).form, {})
             at.update({term.where: term for term in group})
         yield from (tuple(at.values()) for at in by_form.values())
+
+
+def somewhere(kind: type[Effect]) -> Effect:
+    """An effect that this arm has nowhere, at row 2."""
+    return kind(**{f.name: 2 for f in dataclasses.fields(kind) if f.default is dataclasses.MISSING})
 
 
 def valued(term: Effect, rng: np.random.Generator) -> Effect:

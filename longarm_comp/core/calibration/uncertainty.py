@@ -5,7 +5,8 @@ alike from row to row, so many rows count as few.  Therefore rows are left out, 
 joint's range at a time and in small random parts, and the error that the fit would then make at
 them is computed from the design (no fit is repeated).  An error that no parameter explains is added
 so that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann.
-Math. Artif. Intell. 74).
+Math. Artif. Intell. 74).  Where that is more than rows amid the others err, the error grows with
+the distance instead: the parameters are then known as by fewer rows.
 
 Not all of a fit's residual is noise.  At similar poses the arm behaves alike, so a fault that the
 model lacks looks as if the parameters changed with the joints.  The residual is white noise and
@@ -17,6 +18,7 @@ and by repeats, however few.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -39,6 +41,11 @@ PARTS, SMALL = 4, 20
 as many rows at least."""
 MOST = 1000
 """Rows that are left out, at most, evenly over the session: they tell 90 % to one percent."""
+TRIED = 12
+"""Numbers of rows that may count as one."""
+AMID = 0.95
+"""Of the rows amid the others, the share that is inside at most.  Rows that nobody fitted may err
+more than these: at 0.9, 55 % of WAM's are inside instead of 80 %."""
 HALVINGS = 30
 """Of a range: to nine digits."""
 
@@ -51,7 +58,7 @@ def with_uncertainty(fit: ModelFit) -> Model:
 
 def uncertainty(fit: ModelFit) -> ModelUncertainty:
     """Make the record of a fit from its errors at rows that are left out of it."""
-    kept = fit.weights > 0
+    kept, alike = fit.weights > 0, 1.0
     left_out = LeftOut.of(fit)
     if left_out is None:
         lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
@@ -59,7 +66,7 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
     else:
         spread = fit.residual[kept & fit.pointed][:, :3]
         noise = (1.0 - arm_share(fit)) * np.diag((spread**2).mean(axis=0))
-        structure = left_out.structure(noise)
+        alike, structure = left_out.explain(noise)
     # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
     # or that of the session's start, where that of any row may be meant; and that of the end, where
     # the base moved, or seemed to
@@ -78,7 +85,7 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
             circumstances[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
     record = ModelUncertainty(
         tuple(slot.identity for slot in fit.slots),
-        factor_of(fit.covariance),
+        math.sqrt(alike) * factor_of(fit.covariance),
         structure,
         noise,
         largest_m=0.0,
@@ -104,11 +111,13 @@ class LeftOut:
         error: (M, 3) m, measured - predicted without them.
         covariance: (M, 3, 3) m^2 by the parameters fitted without them.
         count: (M,) weight of each; one row's weights sum to 1.
+        amid: (M,) whether a row was left out amid the others, not with all that are near it.
     """
 
     error: np.ndarray
     covariance: np.ndarray
     count: np.ndarray
+    amid: np.ndarray
 
     @classmethod
     def of(cls, fit: ModelFit) -> LeftOut | None:
@@ -128,13 +137,13 @@ class LeftOut:
         gram += np.eye(len(gram))
         length = fit.sigma[:3] / np.sqrt(fit.weights[kept])[:, None]
         judged = np.unique(np.linspace(0, len(kept) - 1, MOST).round().astype(int))
-        errors, covariances, counts = [], [], []
+        errors, covariances, counts, amid = [], [], [], []
         places = None
         if touched is not None:  # points of known distances are one tool's: one place
             places = touched.copy()
             for first, second, *_ in fit.session.touch_distances:
                 places[places == second] = first
-        for division, share in _divisions(fit.session.q[kept], places):
+        for division, share, near in _divisions(fit.session.q[kept], places):
             for part in np.unique(division):
                 out = division == part
                 a = whole[here[out]]
@@ -150,26 +159,52 @@ class LeftOut:
                 errors.append(rows[mine, :, -1] + moved @ shift)
                 covariances.append(moved @ inverse @ np.swapaxes(moved, 1, 2))
                 counts.append(np.full(mine.sum(), share))
-        return cls(*(np.concatenate(each) for each in (errors, covariances, counts)))
+                amid.append(np.full(mine.sum(), near))
+        return cls(*(np.concatenate(each) for each in (errors, covariances, counts, amid)))
 
-    def structure(self, noise: np.ndarray) -> np.ndarray:
-        """Find the least further covariance (3, 3) m^2 that brings 90 % of the rows inside.
+    def explain(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
+        """Find the least errors that bring 90 % of the rows inside.
 
-        Its shape is that of the errors.
+        An error that no parameter explains is the same everywhere, and no larger than rows amid the
+        others err.  Where it would be more than nearly all of these err, they contradict it: then
+        the parameters are known less, because the rows err alike and many of them count as one.
 
         Args:
             noise: (3, 3) m^2, of the measurement.
+
+        Returns:
+            How many rows count as one, and the further covariance (3, 3), m^2.
+        """
+        amid = self.amid if self.amid.any() else ~self.amid
+        size, tried = np.linalg.norm(self.error, axis=1)[amid], []
+        for alike in np.geomspace(1.0, max(len(self.error), 2), TRIED).tolist():
+            structure, enough = self._structure(noise, alike, float(size.max()))
+            radius = sizes(alike * self.covariance[amid] + noise + structure)[1]
+            if enough and (size <= radius).mean() <= AMID:
+                return alike, structure
+            tried.append((float(np.median(radius)) if enough else math.inf, alike, structure))
+        best = min(reversed(tried), key=lambda one: one[0])  # the last, where none is enough
+        return best[1:]
+
+    def _structure(
+        self, noise: np.ndarray, alike: float, largest: float
+    ) -> tuple[np.ndarray, bool]:
+        """Find the least further covariance (3, 3) m^2 that brings 90 % of the rows inside.
+
+        Its shape is that of the errors, its size at most `largest`, m, and whether that is enough
+        is returned, too.
         """
         shape = np.einsum("n,ni,nj->ij", self.count, self.error, self.error)
         shape /= np.trace(shape) or 1.0
         size = np.linalg.norm(self.error, axis=1)
         wanted = LEVEL * (self.count.sum() + 1.0)
-        low, high = 0.0, float((size**2).max())
+        low, high, enough = 0.0, largest**2, False
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            inside = size <= sizes(self.covariance + noise + middle * shape)[1]
-            low, high = (low, middle) if self.count @ inside >= wanted else (middle, high)
-        return high * shape
+            inside = size <= sizes(alike * self.covariance + noise + middle * shape)[1]
+            reached = bool(self.count @ inside >= wanted)
+            low, high, enough = (low, middle, True) if reached else (middle, high, enough)
+        return high * shape, enough
 
 
 def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -190,22 +225,22 @@ def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, n
 
 def _divisions(
     q: np.ndarray, places: np.ndarray | None = None
-) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield divisions of the rows into parts (N,) to leave out, and a row's weight in each
-    division.
+) -> Iterator[tuple[np.ndarray, float, bool]]:
+    """Yield divisions of the rows into parts (N,) to leave out, a row's weight in each division,
+    and whether the parts lie amid the other rows.
 
     Half of the weight is with new places, half with rows amid the others, as targets are.  Where
     points were touched, these are the places.
     """
     if places is not None and len(np.unique(places)) > 1:
-        yield np.unique(places, return_inverse=True)[1], 1.0
+        yield np.unique(places, return_inverse=True)[1], 1.0, False
         return
     moving = [q[:, j] for j in range(q.shape[1]) if np.ptp(q[:, j]) > 0.0]
     for values in moving:
         place = np.argsort(np.argsort(values, kind="stable"))
-        yield place * PARTS // len(q), 0.5 / len(moving)
+        yield place * PARTS // len(q), 0.5 / len(moving), False
     drawn = np.random.default_rng(0).permutation(len(q))
-    yield drawn * min(SMALL, len(q)) // len(q), 0.5 if moving else 1.0
+    yield drawn * min(SMALL, len(q)) // len(q), 0.5 if moving else 1.0, True
 
 
 ROWS = 200

@@ -132,14 +132,40 @@ def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
 
 def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
     rng = np.random.default_rng(2)
-    count = np.ones(400)
     unit = np.tile(np.eye(3), (400, 1, 1))
     error = 1e-3 * rng.standard_normal((400, 3))
     error[:20] *= 30.0
-    small = LeftOut(error, 1e-9 * unit, count)
+    small = LeftOut(error, 1e-9 * unit, np.ones(400), np.ones(400, dtype=bool))
     noise = 1e-9 * np.eye(3)
-    radius = sizes(small.covariance + small.structure(noise) + noise)[1]
+    alike, structure = small.explain(noise)
+    radius = sizes(small.covariance + structure + noise)[1]
+    assert alike == 1.0
     assert 0.9 <= np.mean(np.linalg.norm(error, axis=1) <= radius) <= 0.91
+
+
+@pytest.mark.parametrize(("far", "one"), [(1.0, True), (30.0, False)])
+def test_an_error_where_rows_are_far_is_no_error_everywhere(far: float, one: bool) -> None:
+    """Rows amid the others contradict it; it grows with what the parameters leave open."""
+    rng = np.random.default_rng(3)
+    amid = np.arange(400) % 2 == 0
+    sd = np.where(amid, 1e-4, 1e-4 * far)
+    covariance = sd[:, None, None] ** 2 * np.eye(3)
+    error = 5.0 * sd[:, None] * rng.standard_normal((400, 3))
+    left = LeftOut(error, covariance, np.ones(400), amid)
+    alike, structure = left.explain(1e-10 * np.eye(3))
+    inside = np.linalg.norm(error, axis=1) <= sizes(alike * covariance + structure)[1]
+    assert (alike == 1.0) is one
+    assert 0.9 <= inside.mean() < 0.95
+    assert inside[amid].mean() < 0.97
+
+
+def test_rows_that_count_as_one_leave_the_parameters_less_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fitted = calibrated(session([ZEROS], n=60))
+    monkeypatch.setattr(LeftOut, "explain", lambda self, noise: (9.0, np.zeros((3, 3))))
+    factor = uncertainty(fitted).factor
+    np.testing.assert_allclose(factor @ factor.T, 9.0 * fitted.covariance, rtol=1e-6, atol=1e-18)
 
 
 def test_touched_points_are_judged_about_their_mean(rng: np.random.Generator) -> None:
