@@ -122,6 +122,17 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def check_writable(folder: Path) -> None:
+    """Make a folder if it is missing, and write a file there to see whether that is possible.
+
+    Raises:
+        InputError: it is not.
+    """
+    handle, partial = _partial_beside(folder / "file")
+    partial.unlink()
+    os.close(handle)
+
+
 def _partial_beside(target: Path) -> tuple[int, Path]:
     """A new file beside ``target``, locked for as long as its writer lives; others' are removed."""
     begin = f".{target.stem}.unfinished-"

@@ -112,10 +112,12 @@ def _fault(data: Any, error: ValidationError) -> tuple[str, Any, str]:
     told = fault.get("ctx", {}).get("error")
     if isinstance(told, Misdeclared):
         return ".".join((*map(str, path), told.field)), told.value, told.allowed
+    field = ".".join(map(str, path)) or "document"
+    if fault["type"] == "missing":
+        return field, "missing", "a value: it is required"
     texts = [faults[k]["msg"] for k in same if paths[k] == path]
     allowed = " or ".join(dict.fromkeys(t.removeprefix("Value error, ") for t in texts))
-    value = "missing" if fault["type"] == "missing" else fault.get("input")
-    return ".".join(map(str, path)) or "document", value, allowed
+    return field, fault.get("input"), allowed
 
 
 def _path(data: Any, fault: Mapping[str, Any]) -> tuple[int | str, ...]:

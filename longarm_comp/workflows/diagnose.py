@@ -19,7 +19,7 @@ from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_bytes
+from longarm_comp.core.files import check_writable, write_bytes
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -255,6 +255,7 @@ def diagnose_files(
     for path in (session, test, model, *kind_of):
         if path is not None and not path.exists():
             raise InputError(path, "file", "missing", "a file or a bag that exists")
+    check_writable(folder)  # before the work
     if model is not None:
         inputs.physics(arm, model)
     try:

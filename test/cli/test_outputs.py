@@ -106,6 +106,17 @@ def test_a_diagnosis_goes_into_its_own_folder(work: Path, shell: Shell) -> None:
     kept(shell, "model.yaml", *asked, "--model", "model.yaml", "-o", ".")
 
 
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
+    work: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("longarm_comp.core.identify.diagnose.diagnose", None)
+    (shell.folder / "taken").write_text("a file")
+    said = shell.refused(
+        "diagnose", str(work / "arm.yaml"), str(work / "samples.csv"), "-o", "taken/out"
+    )
+    assert "output folder: 'Not a directory'; allowed: a folder to write in" in said
+
+
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: os.symlink("/dev/zero", path)])
 def test_what_has_no_end_is_not_read(
     make: Callable[[Path], None], work: Path, shell: Shell
