@@ -96,7 +96,6 @@ class _Search:
     stepped: Sequence[type[Effect]]
     say: Callable[[str], None]
     functions: tuple[ProposedFunction, ...] = ()
-    usual: frozenset[tuple[str, str]] = frozenset()
     nameless: bool = False
     of_halves: tuple[tuple[FoundEffect, ...], ...] = ()
 
@@ -122,7 +121,7 @@ class _Search:
         self.say("resampled rows")
         linear = Resampling(
             state.fit, tuple(self.candidates), self.functions, state.found, tolerance,
-            self.of_halves, self.usual,
+            self.of_halves,
         )  # fmt: skip
         found = tuple(
             f.with_doubt(*absence[f.name]) if f.name in absence else f
@@ -150,11 +149,8 @@ class _Search:
         """Search also from each elastic effect at all its places; return the best explanation.
 
         Only a fit moves the weights of an arm that declares none.  At those of another effect the
-        columns show the wrong part, and without what yields a little there are none.
+        columns show the wrong part, and without any there is no column.
         """
-        state = replace(state, fit=with_background(state.fit, self.candidates))
-        self.usual = frozenset(t.key for t in state.fit.model.terms)
-        self.usual -= frozenset(t.key for t in self.base.terms)
         families = (c.terms for c in self.candidates if len(c.terms) > 1 and c.terms[0].elastic)
         begun = (self._fit_with(state, (FoundEffect(terms, 1.0, 0.0),)) for terms in families)
         first, *others = (self._repeat(start) for start in (state, *begun) if start is not None)
@@ -369,9 +365,8 @@ class _Search:
             if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.soft)
         ]
         return make_offers(
-            fitted, self.candidates, self.functions, found, tried, others=others, near=near,
-            usual=self.usual,
-        )  # fmt: skip
+            fitted, self.candidates, self.functions, found, tried, others=others, near=near
+        )
 
     def _scan(self, state: ExplainedSession) -> None:
         """Replace the scanned candidates by the steps that the residual shows now."""

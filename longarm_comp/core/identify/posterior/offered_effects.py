@@ -238,10 +238,6 @@ class OfferedEffects:
             most.append(paid)
         worth = self.bank.evidences([[*rest, offer] for _, offer, rest in may]) + most
         enough = worth >= least
-        if any(t.through_others for t in self.fitted.model.terms):  # weights move with a fit only
-            for name in {o.name for (n, o, _) in may if self.things[n].terms[0].elastic}:
-                mine = np.array([o.name == name for _, o, _ in may])
-                enough[int(np.argmax(np.where(mine, worth, -np.inf)))] = True
         for one, looked in zip(may, enough, strict=True):
             if looked:
                 yield one

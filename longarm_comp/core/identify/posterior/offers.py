@@ -43,7 +43,6 @@ def make_offers(
     others: bool = True,
     near: ModelFit | None = None,
     counts: np.ndarray | None = None,
-    usual: frozenset[tuple[str, str]] = frozenset(),
 ) -> list[OfferedEffects]:
     """Make the offers at a fit, one bank for each tolerance.
 
@@ -57,14 +56,13 @@ def make_offers(
         near: a similar fit of the same rows and noise; columns of what every arm has are taken
             there.
         counts: (N,) how often each row counts; None: once.
-        usual: places where the fit holds what every arm has; the banks marginalise these.
     """
     listed = _list_with_prices(fitted.model.arm, library, functions, found)
     if not others:
         kept = {_variant(f.terms) for f in found}
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
     raw = _raw(fitted, listed)
-    marginal = FitColumns(fitted).without(usual | {t.key for f in found for t in f.terms})
+    marginal = FitColumns(fitted).without({t.key for f in found for t in f.terms})
     beside, sizes = _beside(fitted, library, found, tolerances, near)
     columns = np.concatenate([beside, raw.b], axis=1)
     if counts is not None:

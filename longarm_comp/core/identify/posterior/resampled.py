@@ -41,7 +41,6 @@ class Resampling:
         found: what was found.
         tolerance: what moves the rows besides.
         of_halves: what a search on either half of the rows found.
-        usual: as in `make_offers`.
     """
 
     fit: ModelFit
@@ -50,7 +49,6 @@ class Resampling:
     found: Sequence[FoundEffect]
     tolerance: ModelTolerance
     of_halves: Sequence[Sequence[FoundEffect]] = ()
-    usual: frozenset[tuple[str, str]] = frozenset()
 
     def explain_sample(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
         """Find the effects that explain the rows if each row counts `counts` (N,) times.
@@ -59,7 +57,7 @@ class Resampling:
         """
         (bank,) = make_offers(
             self.fit, self.candidates, self.functions, self.found, [self.tolerance],
-            counts=counts, usual=self.usual,
+            counts=counts,
         )  # fmt: skip
         return bank.single_effects()
 
