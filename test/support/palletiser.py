@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,28 +15,33 @@ from longarm_comp.core.model.model import Model
 
 NOISE = 3e-5
 MARKERS = ((0.1, 0.0, -0.2), (-0.1, 0.1, -0.2), (-0.1, -0.1, -0.2))
-PALLETISER = Arm.parse(
-    {
-        "name": "palletiser",
-        "convention": "mdh_craig",
-        "tip": {"frame": 6, "position_m": [0.0, 0.0, 0.1]},
-        "joints": [
-            {"id": 1, "type": "revolute", "d_m": 0.67, "limits_deg": [-185, 185]},
-            {"id": 2, "type": "revolute", "a_m": 0.312, "alpha_deg": -90,
-             "theta_offset_deg": -90, "limits_deg": [-60, 76]},
-            {"id": 3, "type": "revolute", "a_m": 1.075, "alpha_deg": 180,
-             "limits_deg": [-132, 230]},
-            {"id": 4, "type": "revolute", "a_m": 0.225, "alpha_deg": -90, "d_m": -1.28,
-             "limits_deg": [-360, 360]},
-            {"id": 5, "type": "revolute", "alpha_deg": 90, "limits_deg": [-125, 125]},
-            {"id": 6, "type": "revolute", "alpha_deg": -90, "d_m": -0.215,
-             "limits_deg": [-360, 360]},
-        ],
-        "markers": {f"M{k}": {"frame": 6, "position_m": list(at)}
-                    for k, at in enumerate(MARKERS, 1)},
-    },
-    "palletiser",
+ROWS: tuple[dict[str, Any], ...] = (
+    {"name": "J1", "d_m": 0.67, "limits_deg": [-185, 185]},
+    {"name": "J2", "a_m": 0.312, "alpha_deg": -90, "theta_offset_deg": -90,
+     "limits_deg": [-60, 76]},
+    {"name": "elbow", "a_m": 1.075, "alpha_deg": 180, "limits_deg": [-132, 230]},
+    {"name": "J4", "a_m": 0.225, "alpha_deg": -90, "d_m": -1.28, "limits_deg": [-360, 360]},
+    {"name": "J5", "alpha_deg": 90, "limits_deg": [-125, 125]},
+    {"name": "J6", "alpha_deg": -90, "d_m": -0.215, "limits_deg": [-360, 360]},
 )  # fmt: skip
+
+
+def machine(rows: Sequence[Mapping[str, Any]]) -> Arm:
+    last = len(rows)
+    joints = [{"id": k, "type": "revolute", **row} for k, row in enumerate(rows, 1)]
+    markers = {f"M{k}": {"frame": last, "position_m": at} for k, at in enumerate(MARKERS, 1)}
+    tip = {"frame": last, "position_m": [0.0, 0.0, 0.1]}
+    declared = {"convention": "mdh_craig", "tip": tip, "joints": joints, "markers": markers}
+    return Arm.parse({"name": "palletiser", **declared}, "palletiser")
+
+
+PALLETISER = machine(ROWS)
+FOREARM = {"name": "J3", "limits_deg": [-132, 230], "moves": False}
+FOLLOWS = {"mimic": [{"joint": "J2", "multiplier": 1}, {"joint": "J3", "multiplier": 1}]}
+ELBOW = {key: value for key, value in ROWS[2].items() if key != "limits_deg"} | FOLLOWS
+COUPLED = machine((FOREARM, *ROWS[:2], ELBOW, *ROWS[3:]))
+"""The same machine by its controller: J3 is the angle of the forearm to the horizon."""
+OF_CONTROLLER = [2, 0, 1, 3, 4, 5]
 WAYS = (
     [(v, 0, 0, 0, 0, 0) for v in range(-9, 52, 12)]
     + [(47, v, -v, 0, 0, 0) for v in range(-30, 51, 16)]
@@ -81,14 +88,18 @@ def joints_of(told: np.ndarray) -> np.ndarray:
     return joints
 
 
-def soft_rows(made: Model, told: np.ndarray, softness: float, seed: int) -> Session:
+def soft_rows(
+    made: Model, told: np.ndarray, softness: float, seed: int, coupled: bool = False
+) -> Session:
     """Rows of a machine whose weight is all at its wrist, and whose joint 2 yields under it.
 
     Args:
         told: angles of the controller, (N, 6), rad.
         softness: rad by which the joint yields per metre of the wrist's level distance.
+        coupled: whether the rows are of `COUPLED`.
     """
     joints = joints_of(told)
     bent = joints.copy()
     bent[:, 1] += softness * (1.075 * np.sin(told[:, 1]) + 1.28 * np.cos(told[:, 2]))
-    return dataclasses.replace(rows(bent, made, seed), q=np.repeat(joints, 3, axis=0))
+    q = told[:, OF_CONTROLLER] if coupled else joints
+    return dataclasses.replace(rows(bent, made, seed), q=np.repeat(q, 3, axis=0))
