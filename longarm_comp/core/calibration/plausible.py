@@ -18,7 +18,7 @@ from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, slots_of
 
 WORSE = 1.5
 """Held-out error of a model, in that of placed frames alone, from which it is worse."""
@@ -94,7 +94,7 @@ def refuse(
             "check their order, the units and the names of joints and anchors",
             session=source,
         )
-    for slot in final.model.slots:
+    for slot in slots_of(final.model.arm, final.model.terms):  # whatever the fit took for usual
         value, p = slot.value, slot.parameter
         if not slot.owner.geometry and abs(value) > INCREDIBLE * p.prior:
             raise JobError(

@@ -19,15 +19,17 @@ from longarm_comp.core.calibration import plausible
 from longarm_comp.core.calibration.calibrate import ladder, stages
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.placement import place_bases
-from longarm_comp.core.calibration.plausible import RISES, WORSE, WORST, find_rise
+from longarm_comp.core.calibration.plausible import INCREDIBLE, RISES, WORSE, WORST, find_rise
 from longarm_comp.core.calibration.standing import frames
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.identify.model_tolerance import BACKGROUND_REST
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.sim.arm_truth import TrueArm
@@ -271,6 +273,21 @@ def test_a_tip_mass_that_no_arm_carries_is_refused(demo: Arm, rng: np.random.Gen
     xyz = TrueArm(Arm.parse(data, "soft")).tip(q) + 2e-4 * rng.standard_normal((150, 3))
     with pytest.raises(JobError, match=r"tip_payload at tip: mass \d\.\d+ kg is not credible"):
         la.calibrate(demo, Session.record(q, xyz), effects=["tip_payload"])
+
+
+def test_a_usual_size_is_credible_though_the_fit_expected_less(
+    demo: Arm, rng: np.random.Generator
+) -> None:
+    """Of what every arm has a little of, a fit expects a two-hundredth of a finding."""
+    start = Model(demo, (LinkDeflection(), TipPayload()))
+    (slot,) = start.slots
+    made = start.with_values(np.array([0.3 * slot.parameter.prior]))
+    narrow = dataclasses.replace(start, beyond=((slot.identity, BACKGROUND_REST),))
+    session = measured(made, box(demo, 150, rng), rng)
+    final = fit(narrow, session, sigma=np.full(3, 1e-6), weights=np.ones(150))
+    (found,) = final.model.slots
+    assert found.value > INCREDIBLE * found.parameter.prior
+    plausible.refuse(final, None, np.zeros((0, 3)), {})
 
 
 def test_gates() -> None:
