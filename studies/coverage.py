@@ -20,8 +20,9 @@ from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.left_out import about_the_mean
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.uncertainty import about_the_mean, uncertainty
+from longarm_comp.core.calibration.uncertainty import uncertainty
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session

@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 from small_arm import ARM
 
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
@@ -62,3 +65,9 @@ def files_of_a_gain(folder: Path) -> tuple[Path, Path, Path]:
     write_csv(session(gain), samples)
     write_csv(session(gain, n=40, seed=2), test)
     return arm, samples, test
+
+
+def calibrated(rows: Session) -> ModelFit:
+    """The fit of the geometry to some rows."""
+    *_, (_, fitted) = stages(declared_model(ARM), rows)
+    return fitted

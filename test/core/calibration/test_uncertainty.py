@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hidden_arm import SIGMA, at, session, tip
+from hidden_arm import SIGMA, at, calibrated, session, tip
 from read_arm import ARM as HEAVY
 from small_arm import ARM
 
@@ -17,10 +17,8 @@ from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.left_out import LeftOut
 from longarm_comp.core.calibration.uncertainty import (
-    LeftOut,
-    about_the_mean,
     arm_share,
     uncertainty,
     with_uncertainty,
@@ -56,11 +54,6 @@ LACKING = JointGain(at(2, 0.03))
 FAR = np.array([4.0, 1.0, -0.3])  # m, the base in the frame of the measurements
 
 
-def calibrated(rows: Session) -> ModelFit:
-    *_, (_, fitted) = stages(declared_model(ARM), rows)
-    return fitted
-
-
 def fresh(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     q = ARM.lower + rng.random((n, ARM.n)) * (ARM.upper - ARM.lower)
@@ -84,24 +77,6 @@ def test_lengths_of_normal_errors(
 def test_an_error_that_is_known_is_its_own_length() -> None:
     assert np.allclose(sizes(np.zeros((3, 3)), np.array([3.0, 0.0, 4.0])), 5.0)
     assert np.allclose(sizes(np.zeros((3, 3))), 0.0)
-
-
-def test_rows_left_out_are_missed_as_by_a_fit_without_them() -> None:
-    start = calibrated(session([ZEROS, LACKING], n=80))
-    settings = {"sigma": np.full(3, 5e-4), "robust": False, "close": 1e-6}
-    whole = fit(start.model, start.session, **settings)
-    rows, weights = whole.session, whole.weights
-    left = LeftOut.of(whole)
-    assert left is not None
-    order = np.argsort(np.argsort(rows.q[weights > 0, 0], kind="stable"))
-    out = np.flatnonzero(weights > 0)[order * 4 // len(order) == 0]
-    kept = np.setdiff1d(np.arange(len(rows)), out)
-    again = fit(whole.model, rows.take(kept), **settings)
-    held = rows.take(out)
-    missed = held.xyz - again.model.tip(held.q, held.context())
-    found = left.error[: len(out)]
-    assert np.linalg.norm(missed, axis=1).mean() > 1.1 * np.abs(whole.residual[out]).mean()
-    np.testing.assert_allclose(found, missed, atol=0.03 * np.abs(missed).max())
 
 
 @pytest.mark.parametrize("hidden", [[ZEROS], [ZEROS, LACKING]], ids=["known", "lacking"])
@@ -130,35 +105,6 @@ def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
     assert np.mean(true) < 1.1 * np.mean(stated) and np.mean(stated) < 3.0 * np.mean(true)
 
 
-def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
-    rng = np.random.default_rng(2)
-    unit = np.tile(np.eye(3), (400, 1, 1))
-    error = 1e-3 * rng.standard_normal((400, 3))
-    error[:20] *= 30.0
-    small = LeftOut(error, 1e-9 * unit, np.ones(400), np.ones(400, dtype=bool))
-    noise = 1e-9 * np.eye(3)
-    alike, structure = small.explain(noise)
-    radius = sizes(small.covariance + structure + noise)[1]
-    assert alike == 1.0
-    assert 0.9 <= np.mean(np.linalg.norm(error, axis=1) <= radius) <= 0.91
-
-
-@pytest.mark.parametrize(("far", "one"), [(1.0, True), (30.0, False)])
-def test_an_error_where_rows_are_far_is_no_error_everywhere(far: float, one: bool) -> None:
-    """Rows amid the others contradict it; it grows with what the parameters leave open."""
-    rng = np.random.default_rng(3)
-    amid = np.arange(400) % 2 == 0
-    sd = np.where(amid, 1e-4, 1e-4 * far)
-    covariance = sd[:, None, None] ** 2 * np.eye(3)
-    error = 5.0 * sd[:, None] * rng.standard_normal((400, 3))
-    left = LeftOut(error, covariance, np.ones(400), amid)
-    alike, structure = left.explain(1e-10 * np.eye(3))
-    inside = np.linalg.norm(error, axis=1) <= sizes(alike * covariance + structure)[1]
-    assert (alike == 1.0) is one
-    assert 0.9 <= inside.mean() < 0.95
-    assert inside[amid].mean() < 0.97
-
-
 def test_rows_that_count_as_one_leave_the_parameters_less_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -166,16 +112,6 @@ def test_rows_that_count_as_one_leave_the_parameters_less_known(
     monkeypatch.setattr(LeftOut, "explain", lambda self, noise: (9.0, np.zeros((3, 3))))
     factor = uncertainty(fitted).factor
     np.testing.assert_allclose(factor @ factor.T, 9.0 * fitted.covariance, rtol=1e-6, atol=1e-18)
-
-
-def test_touched_points_are_judged_about_their_mean(rng: np.random.Generator) -> None:
-    names = np.array(["a", "a", "b", "a", "c", "b"])
-    rows = rng.standard_normal((6, 3))
-    off, alone = about_the_mean(rows, names)
-    assert alone.tolist() == [False, False, False, False, True, False]
-    np.testing.assert_allclose(off[[2, 5]].sum(axis=0), 0.0, atol=1e-12)
-    drawn = about_the_mean(rng.standard_normal((20000, 3)), np.repeat(np.arange(10000), 2))[0]
-    assert drawn.var() == pytest.approx(1.0, abs=0.03)
 
 
 def test_noise_is_told_from_what_the_arm_does() -> None:
