@@ -120,9 +120,8 @@ class _Search:
         tolerance = self._standing(state.fit, state.found)[1]
         self.say("resampled rows")
         linear = Resampling(
-            state.fit, tuple(self.candidates), self.functions, state.found, tolerance,
-            self.of_halves,
-        )  # fmt: skip
+            state.fit, self.candidates, self.functions, state.found, tolerance, self.of_halves
+        )
         found = tuple(
             f.with_doubt(*absence[f.name]) if f.name in absence else f
             for f in linear.average_samples(seed)

@@ -237,10 +237,7 @@ class OfferedEffects:
             may.append((n, offer, rest))
             most.append(paid)
         worth = self.bank.evidences([[*rest, offer] for _, offer, rest in may]) + most
-        enough = worth >= least
-        for one, looked in zip(may, enough, strict=True):
-            if looked:
-                yield one
+        yield from (may[k] for k in np.flatnonzero(worth >= least).tolist())
 
     def _worth(self, offers: list[Offer], k: int) -> float:
         """Return the log Bayes factor of offer k on top of the others."""

@@ -56,9 +56,8 @@ class Resampling:
         The search starts from nothing and from what was found; the better explanation stays.
         """
         (bank,) = make_offers(
-            self.fit, self.candidates, self.functions, self.found, [self.tolerance],
-            counts=counts,
-        )  # fmt: skip
+            self.fit, self.candidates, self.functions, self.found, [self.tolerance], counts=counts
+        )
         return bank.single_effects()
 
     def average_samples(self, seed: int) -> tuple[FoundEffect, ...]:
