@@ -145,15 +145,30 @@ class _Search:
         )
 
     def _start_soft(self, state: ExplainedSession) -> ExplainedSession:
-        """Search also from each elastic effect at all its places; return the best explanation.
+        """Search also from an elastic effect at all its places, where some of them are better.
 
         Only a fit moves the weights of an arm that declares none.  At those of another effect the
         columns show the wrong part, and without any there is no column.
         """
-        families = (c.terms for c in self.candidates if len(c.terms) > 1 and c.terms[0].elastic)
-        begun = (self._fit_with(state, (FoundEffect(terms, 1.0, 0.0),)) for terms in families)
-        first, *others = (self._repeat(start) for start in (state, *begun) if start is not None)
-        return max((first, *others), key=lambda one: self._odds(first, one))
+        best = self._repeat(state)
+        for c in self.candidates:
+            if len(c.terms) > 1 and c.terms[0].elastic:
+                every = (FoundEffect(c.terms, 1.0, 0.0),)
+                here, there = (self._best_places(best, found) for found in (best.found, every))
+                if there > here + BETTER and (begun := self._fit_with(best, every)) is not None:
+                    taken = self._repeat(begun)
+                    best = taken if self._odds(best, taken) > BETTER else best
+        return best
+
+    def _best_places(self, state: ExplainedSession, found: tuple[FoundEffect, ...]) -> float:
+        """Return the log evidence of the best places of some effects, fitted with a state's
+        noise."""
+        model = put_in(self.base, state.fit.model, found)
+        try:
+            fitted = fit(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
+            return self._standing(fitted, found)[0]
+        except JobError:
+            return -math.inf
 
     def _repeat(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
         """Explain and fit while that is better; with `functions`, propose new ones each time."""
