@@ -96,11 +96,11 @@ class TipMotion:
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
         """Return the reported point (N, 3) in m and its derivative (N, 3, p)."""
         seen = self.model.seen(self.frame.p, self.context, kind)
-        free = seen is self.frame.p
-        blocks = [self._point_change(change, kind, free) for change in self.changes]
+        gain = None if seen is self.frame.p else Frame(*self._reported_axes(kind), spatial.ZERO)
+        blocks = [self._point_change(change, kind, gain) for change in self.changes]
         return _together(stack(seen), blocks)
 
-    def _point_change(self, change: _Moved | Reseen, kind: str, free: bool) -> Vec:
+    def _point_change(self, change: _Moved | Reseen, kind: str, gain: Frame | None) -> Vec:
         if isinstance(change, Reseen):
             if kind not in change.sees:
                 return spatial.ZERO
@@ -108,16 +108,19 @@ class TipMotion:
                 m.seen(self.frame.p, self.context, kind) for m in (change.raised, change.lowered)
             )
             return spatial.scale(change.per, spatial.sub(up, down))
-        return change.shift if free else self._reported_shift(change.shift, kind)
+        return change.shift if gain is None else gain.rotate(change.shift)
 
-    def _reported_shift(self, shift: Vec, kind: str) -> Vec:
-        """Return the derivative of the reported point as the tip moves along a shift."""
-        tip, by = self.frame.p, spatial.scale(_H, shift)
-        up, down = (
-            self.model.seen(end, self.context, kind)
-            for end in (spatial.add(tip, by), spatial.sub(tip, by))
-        )
-        return spatial.scale(0.5 / _H, spatial.sub(up, down))
+    def _reported_axes(self, kind: str) -> list[Vec]:
+        """Return the derivative of the reported point by each coordinate of the tip."""
+        made = []
+        for axis in IDENTITY[:3]:
+            by = spatial.scale(_H, axis)
+            up, down = (
+                self.model.seen(end, self.context, kind)
+                for end in (spatial.add(self.frame.p, by), spatial.sub(self.frame.p, by))
+            )
+            made.append(spatial.scale(0.5 / _H, spatial.sub(up, down)))
+        return made
 
     def read(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and
@@ -136,8 +139,7 @@ class TipMotion:
 
     def pull(self, kind: str) -> np.ndarray:
         """(N, 3, 3) derivative of the reported point by the tip's position."""
-        blocks = [self._reported_shift(axis, kind) for axis in IDENTITY[:3]]
-        return _together(stack(self.frame.p), blocks)[1]
+        return _together(stack(self.frame.p), self._reported_axes(kind))[1]
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return reported axes of the tip (N, 3, 3), their turn (rad) by each parameter (N, 3, p).
@@ -207,7 +209,7 @@ def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
 
 
 def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, np.ndarray]:
-    """Compute how a unit of each component of a station's twist moves the tip.
+    """Compute how a unit of each component of a station's twist moves the tip, once a posture.
 
     Returns:
         By station (6, 3, ...): the first three are the shift of the tip by a unit translation,
@@ -215,9 +217,9 @@ def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, n
         rotation.
     """
     shape = np.broadcast_shapes(*map(np.shape, tip))
-    made: dict[int, np.ndarray] = {}
+    made: dict[int, np.ndarray] = posture.once(("units",), dict)
     size = math.prod(shape)
-    for some in stacked.parts(stations, 18 * size):
+    for some in stacked.parts(set(stations) - made.keys(), 18 * size):
         twists = [posture.twists.get(station, spatial.ZERO_TWIST) for station in some]
         frames = [posture.frames[station] for station in some]
         x = stacked.together(

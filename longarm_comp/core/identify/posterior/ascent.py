@@ -61,7 +61,7 @@ def explain(
     most = len(known) + AT_ONCE
     starts = [_grow(bank, (), frozenset(), most)]
     if begun or known:
-        standing = begun or _standing(bank, known)
+        standing = begun or stand(bank, known)
         starts.append(_grow(bank, standing, frozenset(), most))
     best = max(map(_prune, starts), key=lambda e: e.evidence)
     if begun is not None:
@@ -79,7 +79,7 @@ def explain(
     return best
 
 
-def _standing(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
+def stand(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
     """Return some offers as certain effects, with the coefficients that they have together."""
     offers = [bank.offers[n] for n in known]
     made = []

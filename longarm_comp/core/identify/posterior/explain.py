@@ -215,12 +215,19 @@ class _Search:
         return state
 
     def _explain_better(self, state: ExplainedSession) -> Explained | None:
-        """Return the best explanation by any tolerance, or None if the present one is as good."""
-        first, *others = sorted(
-            self._offer_by_tolerance(state.fit, state.found), key=lambda bank: -bank.standing
-        )
-        begun = first.explain()
-        best = max((begun, *(o.explain(begun) for o in others)), key=lambda e: e.evidence)
+        """Return the best explanation by any tolerance, or None if the present one is as good.
+
+        Tolerance and explanation are improved in turn: the tolerance by which an explanation is
+        likeliest, then the explanation by that tolerance.
+        """
+        banks = self._offer_by_tolerance(state.fit, state.found)
+        first = max(banks, key=lambda bank: bank.standing)
+        best, by = first.explain(), first
+        while (likeliest := max(banks, key=lambda bank: bank.evidence_of(best))) is not by:
+            other = likeliest.explain(best)
+            if other.evidence <= best.evidence:
+                break
+            best, by = other, likeliest
         return best if best.evidence >= first.standing + BETTER else None
 
     def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:
@@ -401,12 +408,13 @@ class _Search:
             return None
 
     def _move_forms(self, state: ExplainedSession) -> ExplainedSession:
-        """Move forms on a scale to where the evidence is highest, while more rows agree."""
-        for _ in range(ROUNDS):
-            terms = [t for f in state.found for t in f.terms]
-            moved = better_forms(state.fit, terms, self.candidates)
-            if not moved:
-                break
+        """Move forms on a scale to where the evidence is highest, while more rows agree.
+
+        A form that stays is not looked at again.
+        """
+        terms = [t for f in state.found for t in f.terms]
+        while moved := better_forms(state.fit, terms, self.candidates):
+            terms = list(moved.values())
             for term in moved.values():
                 self.say(Candidate(term.name, (term,)).label)
             found = tuple(

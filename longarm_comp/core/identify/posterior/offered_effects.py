@@ -16,7 +16,7 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.identify.discover.inputs import levels_of
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.ascent import explain
+from longarm_comp.core.identify.posterior.ascent import explain, stand
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     NONE,
@@ -97,9 +97,12 @@ class OfferedEffects:
 
     def single_effects(self) -> tuple[FoundEffect, ...]:
         """Return the effects of the best explanation, each with the names that share its
-        probability."""
+        probability.
+
+        Nothing is sought again in the place of an effect: the search starts from what was found so.
+        """
         made = []
-        for effect in explain(self.bank, self.known).effects:
+        for effect in explain(self.bank, self.known, stand(self.bank, self.known)).effects:
             shares: dict[str, tuple[float, Candidate]] = {}
             for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
                 terms = self.things[n].terms
@@ -117,6 +120,14 @@ class OfferedEffects:
                 FoundEffect(terms, effect.there, worth, shares[offer.name][0], tuple(rivals))
             )
         return tuple(made)
+
+    def evidence_of(self, explained: Explained) -> float:
+        """Return the log evidence of the effects of an explanation by another tolerance."""
+        offers = []
+        for effect in explained.effects:
+            whole, kept = self.bank.offers[effect.best], effect.offer.keys
+            offers.append(whole.without([key for key in whole.keys if key not in kept]))
+        return self.base + self.bank.evidence(offers)
 
     @cached_property
     def standing(self) -> float:
