@@ -44,7 +44,11 @@ from longarm_comp.core.identify.posterior.found import (
     ProposedFunction,
     instead,
 )
-from longarm_comp.core.identify.posterior.offered_effects import Explained, OfferedEffects
+from longarm_comp.core.identify.posterior.offered_effects import (
+    IMPOSSIBLE,
+    Explained,
+    OfferedEffects,
+)
 from longarm_comp.core.identify.posterior.offers import make_offers
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
 from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
@@ -217,17 +221,19 @@ class _Search:
     def _explain_better(self, state: ExplainedSession) -> Explained | None:
         """Return the best explanation by any tolerance, or None if the present one is as good.
 
-        Tolerance and explanation are improved in turn: the tolerance by which an explanation is
-        likeliest, then the explanation by that tolerance.
+        The likeliest tolerance is tried first.  Those by which the best explanation is impossible
+        are not tried.
         """
-        banks = self._offer_by_tolerance(state.fit, state.found)
-        first = max(banks, key=lambda bank: bank.standing)
-        best, by = first.explain(), first
-        while (likeliest := max(banks, key=lambda bank: bank.evidence_of(best))) is not by:
-            other = likeliest.explain(best)
-            if other.evidence <= best.evidence:
+        left = self._offer_by_tolerance(state.fit, state.found)
+        first = max(left, key=lambda bank: bank.standing)
+        left.remove(first)
+        best = first.explain()
+        while left:
+            likeliest = max(left, key=lambda bank: bank.evidence_of(best))
+            if likeliest.evidence_of(best) < best.evidence + math.log(IMPOSSIBLE):
                 break
-            best, by = other, likeliest
+            left.remove(likeliest)
+            best = max(best, likeliest.explain(best), key=lambda e: e.evidence)
         return best if best.evidence >= first.standing + BETTER else None
 
     def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:

@@ -34,7 +34,8 @@ LOOKED_AT = 1e-4
 small changes, so a fit may be worth ten log units more."""
 
 IMPOSSIBLE = 1e-12
-"""Probability below which a name is none: a fit may be worth thirty log units at most."""
+"""Probability below which a name, or a tolerance, is none: a fit may be worth thirty log units at
+most."""
 
 
 @dataclass(frozen=True)
