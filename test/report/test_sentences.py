@@ -46,7 +46,7 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     (drift,) = (f for f in found.findings if f.name == "camera_drift")
     places = {t.key for t in drift.terms}
     fullest = [(list(fold.fits.values())[-1], fold.rows) for fold in found.folds]
-    seen, commanded = gains(fullest, places)
+    ((seen, commanded),) = gains(fullest, [places])
     rate = np.array([getattr(drift.terms[0], axis) for axis in "xyz"])
     hours = fitted.session.columns["t_s"] / 3600
     tip_m = hours * np.linalg.norm(rate)

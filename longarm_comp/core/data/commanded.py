@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import CLOCK, NEVER_TOLD, ORDER
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.model.model import Model
@@ -77,7 +77,8 @@ def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
         return np.zeros((0, 3))
     rows = own_way(session)
     placed = rows.take(rows.placed)
-    return np.asarray(errors(less, placed) - errors(more, placed))
+    at = posture(less, placed)
+    return np.asarray(errors(less, placed, at) - errors(more, placed, at))
 
 
 def as_commanded(model: Model) -> Model:

@@ -258,9 +258,9 @@ def complete_findings(
     known = {(*s.owner.key, s.parameter.name): intervals[k] for k, s in enumerate(written.slots)}
     in_model = {t.key for t in written.model.terms}
     weighed = not any(effect.through_others for effect in fit.model.effects)
+    each = [{t.key for t in finding.terms} for finding in found]
     made = []
-    for finding in found:
-        places = {t.key for t in finding.terms}
+    for finding, places, (seen, commanded) in zip(found, each, gains(held_out, each), strict=True):
         open_place = not weighed and any(t.elastic for t in finding.terms)
         left_out = in_model.isdisjoint(places)
         parameters = []
@@ -280,7 +280,6 @@ def complete_findings(
                 )
             )
         tip_mm = 1e3 * tip_shift(fit, places)
-        seen, commanded = gains(held_out, places)
         values = {
             "parameters": tuple(parameters),
             "compensated": finding.compensated and not left_out,

@@ -67,47 +67,58 @@ def tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
 
 
 def gains(
-    held_out: Sequence[tuple[ModelFit, Session]], places: set[tuple[str, str]]
-) -> tuple[Gain, Gain]:
+    held_out: Sequence[tuple[ModelFit, Session]], each: Sequence[set[tuple[str, str]]]
+) -> list[tuple[Gain, Gain]]:
     """Compute the gain by the terms at some places on held-out rows: as seen, and as commanded.
 
     Args:
         held_out: fits without some rows, and these rows.
-        places: keys of the terms.
+        each: keys of the terms of each finding.
+
+    Returns:
+        Both gains of each finding.
     """
-    pairs = [_without(fit, places, rows.take(rows.placed)) for fit, rows in held_out]
-    seen, commanded = (
-        [np.concatenate(parts) for parts in zip(*each, strict=True)]
-        for each in zip(*pairs, strict=True)
-    )
-    return Gain.of(*seen), Gain.of(*commanded)
+    folds = [_without_each(fit, each, rows.take(rows.placed)) for fit, rows in held_out]
+    made = []
+    for of_finding in zip(*folds, strict=True):
+        seen, commanded = (
+            [np.concatenate(parts) for parts in zip(*pairs, strict=True)]
+            for pairs in zip(*of_finding, strict=True)
+        )
+        made.append((Gain.of(*seen), Gain.of(*commanded)))
+    return made
 
 
 Pair = tuple[np.ndarray, np.ndarray]
 
 
-def _without(fitted: ModelFit, places: set[tuple[str, str]], rows: Session) -> tuple[Pair, Pair]:
-    """Compute the errors (M, 3) at rows without and with the terms at some places.
+def _without_each(
+    fitted: ModelFit, each: Sequence[set[tuple[str, str]]], rows: Session
+) -> list[tuple[Pair, Pair]]:
+    """Compute the errors (M, 3) at rows without and with the terms of each finding.
 
     Returns:
-        Two pairs: as seen, and as commanded.
+        Two pairs by finding: as seen, and as commanded.
     """
     if not len(rows):
         none = np.zeros((0, 3))
-        return (none, none), (none, none)
+        return [((none, none), (none, none)) for _ in each]
     model, own = fitted.model, own_way(rows)
     at = posture(model, rows), posture(as_commanded(model), own)
     after = errors(model, rows, at[0]), commanded_errors(model, own, at[1])
-    if places.isdisjoint(t.key for t in model.terms):
-        return (after[0], after[0]), (after[1], after[1])
-    # A first-order fit may overshoot; what is left without any fit is then nearer
-    less = min(
-        (refitted_without(fitted, places), model.without(places)),
-        key=lambda left: float(np.linalg.norm(errors(left, rows, at[0]))),
-    )
-    less = with_frame_shift(less, fitted.session)
-    before = errors(less, rows, at[0]), commanded_errors(less, own, at[1])
-    return (before[0], after[0]), (before[1], after[1])
+    held, made = {t.key for t in model.terms}, []
+    for places in each:
+        before = after
+        if not places.isdisjoint(held):
+            # A first-order fit may overshoot; what is left without any fit is then nearer
+            less = min(
+                (refitted_without(fitted, places), model.without(places)),
+                key=lambda left: float(np.linalg.norm(errors(left, rows, at[0]))),
+            )
+            less = with_frame_shift(less, fitted.session)
+            before = errors(less, rows, at[0]), commanded_errors(less, own, at[1])
+        made.append(((before[0], after[0]), (before[1], after[1])))
+    return made
 
 
 def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:

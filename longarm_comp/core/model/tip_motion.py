@@ -96,7 +96,7 @@ class TipMotion:
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
         """Return the reported point (N, 3) in m and its derivative (N, 3, p)."""
         seen = self.model.seen(self.frame.p, self.context, kind)
-        gain = None if seen is self.frame.p else Frame(*self._reported_axes(kind), spatial.ZERO)
+        gain = None if seen is self.frame.p else self._report_of_shift(kind)
         blocks = [self._point_change(change, kind, gain) for change in self.changes]
         return _together(stack(seen), blocks)
 
@@ -110,8 +110,8 @@ class TipMotion:
             return spatial.scale(change.per, spatial.sub(up, down))
         return change.shift if gain is None else gain.rotate(change.shift)
 
-    def _reported_axes(self, kind: str) -> list[Vec]:
-        """Return the derivative of the reported point by each coordinate of the tip."""
+    def _report_of_shift(self, kind: str) -> Frame:
+        """Return the derivative of the reported point by each coordinate of the tip, as axes."""
         made = []
         for axis in IDENTITY[:3]:
             by = spatial.scale(_H, axis)
@@ -120,7 +120,7 @@ class TipMotion:
                 for end in (spatial.add(self.frame.p, by), spatial.sub(self.frame.p, by))
             )
             made.append(spatial.scale(0.5 / _H, spatial.sub(up, down)))
-        return made
+        return Frame(made[0], made[1], made[2], spatial.ZERO)
 
     def read(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and
@@ -139,7 +139,7 @@ class TipMotion:
 
     def pull(self, kind: str) -> np.ndarray:
         """(N, 3, 3) derivative of the reported point by the tip's position."""
-        return _together(stack(self.frame.p), self._reported_axes(kind))[1]
+        return _together(stack(self.frame.p), self._report_of_shift(kind)[:3])[1]
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return reported axes of the tip (N, 3, 3), their turn (rad) by each parameter (N, 3, p).
