@@ -107,8 +107,11 @@ def _along_own_axes(before: np.ndarray) -> tuple[np.ndarray | None, dict[str, fl
     turn = np.eye(4)
     turn[:3, :3] = np.column_stack([x, np.cross(z, x), z])
     rest = turn[:3, :3].T @ before[:3, :3]
-    keys = {"a_m": a if abs(a) > _NO_LENGTH else 0.0, "d_m": d,
-            "theta_offset_deg": math.degrees(math.atan2(rest[1, 0], rest[0, 0]))}  # fmt: skip
+    keys = {
+        "a_m": a if abs(a) > _NO_LENGTH else 0.0,
+        "d_m": d,
+        "theta_offset_deg": math.degrees(math.atan2(rest[1, 0], rest[0, 0])),
+    }
     if np.allclose(x, [1.0, 0.0, 0.0], rtol=0, atol=1e-15):
         keys["alpha_deg"] = math.degrees(math.atan2(-turn[1, 2], turn[2, 2]))
     kept = {key: _tidy(value) for key, value in keys.items() if _tidy(value)}

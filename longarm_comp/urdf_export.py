@@ -228,8 +228,14 @@ def _inertial(node: ET.Element, points: Sequence[tuple[float, np.ndarray]]) -> N
     inertial = ET.SubElement(node, "inertial")
     ET.SubElement(inertial, "origin", {"xyz": _text(centre), "rpy": "0 0 0"})
     ET.SubElement(inertial, "mass", {"value": repr(total)})
-    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2),
-             "izz": (2, 2)}  # fmt: skip
+    names = {
+        "ixx": (0, 0),
+        "ixy": (0, 1),
+        "ixz": (0, 2),
+        "iyy": (1, 1),
+        "iyz": (1, 2),
+        "izz": (2, 2),
+    }
     ET.SubElement(inertial, "inertia", {k: repr(float(tensor[at])) for k, at in names.items()})
 
 

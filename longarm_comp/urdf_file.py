@@ -87,9 +87,10 @@ class UrdfRobot:
         """Refuse a centre of mass that only a mistaken unit puts where it is."""
         extent = sum(float(np.linalg.norm(j.origin[:3, 3])) for j in self.joints.values())
         extent += sum(
-            max(map(abs, j.limits)) for j in self.joints.values()
+            max(map(abs, j.limits))
+            for j in self.joints.values()
             if j.type == "prismatic" and j.limits is not None
-        )  # fmt: skip
+        )
         for name, (mass, centre) in self.links.items():
             far = float(np.linalg.norm(centre))
             # From 30 times the robot's length on millimetres taken for metres (1000) are the nearer

@@ -140,12 +140,20 @@ def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None
     from longarm_comp.jobs.collect.visits import blocked_visits
 
     count = len(todo)
-    print_json({
-        "visits": count,
-        "checks": [{"question": c.question, "passed": c.passed, "blocks": c.blocks,
-                    "faults": {v.index: f for v, f in zip(todo, c.faults, strict=True) if f}}
-                   for c in checks],
-    })  # fmt: skip
+    print_json(
+        {
+            "visits": count,
+            "checks": [
+                {
+                    "question": c.question,
+                    "passed": c.passed,
+                    "blocks": c.blocks,
+                    "faults": {v.index: f for v, f in zip(todo, c.faults, strict=True) if f},
+                }
+                for c in checks
+            ],
+        }
+    )
     rows = [(c.question, f"{c.passed} of {count}", c.mostly) for c in checks]
     print_table(f"{name}: {count} visits", ("visits", "yes", "where not"), rows)
     if stopped := blocked_visits(checks, todo):

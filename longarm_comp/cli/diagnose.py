@@ -107,8 +107,10 @@ def fleet(folder: Path, output: Path, **how: Any) -> None:
         if arm.verdict == "failed":
             note(f"{arm.name}: {arm.summary}")
         if arm.drifted:
-            note(f"{arm.name} drifted: its model errs by {arm.in_use_mm:.2f} mm, a calibration of "
-                 f"today by {arm.calibrated_mm:.2f} mm")  # fmt: skip
+            note(
+                f"{arm.name} drifted: its model errs by {arm.in_use_mm:.2f} mm, a calibration of "
+                f"today by {arm.calibrated_mm:.2f} mm"
+            )
     note(f"page in {output / 'fleet.html'}; a diagnosis an arm and fleet.json beside it")
 
 
@@ -118,10 +120,14 @@ def _cells(arm: Diagnosed) -> dict[str, Any]:
         found.setdefault(f.effect, []).append(f.where + " (of the kind)" * f.of_kind)
     effects = "; ".join(f"{effect} at {', '.join(where)}" for effect, where in found.items())
     return {
-        "arm": arm.name, "rows": arm.rows, "verdict": arm.verdict,
-        "in use, mm": arm.in_use_mm, "calibrated, mm": arm.calibrated_mm,
-        "diagnosed, mm": arm.diagnosed_mm, "found": effects,
-    }  # fmt: skip
+        "arm": arm.name,
+        "rows": arm.rows,
+        "verdict": arm.verdict,
+        "in use, mm": arm.in_use_mm,
+        "calibrated, mm": arm.calibrated_mm,
+        "diagnosed, mm": arm.diagnosed_mm,
+        "found": effects,
+    }
 
 
 @click.command()
@@ -156,10 +162,14 @@ def effects() -> None:
         )
         listed = "; ".join(map(_in_words, parameters))
         where = f" ({source})" if source else ""
-        lines.append({
-            "effect": name, "what": meaning + where,
-            "parameters (unit, prior, bounds)": listed or "none", "needs": ", ".join(kind.needs),
-        })  # fmt: skip
+        lines.append(
+            {
+                "effect": name,
+                "what": meaning + where,
+                "parameters (unit, prior, bounds)": listed or "none",
+                "needs": ", ".join(kind.needs),
+            }
+        )
     print_json(facts)
     print_rows(f"{len(lines)} effects", lines)
 

@@ -132,10 +132,14 @@ def export_urdf(arm: options.Arm, model: Path, output: Path, group: str, marker:
     write_text(output, made.export_urdf(known, group, marker))
     left = sorted({e.name for e in known.effects if not e.geometry})
     rows = [
-        {"joint": joint, "offset": at, "unit": unit,
-         "deg": math.degrees(at) if unit == "rad" else None}
+        {
+            "joint": joint,
+            "offset": at,
+            "unit": unit,
+            "deg": math.degrees(at) if unit == "rad" else None,
+        }
         for joint, at, unit in made.zero_offsets(known)
-    ]  # fmt: skip
+    ]
     print_json({"output": output, "zero_offsets": rows, "left_out": left})
     print_rows("Joint values at command zero (in the origins already)", rows)
     if left:

@@ -72,12 +72,19 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
     print_rows(
         f"Held-out errors ({calibration.held_out_rows} of {len(calibration.session)} rows)", rows
     )
-    print_rows("Placed by all rows, in the frame of the measurements", [
-        {"": place.where, "x y z, m": _three(place.xyz_m, 4), "1 sigma, mm": _three(place.sd_mm, 2),
-         "roll pitch yaw, deg": _three(place.rpy_deg, 3),
-         "1 sigma about x y z, deg": _three(place.sd_deg, 3)}
-        for place in calibration.places
-    ])  # fmt: skip
+    print_rows(
+        "Placed by all rows, in the frame of the measurements",
+        [
+            {
+                "": place.where,
+                "x y z, m": _three(place.xyz_m, 4),
+                "1 sigma, mm": _three(place.sd_mm, 2),
+                "roll pitch yaw, deg": _three(place.rpy_deg, 3),
+                "1 sigma about x y z, deg": _three(place.sd_deg, 3),
+            }
+            for place in calibration.places
+        ],
+    )
     added = [p for p in calibration.parameters if not p.geometry]
     found = [(p.effect, p.where, p.name, p.value, p.ci95, p.unit) for p in added]
     print_effects("Effects, fitted to all rows", arm.called, found)

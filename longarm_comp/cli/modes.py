@@ -84,15 +84,29 @@ def command(
     rows: list[dict[str, Any]] = []
     for row, (each, left) in enumerate(found):
         ways = each.tip / np.maximum(np.linalg.norm(each.tip, axis=1, keepdims=True), 1e-30)
-        rows += [{
-            "posture": row, "mode": k + 1, "hz": float(hz),
-            **{f"tip_{axis}": float(part) for axis, part in zip("xyz", way, strict=True)},
-            "ring_mm": 1e3 * left.size_m(), "settle_s": left.settle_s(),
-        } for k, (hz, way) in enumerate(zip(each.hz, ways, strict=True))]  # fmt: skip
+        rows += [
+            {
+                "posture": row,
+                "mode": k + 1,
+                "hz": float(hz),
+                **{f"tip_{axis}": float(part) for axis, part in zip("xyz", way, strict=True)},
+                "ring_mm": 1e3 * left.size_m(),
+                "settle_s": left.settle_s(),
+            }
+            for k, (hz, way) in enumerate(zip(each.hz, ways, strict=True))
+        ]
     size = "size_rad_m" if heard is not None and heard.of_joints else "size_mm"
     scale = 1e3 if size == "size_mm" else 1.0
-    told = [{"hz": w.hz, "hz_sd": w.hz_sd, "damping": w.damping, "damping_sd": w.damping_sd,
-             size: (scale * w.size).tolist()} for w in seen]  # fmt: skip
+    told = [
+        {
+            "hz": w.hz,
+            "hz_sd": w.hz_sd,
+            "damping": w.damping,
+            "damping_sd": w.damping_sd,
+            size: (scale * w.size).tolist(),
+        }
+        for w in seen
+    ]
     print_json({"damping": chosen, "rows": rows, "seen": told})
     if not rows:
         note("nothing of this model bends under load: declare beams, or give --model")

@@ -52,8 +52,10 @@ def scan(port: str | None, **line: Any) -> None:
     _show(found)
     left = SetupJournal(found.port)
     if ids_left := sorted(left.read(found.protocol)):
-        note(f"a setup was broken off: servos {ids_left} have not stored again what they had "
-             f"({left.path}); the next setup or start of the driver sees to it")  # fmt: skip
+        note(
+            f"a setup was broken off: servos {ids_left} have not stored again what they had "
+            f"({left.path}); the next setup or start of the driver sees to it"
+        )
     if all(servo.model for servo in found.servos):
         note("next: longarm servo setup DIR writes each servo's model, zero and direction")
 
@@ -86,8 +88,10 @@ def _find_servos(
         raise JobError(
             f"no servo answers on {port}: is the bus powered, are data and ground connected, is it "
             "another baud rate (--baud) or another program's port?",
-            protocol=protocol or "all", baud=baud or "the usual ones", ids=ids,
-        )  # fmt: skip
+            protocol=protocol or "all",
+            baud=baud or "the usual ones",
+            ids=ids,
+        )
     return found
 
 
@@ -254,10 +258,13 @@ def setup(
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
     servo_bus = open_bus(
-        found.protocol, found.port, found.baudrate,
+        found.protocol,
+        found.port,
+        found.baudrate,
         {joint.servo_id: joint.servo for joint in blind.values()},
-        bus.reply_timeout_s, bus.retries,
-    )  # fmt: skip
+        bus.reply_timeout_s,
+        bus.retries,
+    )
     with closing(servo_bus), ServoSetup(servo_bus, blind).safely() as bench:
         for text in bench.said:
             note(text)
@@ -337,8 +344,9 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
         if servo is None:
             raise JobError(
                 f"servo {joint.servo_id} of {name} is not on the bus: longarm servo set-id, or "
-                "correct servo_id", found=list(on_bus),
-            )  # fmt: skip
+                "correct servo_id",
+                found=list(on_bus),
+            )
         if not servo.model:
             raise JobError(f"{name}: {_unknown(servo, found.protocol)}")
         if servo.model != joint.model:

@@ -28,14 +28,25 @@ _SQUARE_MM, _TAG_SHARE = 25.0, 0.72
 def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Options of a board, the arguments of `_target`."""
     return options.several(
-        click.option("--board", default=default, metavar="COLUMNSxROWS",
-                     help="ChArUco board: squares across and down."),
-        click.option("--square-mm", type=float, default=_SQUARE_MM,
-                     help="Side of its squares, measured on the print."),
+        click.option(
+            "--board",
+            default=default,
+            metavar="COLUMNSxROWS",
+            help="ChArUco board: squares across and down.",
+        ),
+        click.option(
+            "--square-mm",
+            type=float,
+            default=_SQUARE_MM,
+            help="Side of its squares, measured on the print.",
+        ),
         click.option("--tag-mm", type=float, help="Side of its tags. Default: 0.72 squares."),
-        click.option("--dictionary", default="DICT_5X5_100",
-                     help="Tag family of the board; it must differ from the marker's."),
-    )  # fmt: skip
+        click.option(
+            "--dictionary",
+            default="DICT_5X5_100",
+            help="Tag family of the board; it must differ from the marker's.",
+        ),
+    )
 
 
 def _target(board: str, square_mm: float, tag_mm: float | None, dictionary: str) -> CharucoTarget:
@@ -247,12 +258,16 @@ def hand_eye(folder: Path, session: Path, model: Path | None) -> None:
         turns.append((f"q{axis}", f"{part:.5f}", f"{turn_sd:.3f} deg"))
     lines += [*turns, ("qw", f"{turn[3]:.5f}", "")]
     print_table("Left camera in the base frame", ("", "value", "1 sigma"), lines)
-    note(f"{found.rows} rows, {found.outliers} left out as outliers; residual "
-         f"{found.residual_mm:.2f} mm, on rows held out {found.held_out_mm:.2f} mm")  # fmt: skip
+    note(
+        f"{found.rows} rows, {found.outliers} left out as outliers; residual "
+        f"{found.residual_mm:.2f} mm, on rows held out {found.held_out_mm:.2f} mm"
+    )
     note(f"it was assumed {found.moved_mm:.1f} mm and {found.turned_deg:.2f} deg from there")
     note(f"{' and '.join(written)} written: a running graph reads them when it is started again")
     if arm.camera is not None:
         off = math.dist(arm.camera.position_m, place)
         if off > 0.01:
-            note(f"arm.yaml has its camera {1e3 * off:.0f} mm from there: put position_m and "
-                 "optical_axis right before the next calibration")  # fmt: skip
+            note(
+                f"arm.yaml has its camera {1e3 * off:.0f} mm from there: put position_m and "
+                "optical_axis right before the next calibration"
+            )

@@ -18,8 +18,16 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
 from longarm_comp.cli.signals import stop_on_signals
 from longarm_comp.core.errors import JobError
 
-SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mean_mm",
-         "paper_mean_mm")  # fmt: skip
+SHOWN = (
+    "model",
+    "n",
+    "mean_mm",
+    "rms_mm",
+    "max_mm",
+    "mean_abs_z_mm",
+    "true_mean_mm",
+    "paper_mean_mm",
+)
 
 
 @click.command()

@@ -85,8 +85,12 @@ class Attendant:
             "why": driver.message if driver else "; ".join((_OTHER if other else _NONE, *kept)),
             "nodes": sorted(reports.nodes),
             "troubles": [
-                {"node": node, "part": part, "level": _LEVELS[min(ord(said.level), 3)],
-                 "message": said.message}
+                {
+                    "node": node,
+                    "part": part,
+                    "level": _LEVELS[min(ord(said.level), 3)],
+                    "message": said.message,
+                }
                 for node, parts in sorted(reports.nodes.items())
                 for part, said in parts.items()
                 if ord(said.level)
@@ -94,7 +98,7 @@ class Attendant:
             "next": step,
             "tip": reports.last_message("kinematics", TIP_SAID),
             "learned": reports.last_message("kinematics", LEARNED_SAID),
-        }  # fmt: skip
+        }
 
     def hold(self) -> str:
         """Stop smoothly and stay, with torque on; return what the driver said."""

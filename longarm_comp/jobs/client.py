@@ -66,9 +66,13 @@ class ArmClient(GraphClient):
     """One arm on a graph: its joints, the sightings of its tip (or what else tells it), moves."""
 
     def __init__(
-        self, arm: Arm, namespace: str = "", stop: threading.Event | None = None,
-        name: str = "longarm_client", tips: graph.Topic = graph.TIP_MEASURED,
-    ) -> None:  # fmt: skip
+        self,
+        arm: Arm,
+        namespace: str = "",
+        stop: threading.Event | None = None,
+        name: str = "longarm_client",
+        tips: graph.Topic = graph.TIP_MEASURED,
+    ) -> None:
         super().__init__(namespace, stop, name)
         self.arm = arm
         self.joints: np.ndarray | None = None

@@ -114,9 +114,14 @@ class DemoSettings:
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": PACE.look_s},
         }
         return BringUp(
-            arm=self.arm, model=self.out / MODEL, predictor=self.out / PREDICTOR, sim=True,
-            namespace=NAMESPACE, speed=self.speed, set=given,
-        )  # fmt: skip
+            arm=self.arm,
+            model=self.out / MODEL,
+            predictor=self.out / PREDICTOR,
+            sim=True,
+            namespace=NAMESPACE,
+            speed=self.speed,
+            set=given,
+        )
 
 
 def _true_tip(client: ArmClient) -> Witness:

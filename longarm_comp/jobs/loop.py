@@ -278,18 +278,26 @@ class Loop:
         todo = visits(plan, arm, repeats=min(5, settings.poses // 10), seed=seed)
         bag = settings.path("session", k)
         done = collect(
-            self._client, todo, bag, pace=settings.pace, resume=(bag / "metadata.yaml").is_file(),
+            self._client,
+            todo,
+            bag,
+            pace=settings.pace,
+            resume=(bag / "metadata.yaml").is_file(),
             progress=lambda now: self._say(str(now), now.share),
-        )  # fmt: skip
+        )
         return done.made + done.before
 
     def _diagnose(self, k: int, files: FilesAtWork) -> list[list[str]]:
         model = files.model if files.model.is_file() else None
         result = diagnose_files(
-            self._client.arm, self._settings.path("session", k),
-            self._settings.path("diagnosis", k), model=model, network=False,
-            seed=self._settings.seed, progress=lambda step: self._say(f"diagnose: {step}", 0.3),
-        )  # fmt: skip
+            self._client.arm,
+            self._settings.path("session", k),
+            self._settings.path("diagnosis", k),
+            model=model,
+            network=False,
+            seed=self._settings.seed,
+            progress=lambda step: self._say(f"diagnose: {step}", 0.3),
+        )
         # Each effect, what cannot be told from it, and what could stand for a part of it
         each = ((*f.names, *(a.name for a in f.partial_aliases)) for f in result.findings)
         return [list(dict.fromkeys(names)) for names in each]
@@ -311,9 +319,17 @@ class Loop:
             "predictor": None if done.predictor is None else str(done.predictor),
             "network_refused": done.refused,
             "undo": done.undo,
-            "changes": [{"text": str(c), "what": c.what, "where": c.where, "kind": c.kind,
-                         "tip_mm": c.tip_mm} for c in done.changes],
-        }  # fmt: skip
+            "changes": [
+                {
+                    "text": str(c),
+                    "what": c.what,
+                    "where": c.where,
+                    "kind": c.kind,
+                    "tip_mm": c.tip_mm,
+                }
+                for c in done.changes
+            ],
+        }
 
     def _done(self, step: str) -> None:
         now = time.monotonic()

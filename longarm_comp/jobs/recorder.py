@@ -17,10 +17,16 @@ from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import moment, publisher_quality, stamp_of_raw
 
 SESSION_TOPICS = (
-    graph.TARGET_POSE, graph.JOINT_TRAJECTORY, graph.COMPENSATION, graph.JOINT_STATES,
-    graph.PREDICTED_ERROR, graph.TIP_MEASURED, graph.TEMPERATURE, graph.PAYLOAD,
+    graph.TARGET_POSE,
+    graph.JOINT_TRAJECTORY,
+    graph.COMPENSATION,
+    graph.JOINT_STATES,
+    graph.PREDICTED_ERROR,
+    graph.TIP_MEASURED,
+    graph.TEMPERATURE,
+    graph.PAYLOAD,
     graph.INCLINATION,
-)  # fmt: skip
+)
 """Topics of a session. Images would take a hundred times as much space."""
 
 HELD_TOPICS = (graph.TEMPERATURE, graph.PAYLOAD, graph.INCLINATION)

@@ -94,9 +94,14 @@ class Compensator:
     def refuse(self, target: TargetRequest, status: Status, reason: str) -> Answer:
         """Make the answer to a target that is refused before any computation."""
         return Answer(
-            target.name, target.pose, target.position_only, status, reason,
-            str(self._node.get_parameter("method").value), self._files.loaded.file_hash,
-        )  # fmt: skip
+            target.name,
+            target.pose,
+            target.position_only,
+            status,
+            reason,
+            str(self._node.get_parameter("method").value),
+            self._files.loaded.file_hash,
+        )
 
     def _compensate(self, target: TargetRequest) -> Answer:
         given, place = self._in_base(target)
@@ -111,14 +116,21 @@ class Compensator:
         if not self._frames.hangs_on(target.pose.header.frame_id, self._measured):
             model = stands.promising(model)
         compensate = partial(
-            compensate_move, model, target=stands.carried(place), start=start, seed=seed,
-            history=self._state.driver.history, position_only=target.position_only,
+            compensate_move,
+            model,
+            target=stands.carried(place),
+            start=start,
+            seed=seed,
+            history=self._state.driver.history,
+            position_only=target.position_only,
             context_after=partial(
-                self._state.readings.context, physics_of(loaded.model, options.method),
-                time.monotonic(), self._state.p["context_max_age_s"],
+                self._state.readings.context,
+                physics_of(loaded.model, options.method),
+                time.monotonic(),
+                self._state.p["context_max_age_s"],
             ),
             options=options,
-        )  # fmt: skip
+        )
         arrival, used, why = self._state.predictor.compensate_with(options.method, compensate)
         arrival = replace(arrival, outcome=stands.carry_back(arrival.outcome))
         outcome = arrival.outcome
@@ -130,9 +142,16 @@ class Compensator:
             entry = describe_entry(self._declared, path)
             status, reason = (Status.KEPT_OUT, entry) if entry else (status, reason)
         return Answer(
-            target.name, given, target.position_only, status, reason, options.method.value,
-            loaded.file_hash, used, arrival,
-        )  # fmt: skip
+            target.name,
+            given,
+            target.position_only,
+            status,
+            reason,
+            options.method.value,
+            loaded.file_hash,
+            used,
+            arrival,
+        )
 
     def _in_base(self, target: TargetRequest) -> tuple[PoseStamped, np.ndarray]:
         """Return the target in the base frame: as a message, and as (4, 4) or (3,), m."""

@@ -137,9 +137,14 @@ class Markers:
         self._publisher.publish(MarkerArray(markers=drawn))
 
     def _marker(
-        self, number: int, name: str, kind: int, colour: Colour, size: float,
+        self,
+        number: int,
+        name: str,
+        kind: int,
+        colour: Colour,
+        size: float,
         points: Sequence[np.ndarray] | np.ndarray,
-    ) -> Marker:  # fmt: skip
+    ) -> Marker:
         """Make a marker. One without points removes it."""
         marker = Marker(ns=name, id=number, type=kind, action=Marker.ADD)
         marker.header.frame_id = self._state.base_frame

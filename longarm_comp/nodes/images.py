@@ -116,17 +116,26 @@ def image_message(grey: Grey, ns: int, frame: str) -> Image:
     """Make the message of a grey image (H, W), uint8."""
     height, width = grey.shape
     return Image(
-        header=Header(stamp=stamp_of(ns), frame_id=frame), height=height, width=width, step=width,
-        encoding="mono8", data=array.array("B", np.ascontiguousarray(grey).tobytes()),
-    )  # fmt: skip
+        header=Header(stamp=stamp_of(ns), frame_id=frame),
+        height=height,
+        width=width,
+        step=width,
+        encoding="mono8",
+        data=array.array("B", np.ascontiguousarray(grey).tobytes()),
+    )
 
 
 def info_message(info: Calibration, ns: int, frame: str) -> CameraInfo:
     return CameraInfo(
-        header=Header(stamp=stamp_of(ns), frame_id=frame), width=info.width, height=info.height,
+        header=Header(stamp=stamp_of(ns), frame_id=frame),
+        width=info.width,
+        height=info.height,
         distortion_model=info.distortion_model,
-        d=list(info.d), k=list(info.k), r=list(info.r), p=list(info.p),
-    )  # fmt: skip
+        d=list(info.d),
+        k=list(info.k),
+        r=list(info.r),
+        p=list(info.p),
+    )
 
 
 def same_camera(a: Calibration, b: Calibration) -> bool:

@@ -95,9 +95,14 @@ class Topic:
             durability=self._durability,
         )
         return node.create_subscription(
-            self.type, self.name, callback, qos,
-            callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION, raw=raw,
-        )  # fmt: skip
+            self.type,
+            self.name,
+            callback,
+            qos,
+            callback_group=group,
+            event_callbacks=_UNHEARD_SUBSCRIPTION,
+            raw=raw,
+        )
 
 
 @dataclass(frozen=True)
@@ -108,9 +113,13 @@ class Action:
     def server(self, node: Node, serve: Callable[[Any], Any]) -> Any:
         """Offer the action on a node; the goal that ``serve`` awaits may be cancelled."""
         return ActionServer(
-            node, self.type, self.name, serve, callback_group=ReentrantCallbackGroup(),
+            node,
+            self.type,
+            self.name,
+            serve,
+            callback_group=ReentrantCallbackGroup(),
             cancel_callback=lambda goal: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)

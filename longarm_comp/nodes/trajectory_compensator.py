@@ -190,14 +190,20 @@ class _TrajectoryCompensator(ArmNode):
         history = History.unknown(self._arm.n) if self._following else self._driver.history
         try:
             compensate = partial(
-                compensate_path, loaded.stands.promising(loaded.model),
+                compensate_path,
+                loaded.stands.promising(loaded.model),
                 plan=self._plan(request.trajectory, start).seen_from(loaded.stands.motion),
-                start=start, history=history, limits=self._limits,
+                start=start,
+                history=history,
+                limits=self._limits,
                 context_at=partial(self._state.context, model=physics),
-                max_correction_m=self.p["max_correction_m"], turn_m=self.p["turn_m"],
-                position_only=self.p["position_only"], max_turn_rad=self.p["max_turn_rad"],
-                max_longer=self._longer(request), options=CompensationOptions(self._method),
-            )  # fmt: skip
+                max_correction_m=self.p["max_correction_m"],
+                turn_m=self.p["turn_m"],
+                position_only=self.p["position_only"],
+                max_turn_rad=self.p["max_turn_rad"],
+                max_longer=self._longer(request),
+                options=CompensationOptions(self._method),
+            )
             with ik.compile_at_once():
                 found, *_ = self._state.predictor.compensate_with(self._method, compensate)
         except (PathRefused, StaleContext, InputError) as error:

@@ -160,11 +160,15 @@ _ROW_IN = 0.22
 def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
     """The page of a folder as text, with links to the diagnosis of each arm (row of fleet.json)."""
     return _render(
-        "fleet", lambda: _errors_of_arms(arms), name=name, arms=arms, kinds=_kinds(arms),
+        "fleet",
+        lambda: _errors_of_arms(arms),
+        name=name,
+        arms=arms,
+        kinds=_kinds(arms),
         drifted=[arm for arm in arms if arm["drifted"]],
         failed=[arm for arm in arms if arm["verdict"] == "failed"],
         compared=sum(arm["in_use_mm"] is not None for arm in arms),
-    )  # fmt: skip
+    )
 
 
 def _kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -207,25 +211,38 @@ def day_page(arm: str, bag: str, day: Day) -> str:
     changes = [s for s in day.said if s.level == 0]
     troubles = [s for s in day.said if s.level > 0]
     return _render(
-        "day", lambda: _errors_of_day(day, changes), arm=arm, bag=bag, hours=day.hours,
-        rows=day.by_hour(), refused=day.refused.most_common(),
+        "day",
+        lambda: _errors_of_day(day, changes),
+        arm=arm,
+        bag=bag,
+        hours=day.hours,
+        rows=day.by_hour(),
+        refused=day.refused.most_common(),
         changes=[(_clock(s.first_s), s.message) for s in changes],
         troubles=[(_clock(s.first_s), _clock(s.last_s), s.part, s.message) for s in troubles],
-    )  # fmt: skip
+    )
 
 
 def _errors_of_day(day: Day, changes: list[Notice]) -> Figure:
     drawn = Figure(figsize=(9, 3.4), layout="constrained")
     axes = drawn.subplots()
     axes.plot(
-        day.t_s / 3600.0, day.error_mm, color=BLUE, marker="o", markersize=3, linestyle="",
+        day.t_s / 3600.0,
+        day.error_mm,
+        color=BLUE,
+        marker="o",
+        markersize=3,
+        linestyle="",
         label="a target",
-    )  # fmt: skip
+    )
     for k, said in enumerate(changes[1:]):
         axes.axvline(
-            said.first_s / 3600.0, color=VERMILLION, linestyle="--", linewidth=0.9,
+            said.first_s / 3600.0,
+            color=VERMILLION,
+            linestyle="--",
+            linewidth=0.9,
             label=None if k else "something learned",
-        )  # fmt: skip
+        )
     axes.set_xlabel("hours since the recording began")
     axes.set_ylabel("tip − target, mm")
     axes.set_ylim(bottom=0.0)

@@ -52,9 +52,15 @@ def against_input(
             panel.axhline(0, color=INK, linewidth=0.8)
             # Above this many points, a scatter plot is rasterised
             panel.plot(
-                spread, error, linestyle="", marker=look.marker, markersize=3,
-                color=look.color, alpha=0.6, rasterized=len(error) > 800,
-            )  # fmt: skip
+                spread,
+                error,
+                linestyle="",
+                marker=look.marker,
+                markersize=3,
+                color=look.color,
+                alpha=0.6,
+                rasterized=len(error) > 800,
+            )
             middle = np.array([np.median(error[group]) for group in groups])
             panel.plot(centre, middle, color=INK, marker="_", markersize=12, linewidth=1.6)
             if column == 0:
@@ -87,20 +93,32 @@ def place(found: Marked) -> Figure:
     for near in _together(found.places_m, 0.06 * float((high - low).max())):
         x, z = seen(np.mean([found.places_m[where] for where in near], axis=0))
         axes.plot(
-            x, z, marker="o", markersize=16, markerfacecolor="none", color=VERMILLION,
+            x,
+            z,
+            marker="o",
+            markersize=16,
+            markerfacecolor="none",
+            color=VERMILLION,
             markeredgewidth=2.2,
-        )  # fmt: skip
+        )
         label = ", ".join(where.split(",")[0].rsplit(" ", 1)[-1].strip("()") for where in near)
         left_half = x < (low[0] + high[0]) / 2
         axes.annotate(
-            label, (x, z), (8 if left_half else -8, 9), textcoords="offset points", fontsize=10,
-            color=INK, fontweight="bold", ha="left" if left_half else "right",
-        )  # fmt: skip
+            label,
+            (x, z),
+            (8 if left_half else -8, 9),
+            textcoords="offset points",
+            fontsize=10,
+            color=INK,
+            fontweight="bold",
+            ha="left" if left_half else "right",
+        )
     room = 0.14 * max(float((high - low).max()), 1e-3)
     axes.set(
-        xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room),
+        xlim=(low[0] - room, high[0] + room),
+        ylim=(low[1] - room, high[1] + room),
         aspect="equal",
-    )  # fmt: skip
+    )
     axes.axis("off")
     drawn.subplots_adjust(left=0, right=1, bottom=0, top=1)
     return drawn
@@ -140,15 +158,25 @@ def at_the_tip(
         length = np.sort(np.linalg.norm(held, axis=1)) * 1e3
         share = (np.arange(len(length)) + 1) / max(1, len(length))
         left.plot(
-            np.maximum(length, 1e-4), share, label=name, color=look.color,
-            linestyle=look.dash, marker=look.marker, markersize=5,
+            np.maximum(length, 1e-4),
+            share,
+            label=name,
+            color=look.color,
+            linestyle=look.dash,
+            marker=look.marker,
+            markersize=5,
             markevery=max(1, len(length) // 8),
-        )  # fmt: skip
+        )
         at = np.arange(3) + (k - (len(errors) - 1) / 2) * width
         boxes = right.boxplot(
-            list((held * 1e3).T), positions=at, widths=width * 0.8, patch_artist=True,
-            whis=(2.5, 97.5), showfliers=False, medianprops={"color": INK, "linewidth": 1.5},
-        )  # fmt: skip
+            list((held * 1e3).T),
+            positions=at,
+            widths=width * 0.8,
+            patch_artist=True,
+            whis=(2.5, 97.5),
+            showfliers=False,
+            medianprops={"color": INK, "linewidth": 1.5},
+        )
         for box in boxes["boxes"]:
             box.set(facecolor="white", edgecolor=look.color, hatch=look.hatch)
     if sigma_mm is not None:
@@ -156,17 +184,21 @@ def at_the_tip(
         below = np.linspace(0.005, 0.995, 200)
         left.plot(scale * normal_length(below), below, color=INK, linewidth=1, label=FLOOR)
     left.set(
-        xscale="log", ylim=(0, 1.02), xlabel=f"|{error}|, mm (log scale)",
-        ylabel=f"share of {rows}", title=f"Share of {rows} below an error",
-    )  # fmt: skip
+        xscale="log",
+        ylim=(0, 1.02),
+        xlabel=f"|{error}|, mm (log scale)",
+        ylabel=f"share of {rows}",
+        title=f"Share of {rows} below an error",
+    )
     left.xaxis.set_major_formatter("{x:g}")
     left.legend(fontsize=8, loc="best")
     right.axhline(0, color=INK, linewidth=0.8)
     right.set_xticks(range(3), ["x", "y", "z"])
     right.set(
-        ylabel=f"{error}, mm", yscale="symlog", title="Per axis: quartiles and 95 % range\n(from "
-        "left to right in the order of the legend)",
-    )  # fmt: skip
+        ylabel=f"{error}, mm",
+        yscale="symlog",
+        title="Per axis: quartiles and 95 % range\n(from left to right in the order of the legend)",
+    )
     right.yaxis.set_major_formatter("{x:g}")
     drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.13, top=0.86, wspace=0.25)
     return drawn

@@ -77,8 +77,7 @@ def is_signed(path: Path) -> bool:
 
 
 # An SVG turns light on dark, hues kept, where the reader's pages are dark
-_DARK = (b"@media screen and (prefers-color-scheme: dark)"
-         b"{svg{filter:invert(.9) hue-rotate(180deg)}}")  # fmt: skip
+_DARK = b"@media screen and (prefers-color-scheme: dark){svg{filter:invert(.9) hue-rotate(180deg)}}"
 
 
 def rc() -> AbstractContextManager[None]:

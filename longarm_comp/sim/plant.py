@@ -90,9 +90,13 @@ class Plant:
         self._loads: Mapping[int, float] = {}
         self._loaded = [j for j in self._servos if j.told or loose]
         self.emulator = ServoEmulator(
-            config.servos.protocol, config.servos.start_ticks(), specs, link=link,
-            loads=lambda: self._loads, clock=clock,
-        )  # fmt: skip
+            config.servos.protocol,
+            config.servos.start_ticks(),
+            specs,
+            link=link,
+            loads=lambda: self._loads,
+            clock=clock,
+        )
         self._rng = rng
         self._true = TrueArm(config.arm, self._behind, steps=QUICK_STEPS)
         self._last: tuple[Array, Array] | None = None

@@ -176,9 +176,14 @@ def vibration(true: TrueArm, q: Array) -> _Vibration:
         parts = axes[3 * spring : 3 * spring + 3, chosen]
         turned[joint] = axis @ root[spring] @ parts * omega
     return _Vibration(
-        omega, shape, mass, gives[-3:] @ axes[:, chosen] * omega, hang,
-        -shape.T @ (mass[:, None] * hang), turned,
-    )  # fmt: skip
+        omega,
+        shape,
+        mass,
+        gives[-3:] @ axes[:, chosen] * omega,
+        hang,
+        -shape.T @ (mass[:, None] * hang),
+        turned,
+    )
 
 
 class Ringing:

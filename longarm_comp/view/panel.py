@@ -38,19 +38,32 @@ _ON, _OFF = partial(SetBool.Request, data=True), partial(SetBool.Request, data=F
 _GREY = (105, 112, 120)
 
 STOPS = (
-    Button("Software stop (torque off)", graph.ESTOP, _ON, (176, 0, 32),
-           "Cuts the torque: an arm without brakes drops. It is no safety function."),
-    Button("Hold", graph.HOLD, _ON, (178, 84, 0),
-           "Stops smoothly and stays with torque on."),
-)  # fmt: skip
+    Button(
+        "Software stop (torque off)",
+        graph.ESTOP,
+        _ON,
+        (176, 0, 32),
+        "Cuts the torque: an arm without brakes drops. It is no safety function.",
+    ),
+    Button("Hold", graph.HOLD, _ON, (178, 84, 0), "Stops smoothly and stays with torque on."),
+)
 RELEASES = (
-    Button("Release hold", graph.HOLD, _OFF, _GREY,
-           "Trajectories are taken again."),
-    Button("Release stop", graph.ESTOP, _OFF, _GREY,
-           "Torque on where the arm stands; trajectories are taken again."),
-    Button("Reset fault", graph.RESET, Trigger.Request, _GREY,
-           "Ends stop, hold, and a fault whose cause is gone."),
-)  # fmt: skip
+    Button("Release hold", graph.HOLD, _OFF, _GREY, "Trajectories are taken again."),
+    Button(
+        "Release stop",
+        graph.ESTOP,
+        _OFF,
+        _GREY,
+        "Torque on where the arm stands; trajectories are taken again.",
+    ),
+    Button(
+        "Reset fault",
+        graph.RESET,
+        Trigger.Request,
+        _GREY,
+        "Ends stop, hold, and a fault whose cause is gone.",
+    ),
+)
 
 
 class Buttons:

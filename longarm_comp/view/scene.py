@@ -79,9 +79,14 @@ class Scene:
             )
         for name, colour in (("missed", RED), ("beside", ORANGE)):
             self._handles[name] = scene.add_arrows(
-                f"/{name}", start[:1], colour, shaft_radius=0.003 * size, head_radius=0.008 * size,
-                head_length=0.02 * size, visible=False,
-            )  # fmt: skip
+                f"/{name}",
+                start[:1],
+                colour,
+                shaft_radius=0.003 * size,
+                head_radius=0.008 * size,
+                head_length=0.02 * size,
+                visible=False,
+            )
         for name, side in (("hanging", -1), ("missed", 1)):
             self._beside[name] = np.array([0.0, 0.0, 0.04 * size * side])
             self._handles[f"{name} label"] = scene.add_label(

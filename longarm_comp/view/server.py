@@ -143,9 +143,14 @@ class Gate:
     def _welcome(self, port: int) -> Response:
         cookie = f"{_cookie(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
         headers = Headers(
-            {"Location": _START, "Set-Cookie": cookie, "Referrer-Policy": "no-referrer",
-             "Cache-Control": "no-store", "Content-Length": "0"}
-        )  # fmt: skip
+            {
+                "Location": _START,
+                "Set-Cookie": cookie,
+                "Referrer-Policy": "no-referrer",
+                "Cache-Control": "no-store",
+                "Content-Length": "0",
+            }
+        )
         return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
 
 

@@ -217,9 +217,11 @@ def _before(provenance: dict[str, str | int | float], made: Path, model: Path, a
             return at_work
     if diagnosed != now:
         raise InputError(
-            made, f"provenance.{inputs.MODEL_BEFORE}", str(diagnosed)[:12] or "the declared arm",
+            made,
+            f"provenance.{inputs.MODEL_BEFORE}",
+            str(diagnosed)[:12] or "the declared arm",
             f"the model in use, {now[:12] or 'the declared arm'}: diagnose with --model {model}",
-        )  # fmt: skip
+        )
     return at_work
 
 
@@ -305,8 +307,11 @@ def undo(model: Path) -> Path | None:
     Returns:
         The file of the predictor that came back, if any.
     """
-    beside = [follow_link(p) for p in model.parent.glob("[!.]*.npz")
-              if p.is_symlink() or _trained_with(p) is not None]  # fmt: skip
+    beside = [
+        follow_link(p)
+        for p in model.parent.glob("[!.]*.npz")
+        if p.is_symlink() or _trained_with(p) is not None
+    ]
     names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in beside})
     discarded = inputs.file_hash(model) if model.is_file() else ""
     back = [name for name in names if finish(model, name)]

@@ -234,9 +234,14 @@ def calibrate(
     steps, tell = 5 + len(chosen), inputs.teller(progress)
     done = iter(range(steps))
     rungs = ladder(
-        arm, train, held_out, chosen, deflection=deflection, kind=kind,
+        arm,
+        train,
+        held_out,
+        chosen,
+        deflection=deflection,
+        kind=kind,
         progress=lambda name: tell(name, next(done) / steps),
-    )  # fmt: skip
+    )
     last = rungs[-1].model
     size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
     tell("all rows", (steps - 1) / steps)

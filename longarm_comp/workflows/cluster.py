@@ -48,9 +48,11 @@ def spread(
         target: Any = address
         if address == "local":
             own = LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=":0",
+                n_workers=workers,
+                threads_per_worker=1,
+                dashboard_address=":0",
                 silence_logs=logging.ERROR,
-            )  # fmt: skip
+            )
             target = stack.enter_context(own)
         try:
             client = stack.enter_context(Client(target, timeout=ANSWER_S))

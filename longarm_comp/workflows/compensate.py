@@ -103,11 +103,15 @@ class Commands(Sequence[Compensation]):
 
     def _repr_html_(self) -> str:
         rows = [
-            {"target": int(number), "status": each.status.name.lower(),
-             "expected, mm": 1e3 * float(each.expected_m), "90 %, mm": 1e3 * float(each.p90_m),
-             **{f"q{j}": float(q) for j, q in enumerate(each.command, 1)}}
+            {
+                "target": int(number),
+                "status": each.status.name.lower(),
+                "expected, mm": 1e3 * float(each.expected_m),
+                "90 %, mm": 1e3 * float(each.p90_m),
+                **{f"q{j}": float(q) for j, q in enumerate(each.command, 1)},
+            }
             for number, each in zip(self.numbers, self, strict=True)
-        ]  # fmt: skip
+        ]
         return html_table(f"{self.summary}{self.promise}", rows)
 
     def __repr__(self) -> str:

@@ -103,22 +103,29 @@ def compensate_path(
         times = path.columns.get("t_s")
     n = model.arm.n
     carried = np.array([p.carried(goal) for p, goal in zip(placements, goals, strict=True)])
-    limits = MotionLimits(_each(max_velocity, n, "max_velocity"),
-                    _each(max_acceleration, n, "max_acceleration"))  # fmt: skip
+    limits = MotionLimits(
+        _each(max_velocity, n, "max_velocity"), _each(max_acceleration, n, "max_acceleration")
+    )
     start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
     first = start if seed is None else np.asarray(seed, float)
     model = placements[0].promising(model)
     found = solve_path(
-        model, predictor,
+        model,
+        predictor,
         PlannedPath(
             carried, None if times is None else np.asarray(times, float), base=placements[0].moved
         ),
-        start=start, history=came, seed=first,
+        start=start,
+        history=came,
+        seed=first,
         context_at=lambda arrived: points.after(told, arrived),
-        limits=limits, max_correction_m=max_correction_m, max_turn_rad=max_turn_rad,
-        max_longer=max_longer, position_only=position_only,
+        limits=limits,
+        max_correction_m=max_correction_m,
+        max_turn_rad=max_turn_rad,
+        max_longer=max_longer,
+        position_only=position_only,
         options=CompensationOptions(chosen, locked, **settling),
-    )  # fmt: skip
+    )
     joints = found.timed.joints
     steps = np.diff(joints, axis=0, prepend=(joints[0] if start is None else start)[None])
     sides = np.where(np.abs(steps) < SAME_POSE, 0.0, np.sign(steps))
@@ -129,9 +136,13 @@ def compensate_path(
         for outcome, q, side, context in zip(outcomes, joints, sides, contexts, strict=True)
     )
     return PathCommands(
-        numbers, arrivals, placements,
-        timed=found.timed, correction_m=found.correction_m, notes=found.notes,
-    )  # fmt: skip
+        numbers,
+        arrivals,
+        placements,
+        timed=found.timed,
+        correction_m=found.correction_m,
+        notes=found.notes,
+    )
 
 
 def _each(given: ArrayLike | None, n: int, name: str) -> np.ndarray:

@@ -224,9 +224,15 @@ def diagnose(
         return networks.train(*training_rows(fitted, rows), seed=seed, provenance=origin)
 
     found = core.diagnose(
-        arm, whole, test=held_out, model=known, kind=kind, seed=seed,
-        progress=inputs.teller(progress), train_network=train_on if network else None,
-    )  # fmt: skip
+        arm,
+        whole,
+        test=held_out,
+        model=known,
+        kind=kind,
+        seed=seed,
+        progress=inputs.teller(progress),
+        train_network=train_on if network else None,
+    )
     facts = {"session": _path(session).name, "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:
         facts |= {"hold-out": _path(test).name, "hold-out sha256": held_out.hash}

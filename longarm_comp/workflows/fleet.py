@@ -227,9 +227,11 @@ def _write(arms: Iterable[Diagnosed], output: Path) -> None:
 
 
 def _diagnose_each(
-    look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int,
+    look: Callable[..., Diagnosed],
+    left: Sequence[tuple[_Member, int, str]],
+    jobs: int,
     dask: str | None,
-) -> Iterator[Diagnosed]:  # fmt: skip
+) -> Iterator[Diagnosed]:
     """Yield each arm as it is done."""
     if dask is None and jobs == 1:
         yield from (look(*one) for one in left)
@@ -273,9 +275,18 @@ def _diagnose_arm(
     rows = len(found.diagnosis.train) + len(found.diagnosis.held_out)
     calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", list(left)[-1]))
     made = Diagnosed(
-        member.name, kind, str(member.session), rows, found.verdict, found.summary, in_use,
-        calibrated, diagnosed, tuple(findings), made_of,
-    )  # fmt: skip
+        member.name,
+        kind,
+        str(member.session),
+        rows,
+        found.verdict,
+        found.summary,
+        in_use,
+        calibrated,
+        diagnosed,
+        tuple(findings),
+        made_of,
+    )
     del found
     gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms
     return made

@@ -182,10 +182,12 @@ def load_predictor(
 
     network_kind(network)
     predictor = load(
-        path, arm_hash=arm.hash, joint_names=arm.joint_names,
+        path,
+        arm_hash=arm.hash,
+        joint_names=arm.joint_names,
         model_hash=None if isinstance(model, Model) else str(physics_mark(model)["model_hash"]),
         model=f"the model that it was trained with, not {model or 'none'}",
-    )  # fmt: skip
+    )
     check_predictor(predictor, physics(arm, model), path)
     return predictor
 

@@ -105,9 +105,14 @@ def plan(
         fitted = uncertain.model.arm.model_copy(update={"keep_out": within.keep_out})
         where = replace(uncertain.model, arm=fitted)
         return optimal_poses(
-            uncertain, n, criterion=kind, measure=measure,
-            allowed=lambda poses: allowed_poses(poses, where), rng=seed, pool=pool,
-        )  # fmt: skip
+            uncertain,
+            n,
+            criterion=kind,
+            measure=measure,
+            allowed=lambda poses: allowed_poses(poses, where),
+            rng=seed,
+            pool=pool,
+        )
     if measured is not None or model is not None:
         raise InputError("plan", "kind", kind, f"{' or '.join(_OPTIMAL)}, with model or rows")
     where = declared_model(within)

@@ -121,10 +121,17 @@ def train(
     mark = given.physics_mark(model, deflection)
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, mark)
     predictor = networks.train(
-        *rows, inputs=inputs, init=init, seed=seed, ensemble=ensemble, hidden=hidden,
-        device=device, network=given.network_kind(network), provenance=origin,
+        *rows,
+        inputs=inputs,
+        init=init,
+        seed=seed,
+        ensemble=ensemble,
+        hidden=hidden,
+        device=device,
+        network=given.network_kind(network),
+        provenance=origin,
         progress=lambda k, of: tell(f"{k} of {of} networks", k / of),
-    )  # fmt: skip
+    )
     residual = rows[1]
     left = residual - expected_errors(predictor, located).error
     return TrainedPredictor(

@@ -70,16 +70,21 @@ def verification(
     both = np.isfinite(without).all(axis=1) & np.isfinite(compensated).all(axis=1)
     if both.sum() < LEAST:
         raise JobError(
-            "the marker was not seen in both runs at enough targets", seen=int(both.sum()),
-            targets=len(without), needed=LEAST,
-        )  # fmt: skip
+            "the marker was not seen in both runs at enough targets",
+            seen=int(both.sum()),
+            targets=len(without),
+            needed=LEAST,
+        )
     before, after = without[both], compensated[both]
     gain = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
     # Of 5000 drawings, an end of the interval moves by 1 % of its width
     drawn = bootstrap(
-        (gain,), np.mean, n_resamples=5000, method="percentile",
+        (gain,),
+        np.mean,
+        n_resamples=5000,
+        method="percentile",
         rng=np.random.default_rng(seed),
-    ).confidence_interval  # fmt: skip
+    ).confidence_interval
     runs = dict(zip(names, (before, after), strict=True))
     return Verification(runs, float(gain.mean()), (float(drawn.low), float(drawn.high)))
 

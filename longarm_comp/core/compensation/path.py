@@ -97,9 +97,13 @@ class CompensatedPath:
             if not len(rows := np.flatnonzero(learned == with_it)):
                 continue
             miss, _, doubts = judge(
-                model, method, command[rows], self.context.take(rows), place[rows],
+                model,
+                method,
+                command[rows],
+                self.context.take(rows),
+                place[rows],
                 self.sigma[rows] if with_it else None,
-            )  # fmt: skip
+            )
             said = (miss.sigma, doubts, *(size.tolist() for size in miss.sizes))
             for k, sigma, doubt, expected, p90 in zip(rows.tolist(), *said, strict=True):
                 made[k] = Compensation(
@@ -178,10 +182,21 @@ def compensate_path(
     if plan.joints is not None:
         plan = replace(plan, joints=unwrap(arm, plan.joints, start if begun else None))
     way = _Way(
-        model, predictor if options.method.learned else None, plan, start, history, context_at,
-        begun, turn_m, max_longer, limits or MotionLimits(*np.full((2, arm.n), np.inf)),
-        max_correction_m, max_turn_rad, free, options,
-    )  # fmt: skip
+        model,
+        predictor if options.method.learned else None,
+        plan,
+        start,
+        history,
+        context_at,
+        begun,
+        turn_m,
+        max_longer,
+        limits or MotionLimits(*np.full((2, arm.n), np.inf)),
+        max_correction_m,
+        max_turn_rad,
+        free,
+        options,
+    )
     try:
         return way.solve(seed)
     except _Unanswered as unanswered:
@@ -338,10 +353,15 @@ class _Way:
         first = self.start if seed is None else seed
         for row, (target, context) in enumerate(zip(plan.targets, each, strict=True)):
             found = ik.solve(
-                physics, target, seed=made[-1] if made else first,
-                context=context, position_only=self.free, near=True, locked=self.options.locked,
+                physics,
+                target,
+                seed=made[-1] if made else first,
+                context=context,
+                position_only=self.free,
+                near=True,
+                locked=self.options.locked,
                 max_starts=1 if made else self.options.starts,
-            )  # fmt: skip
+            )
             self._refuse(row, found)
             made.append(found.q)
         return self._standing(np.array(made))
@@ -357,9 +377,15 @@ class _Way:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find joints (k, n), and by how much the orientation is off there (k,), rad."""
         found = ik.solve_many(
-            self.physics, pseudo_targets(self.plan.targets, error), seed=seeds, context=context,
-            position_only=self.free, near=True, locked=self.options.locked, max_starts=1,
-        )  # fmt: skip
+            self.physics,
+            pseudo_targets(self.plan.targets, error),
+            seed=seeds,
+            context=context,
+            position_only=self.free,
+            near=True,
+            locked=self.options.locked,
+            max_starts=1,
+        )
         turn = found.angle_residual_rad
         turn[: int(self.begun)] = 0.0  # the arm stands there already
         for row in np.flatnonzero(~found.ok | (turn > self.max_turn_rad)):

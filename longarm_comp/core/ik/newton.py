@@ -147,12 +147,35 @@ def rows(n: int, context: int, twists: int) -> dict[str, range]:
     It holds inputs, then results, then work.  `live` is 0 in an unused column.
     """
     sizes = {
-        "given": 16, "seed": n, "live": 1, "tol": 1, "length": 1, "permitted": 1, "lower": n,
+        "given": 16,
+        "seed": n,
+        "live": 1,
+        "tol": 1,
+        "length": 1,
+        "permitted": 1,
+        "lower": n,
         "upper": n,
-        "c": context, "q": n, "size": 2, "used": 1, "fault": 1, "target": 12,
-        "trial": n, "x": twists, "out": 12 + 6 * n, "e": 6, "J": 6 * n, "sag": 6 * n, "left": 6,
-        "free": n, "energy": 1, "mu": 1, "marked": 1, "since": 1, "open": 1, "more": 1,
-    }  # fmt: skip
+        "c": context,
+        "q": n,
+        "size": 2,
+        "used": 1,
+        "fault": 1,
+        "target": 12,
+        "trial": n,
+        "x": twists,
+        "out": 12 + 6 * n,
+        "e": 6,
+        "J": 6 * n,
+        "sag": 6 * n,
+        "left": 6,
+        "free": n,
+        "energy": 1,
+        "mu": 1,
+        "marked": 1,
+        "since": 1,
+        "open": 1,
+        "more": 1,
+    }
     layout, at = {}, 0
     for name, size in sizes.items():
         layout[name] = range(at, at + size)

@@ -97,10 +97,15 @@ def train(
     tell(len(sizes) * starts + _FOLDS)
     shape = NetworkShape(x.shape[1], max(each.units for each in fits), 3)
     settings = {
-        "inputs": inputs, "init": init or ("own" if network else "ssa"), "seed": seed,
-        "population": population, "iterations": iterations, "hidden": [f.units for f in fits],
-        "ensemble": ensemble, "samples": len(q),
-    }  # fmt: skip
+        "inputs": inputs,
+        "init": init or ("own" if network else "ssa"),
+        "seed": seed,
+        "population": population,
+        "iterations": iterations,
+        "hidden": [f.units for f in fits],
+        "ensemble": ensemble,
+        "samples": len(q),
+    }
     origin = provenance or Provenance()
     draft = Predictor(
         encoding=encoding,

@@ -193,6 +193,10 @@ class Predictor:
             # of a column's training sd; epistemic variance grows by a quarter at the most
             reach[moved] = np.minimum(reach[moved], min(0.05, step) * width)
         return Expansion(
-            found.error[0], found.sigma[0], bool(found.in_domain[0]), found.reason[0],
-            jacobian, reach,
-        )  # fmt: skip
+            found.error[0],
+            found.sigma[0],
+            bool(found.in_domain[0]),
+            found.reason[0],
+            jacobian,
+            reach,
+        )

@@ -31,8 +31,12 @@ _OTHERS = ".safetensors"
 """Ending of the file of a network of others."""
 
 _ENCODING = {
-    "kept": "kept", "mean": "mean", "scale": "input_scale", "lower": "lower", "upper": "upper"
-}  # fmt: skip
+    "kept": "kept",
+    "mean": "mean",
+    "scale": "input_scale",
+    "lower": "lower",
+    "upper": "upper",
+}
 _PREDICTOR = ("weights", "posterior", "offset", "noise", "widen", "alone")
 """Arrays: those of the encoding with their names in the file, those of the predictor, ``gain``."""
 
@@ -75,12 +79,19 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
     network, origin, encoding = predictor.network, predictor.provenance, predictor.encoding
     check_ending(path, network is not None)
     header: dict[str, Any] = {
-        "format": "longarm/predictor", "version": 1, "arm_hash": origin.arm_hash,
-        "session_hash": origin.session_hash, "joint_names": origin.joint_names,
-        "settings": dict(origin.settings), "joints": encoding.joints,
-        "context": encoding.context, "hidden": predictor.hidden, "scale": predictor.scale,
-        "variance_limit": predictor.variance_limit, "input_names": encoding.names,
-    }  # fmt: skip
+        "format": "longarm/predictor",
+        "version": 1,
+        "arm_hash": origin.arm_hash,
+        "session_hash": origin.session_hash,
+        "joint_names": origin.joint_names,
+        "settings": dict(origin.settings),
+        "joints": encoding.joints,
+        "context": encoding.context,
+        "hidden": predictor.hidden,
+        "scale": predictor.scale,
+        "variance_limit": predictor.variance_limit,
+        "input_names": encoding.names,
+    }
     arrays = {
         **{name: getattr(encoding, own) for own, name in _ENCODING.items()},
         **{name: getattr(predictor, name) for name in _PREDICTOR},
@@ -134,10 +145,13 @@ def load(
         raise InputError(path, "kept", encoding.kept.tolist(), allowed)
     number = {name: max(1, len(np.atleast_1d(arrays[name]))) for name in ("weights", "posterior")}
     shapes = {
-        "mean": (d,), "input_scale": (d,), "lower": (columns,), "upper": (columns,),
+        "mean": (d,),
+        "input_scale": (d,),
+        "lower": (columns,),
+        "upper": (columns,),
         **{name: (rows, size) for name, rows in number.items()},
         **dict.fromkeys(("offset", "noise", "widen", "alone", "gain"), (3,)),
-    }  # fmt: skip
+    }
     for name, shape in shapes.items():
         value = arrays[name]
         if value.shape != shape or value.dtype.kind != "f":

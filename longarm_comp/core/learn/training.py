@@ -67,10 +67,21 @@ def back_propagate(
     one = start.new_ones(len(start))
     left, groups = y - stack.outputs(start, x), int(stack.groups.max()) + 1
     going = Networks(
-        torch.arange(len(one), device=one.device), x, y, used, start, left, used, _TAILS[-1] * one,
-        0.1 * one[:, None].expand(-1, groups), 10.0 * one, 0.0 * one, 1e-2 * one, 0.0 * one,
+        torch.arange(len(one), device=one.device),
+        x,
+        y,
+        used,
+        start,
+        left,
+        used,
+        _TAILS[-1] * one,
+        0.1 * one[:, None].expand(-1, groups),
+        10.0 * one,
+        0.0 * one,
+        1e-2 * one,
+        0.0 * one,
         *stack.normal_equations(start, x, left, used),
-    )  # fmt: skip
+    )
     ended = list[list[Tensor]]()
     for step in range(1, max_steps + 1):
         moved = _move(stack, going)

@@ -68,17 +68,28 @@ class DynamixelX(Dialect):
     state = Block(122, 25)
     registers = (
         Register("drive_mode_reverse", 10, value=one_bit(0), factory=0, places=True),
-        Register("drive_mode_time_based", 10, value=one_bit(2), factory=0, allowed=(0,),
-                 otherwise="a velocity would be taken for a time in ms"),
-        Register("operating_mode", 11, factory=3, allowed=(3, 4),
-                 otherwise="it does not go to positions, or not with its full current"),
+        Register(
+            "drive_mode_time_based",
+            10,
+            value=one_bit(2),
+            factory=0,
+            allowed=(0,),
+            otherwise="a velocity would be taken for a time in ms",
+        ),
+        Register(
+            "operating_mode",
+            11,
+            factory=3,
+            allowed=(3, 4),
+            otherwise="it does not go to positions, or not with its full current",
+        ),
         Register("homing_offset", 20, 4, signed, factory=0, places=True),
         Register("pwm_limit", 36, 2, factory=885),
         Register("current_limit", 38, 2),
         Register("velocity_limit", 44, 4),
         Register("max_position_limit", 48, 4, signed, factory=4095),
         Register("min_position_limit", 52, 4, signed, factory=0),
-    )  # fmt: skip
+    )
     goal_limits = ("min_position_limit", "max_position_limit")
     speed_limit = ("velocity_limit", _VELOCITY_TICKS_S)
 

@@ -53,12 +53,22 @@ class FeetechSts(Dialect):
         Register("phase", 18),
         Register("phase_position_reversed", 18, value=one_bit(7), factory=0, places=True),
         Register("protection_current", 28, 2),
-        Register("angular_resolution", 30, factory=1, allowed=(1,),
-                 otherwise="a tick would be another angle"),
+        Register(
+            "angular_resolution",
+            30,
+            factory=1,
+            allowed=(1,),
+            otherwise="a tick would be another angle",
+        ),
         Register("homing_offset", 31, 2, sign_magnitude(11), factory=0, places=True),
-        Register("operating_mode", 33, factory=0, allowed=(0,),
-                 otherwise="a goal would be a speed, an effort or a number of steps"),
-    )  # fmt: skip
+        Register(
+            "operating_mode",
+            33,
+            factory=0,
+            allowed=(0,),
+            otherwise="a goal would be a speed, an effort or a number of steps",
+        ),
+    )
     goal_limits = ("min_angle_limit", "max_angle_limit")
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:

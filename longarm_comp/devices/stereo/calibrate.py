@@ -55,9 +55,17 @@ def calibrate_stereo(
         for _ in range(3):
             objects, lefts, rights = zip(*(views[i] for i in used), strict=True)
             rms, k_l, d_l, k_r, d_r, turn, move, *_ = cv2.stereoCalibrate(
-                objects, lefts, rights, k_l, d_l, k_r, d_r, size,
-                flags=cv2.CALIB_USE_INTRINSIC_GUESS, criteria=_ACCURATE,
-            )  # fmt: skip
+                objects,
+                lefts,
+                rights,
+                k_l,
+                d_l,
+                k_r,
+                d_r,
+                size,
+                flags=cv2.CALIB_USE_INTRINSIC_GUESS,
+                criteria=_ACCURATE,
+            )
             left = Camera(k_l, np.eye(3), np.zeros(3), size, d_l)
             rig = StereoRig(left, Camera(k_r, turn, move, size, d_r))
             off = {i: triangulate(rig, *common[i][1:])[1] for i in views}

@@ -64,9 +64,15 @@ def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
     """Left and right camera of a rig in the raw left frame, with the rectification of both."""
     left, right = rig.left, rig.right
     r_left, r_right, p_left, p_right = cv2.stereoRectify(
-        left.k, left.d[:5], right.k, right.d[:5], left.size, right.rotation,
-        right.translation.reshape(3, 1), alpha=0.0,
-    )[:4]  # fmt: skip
+        left.k,
+        left.d[:5],
+        right.k,
+        right.d[:5],
+        left.size,
+        right.rotation,
+        right.translation.reshape(3, 1),
+        alpha=0.0,
+    )[:4]
 
     def of(camera: Camera, r: Any, p: Any) -> CameraInfo:
         d, k, r, p = (tuple(np.ravel(a).tolist()) for a in (camera.d[:5], camera.k, r, p))

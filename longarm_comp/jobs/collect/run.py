@@ -82,9 +82,13 @@ def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
     """Name ``collect``; what is not known yet has no value (docs/ros.md)."""
     losing = WARN if now.lost else OK
     values: dict[str, object] = {
-        "state": now.state, "done": now.done, "total": now.total, "seen": now.seen,
-        "lost": len(now.lost), "pose": now.visit,
-    }  # fmt: skip
+        "state": now.state,
+        "done": now.done,
+        "total": now.total,
+        "seen": now.seen,
+        "lost": len(now.lost),
+        "pose": now.visit,
+    }
     if math.isfinite(now.seconds_left):
         values["eta_s"] = f"{now.seconds_left:.3f}"
     level = {"ended": ERROR, "waiting": WARN}.get(now.state, losing)
@@ -199,9 +203,15 @@ class _Run:
     """The visits of one call of `collect`."""
 
     def __init__(
-        self, client: ArmClient, recorder: Recorder, pace: Pace,
-        progress: Callable[[Progress], None], view: View | None, before: int, total: int,
-    ) -> None:  # fmt: skip
+        self,
+        client: ArmClient,
+        recorder: Recorder,
+        pace: Pace,
+        progress: Callable[[Progress], None],
+        view: View | None,
+        before: int,
+        total: int,
+    ) -> None:
         self._client, self._recorder, self._pace = client, recorder, pace
         self._show, self._before, self._total = progress, before, total
         self._view, self._reports = view, Reports(client)
@@ -330,9 +340,14 @@ class _Run:
         each = self._driving_s / made if made else float("nan")
         done = self._before + made
         return Progress(
-            done, self._total, -1 if visit is None else visit.index, dict(self.made),
-            each * (self._total - done), state, why,
-        )  # fmt: skip
+            done,
+            self._total,
+            -1 if visit is None else visit.index,
+            dict(self.made),
+            each * (self._total - done),
+            state,
+            why,
+        )
 
     def _tell(self, state: str = "running", why: str = "") -> None:
         now = self.now(state, why)

@@ -152,8 +152,12 @@ def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: 
     found = blocked_visits(checks, visits)
     for index, why in found.items():
         others = f" (and {len(found) - 1} more poses)" if len(found) > 1 else ""
-        raise InputError(where, f"pose of visit {index}", why + others,
-                         "poses that `longarm plan` makes for this arm and floor")  # fmt: skip
+        raise InputError(
+            where,
+            f"pose of visit {index}",
+            why + others,
+            "poses that `longarm plan` makes for this arm and floor",
+        )
 
 
 def in_words(faults: Iterable[str]) -> str:

@@ -185,10 +185,17 @@ def _split_lines(where: str, text: str, mark: str) -> Lines:
         return []
     try:
         frame = pd.read_csv(
-            io.StringIO("\n".join(line.strip(" ") for line in lines)), sep=mark, header=None,
-            names=range(width), index_col=False, dtype=str, na_filter=False,
-            skip_blank_lines=False, skipinitialspace=True, engine="python",
-        )  # fmt: skip
+            io.StringIO("\n".join(line.strip(" ") for line in lines)),
+            sep=mark,
+            header=None,
+            names=range(width),
+            index_col=False,
+            dtype=str,
+            na_filter=False,
+            skip_blank_lines=False,
+            skipinitialspace=True,
+            engine="python",
+        )
     except (pd.errors.ParserError, pd.errors.EmptyDataError, csv.Error, ValueError) as error:
         raise InputError(where, "file", str(error), "separated text") from error
     rows = ([str(c).strip() for c in row if not pd.isna(c)] for row in frame.to_numpy().tolist())

@@ -69,13 +69,14 @@ FORMS = (
     Form("xyzw", _QUATERNION, ("i", "j", "k", "r")),
     Form("xyzw", _QUATERNION, ("i", "j", "k", "w")),
     Form("", ("q", "quat", "quaternion"), ("0", "1", "2", "3")),
-    Form(ROTATION_VECTOR, ("rv", "rvec", "rotvec", "rotation vector", "axis angle"),
-         ("x", "y", "z")),
+    Form(
+        ROTATION_VECTOR, ("rv", "rvec", "rotvec", "rotation vector", "axis angle"), ("x", "y", "z")
+    ),
     Form("", _TURN, ("x", "y", "z")),
     Form("", _ANGLES, ("roll", "pitch", "yaw")),
     Form("", ("",), ("a", "b", "c")),
     Form("", ("",), ("w", "p", "r")),
-)  # fmt: skip
+)
 """From the fullest form on. Words of headings (tip, tcp, M1, a body's name) are no part of it."""
 
 

@@ -83,9 +83,14 @@ def judge_noise_and_fit(
     judged, weights = noise_step.from_residual(first, at.of(distinct(candidates, held)))
     noise = judged if known is None else noise_step.limit_by_repeats(known, judged)
     fitted = fit(
-        first.model, session, sigma=noise.sigma, rho=noise.rho, weights=weights, close=NEAR,
+        first.model,
+        session,
+        sigma=noise.sigma,
+        rho=noise.rho,
+        weights=weights,
+        close=NEAR,
         begun=first,
-    )  # fmt: skip
+    )
     return ExplainedSession(fitted, found, noise)
 
 

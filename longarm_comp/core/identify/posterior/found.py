@@ -144,9 +144,13 @@ class FoundEffect:
         stays, *goes = softmax([0.0, *worth.values()]).tolist()
         chances = dict(zip(worth, goes, strict=True))
         mine = Rival(
-            Candidate(self.name, self.terms), self.log_bayes_factor, self.chance, self.name,
-            self.log_prior, self.loose,
-        )  # fmt: skip
+            Candidate(self.name, self.terms),
+            self.log_bayes_factor,
+            self.chance,
+            self.name,
+            self.log_prior,
+            self.loose,
+        )
         every = [mine, *self.rivals]
         told = sum(r.probability for r in every if r.judged not in worth) or 1.0
         shared = Counter(r.judged for r in every)

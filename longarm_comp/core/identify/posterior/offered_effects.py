@@ -158,8 +158,9 @@ class OfferedEffects:
             The effects with their credible sets, and those that may be there besides.
         """
         offers = [self.bank.offers[n] for n in self.known]
-        number = {tuple(t.variant for t in self.things[n].terms): k
-                  for k, n in enumerate(self.known)}  # fmt: skip
+        number = {
+            tuple(t.variant for t in self.things[n].terms): k for k, n in enumerate(self.known)
+        }
         fitted = {t.key: t for t in self.fitted.model.terms}
         made = []
         for f in found:

@@ -172,8 +172,9 @@ def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candid
         marginal: the columns that are there already.
         each: the candidates.
     """
-    listed = [(c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,))
-              for c in each]  # fmt: skip
+    listed = [
+        (c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,)) for c in each
+    ]
     raw = _raw(fitted, listed)
     gram, along = marginal.normal(raw.b)
     kept, offers = _make_offers_that_move(fitted.model.arm, np.diag(gram), raw, listed)
