@@ -55,8 +55,8 @@ def explain(
     Args:
         bank: what is on offer.
         known: the offers that were found before.
-        begun: what explains the same offers by another tolerance. The ascent also starts from it,
-            without restarts of its own, because those were made there.
+        begun: what explains the same offers already. The ascent also starts from it, and there is
+            no restart.
     """
     most = len(known) + AT_ONCE
     starts = [_grow(bank, (), frozenset(), most)]

@@ -233,7 +233,7 @@ class _Search:
             if likeliest.evidence_of(best) < best.evidence + math.log(IMPOSSIBLE):
                 break
             left.remove(likeliest)
-            best = max(best, likeliest.explain(best), key=lambda e: e.evidence)
+            best = max(best, likeliest.explain(best.effects), key=lambda e: e.evidence)
         return best if best.evidence >= first.standing + BETTER else None
 
     def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:

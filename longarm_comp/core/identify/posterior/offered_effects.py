@@ -77,13 +77,13 @@ class OfferedEffects:
     base: float
     tolerance: ModelTolerance
 
-    def explain(self, begun: Explained | None = None) -> Explained:
+    def explain(self, begun: Sequence[SingleEffect] | None = None) -> Explained:
         """Compute the posterior over the offers.
 
         Args:
-            begun: what another tolerance explained, as the start of the search.
+            begun: effects that explain the same offers, as the start of the search.
         """
-        best = explain(self.bank, self.known, None if begun is None else begun.effects)
+        best = explain(self.bank, self.known, begun)
         offers = self._locate(best.chosen)
         evidence, values = self.bank.joint(offers)
         every = [
@@ -176,7 +176,8 @@ class OfferedEffects:
                 )
                 made.append(self._credible(f, offers, k))
         held = {t.key for f in found for t in f.terms}
-        left = (f for f in self.explain().doubtful if held.isdisjoint(t.key for t in f.terms))
+        besides = self.explain(stand(self.bank, self.known)).doubtful
+        left = (f for f in besides if held.isdisjoint(t.key for t in f.terms))
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
     def _credible(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
