@@ -23,8 +23,7 @@ from longarm_comp.core.data.holdout import folds_of
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
-from longarm_comp.core.identify.posterior.explain import NEAR
-from longarm_comp.core.identify.posterior.explained import ExplainedSession
+from longarm_comp.core.identify.posterior.explained import NEAR, ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.learn.predictor import Predictor

@@ -1,0 +1,241 @@
+"""The search, from explanation to explanation, each better than the one before.
+
+Each round linearises the session's equations at the present model, offers every effect of the
+library and functions without a name (`offers.py`), computes the posterior over them (`ascent.py`),
+puts the most probable explanation into the model, and fits that.  Noise and outliers are judged
+again, and forms on a scale move to where the evidence is highest.  The search ends when the
+explanation repeats.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.noise import NoiseEstimate
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.identify.model_tolerance import (
+    FORMS,
+    TOLERANCES,
+    ModelTolerance,
+)
+from longarm_comp.core.identify.posterior.ascent import BETTER
+from longarm_comp.core.identify.posterior.explained import (
+    NEAR,
+    ExplainedSession,
+    judge_noise_and_fit,
+    loosen,
+    put_in,
+)
+from longarm_comp.core.identify.posterior.forms import agreement, better_forms
+from longarm_comp.core.identify.posterior.found import (
+    NONE,
+    FoundEffect,
+    ProposedFunction,
+)
+from longarm_comp.core.identify.posterior.offered_effects import (
+    IMPOSSIBLE,
+    Explained,
+    OfferedEffects,
+)
+from longarm_comp.core.identify.posterior.offers import make_offers
+from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
+from longarm_comp.core.identify.step_scan import scan
+from longarm_comp.core.model.model import Model
+
+ROUNDS = 8
+"""Most rounds of posterior and fit of one kind; three are usual."""
+
+
+@dataclass
+class ExplanationSearch:
+    """A search, which goes from explanation to explanation, each better than the one before."""
+
+    base: Model
+    session: Session
+    candidates: list[Candidate]
+    known: NoiseEstimate | None
+    stepped: Sequence[type[Effect]]
+    say: Callable[[str], None]
+    functions: tuple[ProposedFunction, ...] = ()
+    nameless: bool = False
+
+    def repeat(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
+        """Explain and fit while that is better; with `functions`, propose new ones each time."""
+        for _ in range(ROUNDS):
+            self._scan(state)
+            if functions:
+                tolerance = self.standing(state.fit, state.found)[1]
+                self.functions = propose_functions(
+                    state.fit, state.found, self.candidates, tolerance
+                )
+            explained = self._explain_better(state)
+            if explained is None:
+                break
+            for f in explained.found:
+                self.say(Candidate(f.name, f.terms).label)
+            taken = self.fit_with(state, tuple(map(loosen, explained.found)))
+            if taken is None:
+                break
+            taken = self._move_forms(taken)
+            if not self._rose(state, taken):
+                break
+            state = taken
+        return state
+
+    def fit_with(
+        self, state: ExplainedSession, found: tuple[FoundEffect, ...]
+    ) -> ExplainedSession | None:
+        """Fit the model with these effects; None where the fit diverges."""
+        model = put_in(self.base, state.fit.model, found)
+        try:
+            return judge_noise_and_fit(
+                model, self.session, self.candidates, found, state, known=self.known
+            )
+        except JobError:
+            return None
+
+    def odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
+        """Return the log odds of `other` against `one`: the mean of those at the noise of
+        either."""
+        made = []
+        for judged in (one.fit.judged, other.fit.judged):
+            fits = (fit(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other))
+            mine, theirs = (
+                self.evidence(f, e.found) for f, e in zip(fits, (one, other), strict=True)
+            )
+            made.append(theirs - mine)
+        return sum(made) / len(made)
+
+    def standing(
+        self, fitted: ModelFit, found: Sequence[FoundEffect]
+    ) -> tuple[float, ModelTolerance]:
+        """Return the log evidence of an explanation at its best tolerance, and that tolerance."""
+        every = self.offer_by_tolerance(fitted, found, others=False)
+        return max((bank.pruned, bank.tolerance) for bank in every)
+
+    def evidence(self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit) -> float:
+        """Return the log evidence of all effects of an explanation in the model.
+
+        None of them is dropped: the columns tell little about the arm without an effect that is
+        large.
+        """
+        every = self.offer_by_tolerance(fitted, found, others=False, **near)
+        return max(bank.standing for bank in every)
+
+    def other_compliance(self, state: ExplainedSession) -> float:
+        """Return how much every other part yields (`ModelTolerance.compliance`), once the names are
+        decided.
+
+        Where one part has a name for being soft, equally soft others are no cause of their own.
+        """
+        soft = any(t.elastic for f in state.found for t in f.terms)
+        every = self.offer_by_tolerance(state.fit, state.found, others=False)
+        best = max(every, key=lambda b: b.pruned - b.tolerance.log_prior * soft)
+        return best.tolerance.compliance
+
+    def evidence_refitted(
+        self, state: ExplainedSession, found: tuple[FoundEffect, ...], best_places: bool = False
+    ) -> float:
+        """Return the log evidence of other effects in the place of a state's, fitted with the same
+        noise.
+
+        It is -inf where two of them share a place or the fit fails.
+
+        Args:
+            best_places: whether places that are not worth their price do not count.
+        """
+        places = [t.key for f in found for t in f.terms]
+        if len(set(places)) < len(places):
+            return -math.inf
+        try:
+            model = put_in(self.base, state.fit.model, found)
+            begun = fit(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
+        except JobError:
+            return -math.inf
+        if best_places:
+            return self.standing(begun, found)[0]
+        return self.evidence(begun, found, near=state.fit)
+
+    def offer_by_tolerance(
+        self,
+        fitted: ModelFit,
+        found: Sequence[FoundEffect],
+        others: bool = True,
+        near: ModelFit | None = None,
+    ) -> list[OfferedEffects]:
+        """Offer effects on top of a fit, once for each model tolerance that applies.
+
+        Tolerances with another form than the first are tried only if something was found.
+        """
+        tried = [
+            tolerance
+            for tolerance in TOLERANCES
+            if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.soft)
+        ]
+        return make_offers(
+            fitted, self.candidates, self.functions, found, tried, others=others, near=near
+        )
+
+    def _explain_better(self, state: ExplainedSession) -> Explained | None:
+        """Return the best explanation by any tolerance, or None if the present one is as good.
+
+        The likeliest tolerance is tried first.  Those by which the best explanation is impossible
+        are not tried.
+        """
+        left = self.offer_by_tolerance(state.fit, state.found)
+        first = max(left, key=lambda bank: bank.standing)
+        left.remove(first)
+        best = first.explain()
+        while left:
+            likeliest = max(left, key=lambda bank: bank.evidence_of(best))
+            if likeliest.evidence_of(best) < best.evidence + math.log(IMPOSSIBLE):
+                break
+            left.remove(likeliest)
+            best = max(best, likeliest.explain(best.effects), key=lambda e: e.evidence)
+        return best if best.evidence >= first.standing + BETTER else None
+
+    def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:
+        """Tell whether the explanation in the model, once fitted, is better than the one before.
+
+        The columns are those of small changes. Where two effects need each other, as a load needs a
+        part that yields, one alone seems to do what only both can.  So each explanation counts with
+        all of its effects, also those that are not worth their price: else it could not replace the
+        same one with more effects.
+        """
+        was = before.fit
+        again = fit(was.model, self.session, close=NEAR, begun=was, **now.fit.judged)
+        least = self.evidence(again, before.found, near=now.fit) + BETTER
+        return self.evidence(now.fit, now.found) > least
+
+    def _scan(self, state: ExplainedSession) -> None:
+        """Replace the scanned candidates by the steps that the residual shows now."""
+        need = NONE + math.log(max(len(self.candidates), 1))
+        shown = [c for kind in self.stepped for c in scan(state.fit, kind, need)]
+        self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
+
+    def _move_forms(self, state: ExplainedSession) -> ExplainedSession:
+        """Move forms on a scale to where the evidence is highest, while more rows agree.
+
+        A form that stays is not looked at again.
+        """
+        terms = [t for f in state.found for t in f.terms]
+        while moved := better_forms(state.fit, terms, self.candidates):
+            terms = list(moved.values())
+            for term in moved.values():
+                self.say(Candidate(term.name, (term,)).label)
+            found = tuple(
+                replace(f, terms=tuple(moved.get(t.key, t) for t in f.terms)) for f in state.found
+            )
+            taken = self.fit_with(state, found)
+            before = agreement(state.fit, state.fit.residual)
+            if taken is None or agreement(state.fit, taken.fit.residual) < before + BETTER:
+                break
+            state = taken
+        return state
