@@ -136,7 +136,7 @@ def _finish(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSess
 
 
 def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
-    """ExplanationSearch also from an elastic effect at all its places, where some of them are better.
+    """Search also from an elastic effect at all its places, where some of them are better.
 
     Only a fit moves the weights of an arm that declares none.  At those of another effect the
     columns show the wrong part, and without any there is no column.
