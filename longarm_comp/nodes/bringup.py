@@ -189,8 +189,9 @@ class BringUp:
     def with_servos(self, scratch: Path) -> BringUp:
         """Return this graph with servos that fit the arm's joints.
 
-        If the package's own files for the simulated arm do not fit this arm, files that do are
-        written to ``scratch``, together with those that the arm's folder has.
+        A real arm has a file of its own: the package's says nothing of its servos.  If the
+        package's files for the simulated arm do not fit this arm, files that do are written to
+        ``scratch``, together with those that the arm's folder has.
         """
         for node in self.nodes:
             _refuse_code(self.file(node))
@@ -199,15 +200,18 @@ class BringUp:
             return self
         if self.sim:
             read_arm(file)  # what cannot be emulated is said here, not by five processes
+        own = self.config or self.arm.absolute().parent
+        hint = f"longarm init DIR --arm {self.arm} writes files that fit"
+        if not self.sim and not (own / file.name).is_file():
+            allowed = f"servo ids, zeros and limits of this arm; {hint}"
+            raise InputError(own, file.name, "missing", allowed)
         joints = list(ros_parameters(read_yaml(file), file).get("joints", {}))
         if sorted(joints) == sorted(arm.joint_names):
             return self
         if not self.sim or file != folder("config") / file.name:
-            hint = f"longarm init DIR --arm {self.arm} writes files that fit"
             raise InputError(
                 file, "joints", ", ".join(joints), f"{', '.join(arm.joint_names)}; {hint}"
             )
-        own = self.config or self.arm.absolute().parent
         for node, text in parameter_files(arm).items():
             write_text(scratch / f"{node}.yaml", text)
         for node in self.nodes:

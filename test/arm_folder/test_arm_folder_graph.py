@@ -116,7 +116,10 @@ def test_a_bare_arm_gets_files_that_fit_in_simulation_only(tmp_path: Path) -> No
     assert graph.parameters("simulated_arm", "")["servos"] == str(scratch / "servo_driver.yaml")
     assert graph.file("kinematics") == scratch / "kinematics.yaml"
     assert graph.file("error_predictor") == folder("config") / "error_predictor.yaml"
-    with pytest.raises(InputError, match=r"joint1, .* longarm init DIR --arm"):
+    with pytest.raises(InputError, match=r"servo_driver.yaml: 'missing'.* longarm init DIR --arm"):
+        BringUp(arm=bare).with_servos(scratch)
+    bare.write_text((folder("config") / "arm_demo.yaml").read_text())  # joints of the same names
+    with pytest.raises(InputError, match=r"servo_driver.yaml: 'missing'.* longarm init DIR --arm"):
         BringUp(arm=bare).with_servos(scratch)
     given = tmp_path / "given"
     given.mkdir()
