@@ -86,7 +86,7 @@ class ServoArm:
         self.bus: SerialServoBus | None = self._open(again=False)
 
     def _open(self, again: bool) -> SerialServoBus:
-        """Open the port and check the servos; what they have stored is changed the first time only.
+        """Open the port and check the servos; they are set for other turns the first time only.
 
         What comes back may be another servo.
         """
@@ -103,8 +103,7 @@ class ServoArm:
                         answers=bus.model_name(number) or f"unknown model {number}",
                     )
             self._check(bus, turned=again)
-            if not again:
-                self._set_turns(bus)
+            self._set_turns(bus)
         except BaseException:
             if self.owing_off:  # also to servos that are refused
                 with contextlib.suppress(ServoBusError):
