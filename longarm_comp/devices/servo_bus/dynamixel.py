@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply, limit_units
 from longarm_comp.devices.servo_bus.memory import Register, one_bit, signed
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
@@ -123,7 +123,7 @@ class DynamixelX(Dialect):
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         # profile acceleration 0 (none), profile velocity, goal position
-        speed = max(1, min(round(speed_ticks_s / _VELOCITY_TICKS_S), 32767)) if speed_ticks_s else 0
+        speed = limit_units(speed_ticks_s, _VELOCITY_TICKS_S, 32767)
         return bytes(4) + speed.to_bytes(4, "little") + ticks.to_bytes(4, "little", signed=True)
 
     def turns_bytes(self, many: bool) -> bytes:

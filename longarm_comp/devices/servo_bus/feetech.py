@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply, limit_units
 from longarm_comp.devices.servo_bus.memory import Register, one_bit, sign_magnitude
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
@@ -90,9 +90,9 @@ class FeetechSts(Dialect):
         return Reply(frame[2], frame[4], frame[5:-1], _checksum(frame[2:-1]) == frame[-1])
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
-        speed = min(round(speed_ticks_s), 0x7FFF) if speed_ticks_s else 0
+        speed = limit_units(speed_ticks_s, 1.0, 0x7FFF)
         # acceleration 0 (the servo's maximum), position, time (unused), speed
-        return b"\0" + _signed(ticks) + b"\0\0" + max(speed, 0).to_bytes(2, "little")
+        return b"\0" + _signed(ticks) + b"\0\0" + speed.to_bytes(2, "little")
 
     def turns_bytes(self, many: bool) -> bytes:
         low, high = (0, 0) if many else (0, 4095)
