@@ -39,9 +39,7 @@ def test_ids_are_set_one_servo_at_a_time_and_outlive_the_power(protocol: str, sh
 
 @pytest.mark.parametrize("twin", [False, True])
 @pytest.mark.parametrize("protocol", MODELS)
-def test_an_id_that_another_servo_has_is_not_given(
-    protocol: str, twin: bool, shell: Shell
-) -> None:
+def test_an_id_that_another_servo_has_is_not_given(protocol: str, twin: bool, shell: Shell) -> None:
     """The scan is told to ask id 1 only; two servos of one id answer with damage."""
     with FaultyBus(protocol, {1: 1000.0, 3: 3000.0}) as emulator:
         if twin:
