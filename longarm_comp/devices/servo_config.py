@@ -7,9 +7,9 @@ A ROS parameter file with these keys under ``ros__parameters`` is read as well.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, field_validator, model_validator
 
@@ -19,6 +19,12 @@ from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
 from longarm_comp.devices.servo_bus.state import ServoModel
 from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
+
+ROUNDING_TICKS = 1.5
+"""Limits that differ by less are the same: a tick of rounding, and half of one."""
 
 
 class BusConfig(ServoSettings):
@@ -41,23 +47,30 @@ class BusConfig(ServoSettings):
 
 
 class FollowerConfig(ServoSettings):
-    """Limits that hold for every joint; ticks are the servo's own."""
+    """Limits that hold for every joint; ticks are the servo's own, half a turn at most.
+
+    Times that guard against a fault are of the order of the harm, seconds at most: in ms they would
+    guard against nothing.
+    """
 
     blend_s: Positive = Field(
-        default=0.2, description="time in which a new trajectory takes over from a running one, s"
+        default=0.2,
+        le=2.0,
+        description="time in which a new trajectory takes over from a running one, s",
     )
     max_step_s: Positive = Field(
         default=0.1,
+        le=1.0,
         description="longest time by which the goal moves on at once, also after a pause, s",
     )
     silence_s: Positive = Field(
-        default=0.25, description="time without a trusted reading that is a fault, s"
+        default=0.25, le=5.0, description="time without a trusted reading that is a fault, s"
     )
     stall_error_ticks: Positive = Field(
         default=40.0, description="position error at full load that counts as a stall"
     )
     stall_time_s: Positive = Field(
-        default=0.5, description="time that it must last to be a stall, s"
+        default=0.5, le=5.0, description="time that it must last to be a stall, s"
     )
     lost_error_ticks: Positive = Field(
         default=400.0, description="position error over stall_time_s that is a fault at any load"
@@ -72,6 +85,7 @@ class FollowerConfig(ServoSettings):
     )
     trim_pause_s: Positive = Field(
         default=0.12,
+        le=60.0,
         description="rest between two corrections of trim, a period of the slowest swing, s",
     )
 
@@ -104,22 +118,54 @@ class ServoConfig(ServoSettings):
                     hint = "" if joint.multi_turn else "; multi_turn: true gives more turns"
                     allowed = f"{ends[0]:.6g} to {ends[1]:.6g} {joint.unit} in its turns{hint}"
                     raise Misdeclared(f"{where}.{field}", limit, allowed)
+            if joint.max_speed_ticks_s > joint.fastest_ticks_s * (1.0 + 1e-6):
+                top = f"{joint.fastest_ticks_s * joint.si_per_tick:.4g} {joint.unit}/s"
+                allowed = f"at most {top}, as fast as a {joint.model} moves it; "
+                allowed += "top_speed_ticks_s where this servo is faster"
+                raise Misdeclared(f"{where}.max_velocity", joint.max_velocity, allowed)
             if joint.tick_limits[0] > joint.tick_limits[1]:
                 raise Misdeclared(
                     f"{where}.upper", joint.upper, "at least one encoder tick above lower"
                 )
+        # Beyond half a turn a servo that stands still, or lost a turn, passes for one that follows
+        half = min(joint.servo.ticks_per_turn for joint in self.joints.values()) / 2
+        for field, value in self.follower:
+            if field.endswith("_ticks") and value > half:
+                allowed = f"at most {half:g}, half a turn of the servo"
+                raise Misdeclared(f"follower.{field}", value, allowed)
         return self
 
-    def check_steps(self, steps: Mapping[str, float], where: str) -> None:
-        """Refuse steps of joints (rad, m; 0: continuous) that their servos cannot stand at."""
-        for name, step in steps.items():
-            joint = self.joints.get(name)
-            if joint is not None and step > 0 and not joint.stands_at(step):
+    def contradictions(self, arm: Arm, where: str, file: str) -> Iterator[InputError]:
+        """Yield an error for each thing in which the servos and an arm's joints do not agree.
+
+        The servos must be the arm's, of the type of their joints, within the joints' limits, and
+        able to stand at the declared steps.
+
+        Args:
+            where: of these servos. file: of the arm.
+        """
+        if sorted(self.joints) != sorted(arm.joint_names):
+            theirs = f"{', '.join(arm.joint_names)}, as in {file}"
+            yield InputError(where, "joints", ", ".join(self.joints), theirs)
+            return
+        rows = [arm.joints[number - 1] for number in arm.commanded]
+        for name, declared, low, high in zip(arm.joint_names, rows, *arm.bounds, strict=True):
+            joint, field = self.joints[name], f"joints.{name}"
+            if joint.type != declared.type:
+                allowed = f"{declared.type}, as in {file}"
+                yield InputError(where, f"{field}.type", joint.type, allowed)
+                continue
+            slack = ROUNDING_TICKS * joint.si_per_tick
+            for end, limit in (("lower", joint.lower), ("upper", joint.upper)):
+                if not low - slack <= limit <= high + slack:
+                    allowed = f"{low:.6g} to {high:.6g} {joint.unit}, as in {file}"
+                    yield InputError(where, f"{field}.{end}", limit, allowed)
+            if declared.step > 0 and not joint.stands_at(declared.step):
                 tick = joint.si_per_tick
                 allowed = f"whole multiples of the servo's tick, {tick:.9g} {joint.unit}"
                 if joint.zero_ticks != round(joint.zero_ticks):
                     allowed += f", and a whole number of zero_ticks, not {joint.zero_ticks:g}"
-                raise InputError(where, f"step of {name}", step, allowed)
+                yield InputError(file, f"step of {name}", declared.step, allowed)
 
     @property
     def models(self) -> dict[int, ServoModel]:

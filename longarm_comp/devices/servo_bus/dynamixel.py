@@ -22,9 +22,11 @@ _VELOCITY_TICKS_S = 0.229 / 60.0 * 4096
 """One unit of velocity is 0.229 turns a minute."""
 
 
-def _x(name: str, number: int, full_load: float, friction: float | None = None) -> ServoModel:
-    turns = (0, 4095), (-1048575, 1048575)
-    return ServoModel(name, "dynamixel", number, 4096, *turns, full_load, friction)
+def _x(
+    name: str, number: int, full_load: float, top_rpm: float, friction: float | None = None
+) -> ServoModel:
+    turns, top = ((0, 4095), (-1048575, 1048575)), top_rpm / 60.0 * 4096
+    return ServoModel(name, "dynamixel", number, 4096, *turns, full_load, friction, top)
 
 
 def _divide(crc: int) -> int:
@@ -42,11 +44,11 @@ class DynamixelX(Dialect):
 
     name = "dynamixel"
     models = (
-        _x("xl330-m077", 1190, 1750.0),  # present current, 1 mA a unit
-        _x("xl330-m288", 1200, 1750.0),
-        _x("xl430-w250", 1060, 1000.0),  # present load, 0.1 % a unit
-        _x("xm430-w350", 1020, 1193.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
-        _x("xm540-w270", 1120, 2047.0),
+        _x("xl330-m077", 1190, 1750.0, 456.0),  # present current, 1 mA a unit
+        _x("xl330-m288", 1200, 1750.0, 123.0),
+        _x("xl430-w250", 1060, 1000.0, 61.0),  # present load, 0.1 % a unit
+        _x("xm430-w350", 1020, 1193.0, 57.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
+        _x("xm540-w270", 1120, 2047.0, 37.0),
     )
     header = _HEADER
     overhead = 11

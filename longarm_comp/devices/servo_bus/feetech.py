@@ -19,15 +19,16 @@ _position, _load = sign_magnitude(15), sign_magnitude(10)
 _LONGEST = 250  # bytes that a frame may say it has: a larger number is damage
 
 
-def _sts(name: str, number: int, friction: float | None = None) -> ServoModel:
-    return ServoModel(name, "feetech", number, 4096, (0, 4095), (-30719, 30719), 1000.0, friction)
+def _sts(name: str, number: int, top_rpm: float, friction: float | None = None) -> ServoModel:
+    turns, top = ((0, 4095), (-30719, 30719)), top_rpm / 60.0 * 4096
+    return ServoModel(name, "feetech", number, 4096, *turns, 1000.0, friction, top)
 
 
 class FeetechSts(Dialect):
     """STS3215 and its family."""
 
     name = "feetech"
-    models = (_sts("sts3215", 777, 0.18 / 2.7), _sts("sts3250", 2825))
+    models = (_sts("sts3215", 777, 50.0, 0.18 / 2.7), _sts("sts3250", 2825, 79.0))
     header = _HEADER
     overhead = 6
     alarm_bits: ClassVar = {
