@@ -316,6 +316,27 @@ def test_a_printed_arm_has_horns_small_paper_and_cameras_on_the_table(shell: She
                      said[0])  # fmt: skip
 
 
+SLOW = """<robot name="slow"><link name="base"/><link name="l1"/><link name="l2"/>
+<joint name="lift" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+<limit lower="0.2" upper="1.5" effort="1" velocity="0.0123"/>
+<safety_controller soft_lower_limit="0.3" soft_upper_limit="0.6" k_velocity="1"/></joint>
+<joint name="slide" type="prismatic"><parent link="l1"/><child link="l2"/>
+<origin xyz="0.3 0 0"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="0.15" effort="1" velocity="9"/></joint></robot>"""
+
+
+def test_soft_limits_and_velocities_of_a_urdf_are_kept(shell: Shell) -> None:
+    (shell.folder / "slow.urdf").write_text(SLOW)
+    folder = made(shell, "slow", "--urdf", shell.folder / "slow.urdf")
+    assert "joint lift: soft limits; the hard ones are 11.4592 to 85.9437 deg" in shell.err
+    assert "# soft limits; the hard ones are" in (folder / "arm.yaml").read_text()
+    servos = ServoConfig.load(folder / "servo_driver.yaml").joints
+    assert (servos["lift"].lower, servos["lift"].upper) == pytest.approx((0.3, 0.6))
+    assert servos["lift"].max_velocity == 0.0123
+    assert servos["slide"].max_velocity < 0.05  # as fast as its servo
+    assert not [finding for finding in check_folder(folder) if finding.blocks]
+
+
 @pytest.mark.parametrize(
     ("base", "gravity", "level", "words"),
     [
