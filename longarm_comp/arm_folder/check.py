@@ -16,6 +16,7 @@ from longarm_comp.arm_folder.head import View, head_for
 from longarm_comp.arm_folder.make import ARM, NODES
 from longarm_comp.arm_folder.measured import CAMERAS, FILE, SIDES, camera_path, read_measured
 from longarm_comp.arm_folder.parameter_file import find_strangers, own_parameters, read_parameters
+from longarm_comp.arm_folder.servos import ROUNDING_TICKS, find_contradictions
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol
@@ -23,7 +24,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import unstack
 from longarm_comp.core.vibration.modes import modes
-from longarm_comp.devices.servo_config import ROUNDING_TICKS, ServoConfig
+from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.cameras import CameraPair
 
 LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
@@ -225,7 +226,7 @@ def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFindin
         return found
     found += [
         implausible(f"{error.where}: {error.field}", f"{error.value}; allowed: {error.allowed}")
-        for error in servos.contradictions(arm, path.name, ARM)
+        for error in find_contradictions(servos, arm, path.name, ARM)
     ]
     if found:
         return found

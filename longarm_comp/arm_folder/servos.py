@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from longarm_comp.arm_folder.parameter_file import edit_text, own_parameters
@@ -37,6 +37,45 @@ def with_joints(
     made = edit_text(text, values, where)
     ServoConfig.parse(parse_yaml(made, str(where)), str(where))  # refuses what does not fit a turn
     return made
+
+
+ROUNDING_TICKS = 1.5
+"""Limits that differ by less are the same: a tick of rounding, and half of one."""
+
+
+def find_contradictions(
+    servos: ServoConfig, arm: Arm, where: str, file: str
+) -> Iterator[InputError]:
+    """Yield an error for each thing in which the servos and an arm's joints do not agree.
+
+    The servos must be the arm's, of the type of their joints, within the joints' limits, and
+    able to stand at the declared steps.
+
+    Args:
+        where: of the servos. file: of the arm.
+    """
+    if sorted(servos.joints) != sorted(arm.joint_names):
+        theirs = f"{', '.join(arm.joint_names)}, as in {file}"
+        yield InputError(where, "joints", ", ".join(servos.joints), theirs)
+        return
+    rows = [arm.joints[number - 1] for number in arm.commanded]
+    for name, declared, low, high in zip(arm.joint_names, rows, *arm.bounds, strict=True):
+        joint, field = servos.joints[name], f"joints.{name}"
+        if joint.type != declared.type:
+            allowed = f"{declared.type}, as in {file}"
+            yield InputError(where, f"{field}.type", joint.type, allowed)
+            continue
+        slack = ROUNDING_TICKS * joint.si_per_tick
+        for end, limit in (("lower", joint.lower), ("upper", joint.upper)):
+            if not low - slack <= limit <= high + slack:
+                allowed = f"{low:.6g} to {high:.6g} {joint.unit}, as in {file}"
+                yield InputError(where, f"{field}.{end}", limit, allowed)
+        if declared.step > 0 and not joint.stands_at(declared.step):
+            tick = joint.si_per_tick
+            allowed = f"whole multiples of the servo's tick, {tick:.9g} {joint.unit}"
+            if joint.zero_ticks != round(joint.zero_ticks):
+                allowed += f", and a whole number of zero_ticks, not {joint.zero_ticks:g}"
+            yield InputError(file, f"step of {name}", declared.step, allowed)
 
 
 DEFAULT_MODEL = "sts3215"

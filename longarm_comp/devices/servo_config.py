@@ -7,24 +7,17 @@ A ROS parameter file with these keys under ``ros__parameters`` is read as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import Misdeclared, parse_declared, read_yaml
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
 from longarm_comp.devices.servo_bus.state import ServoModel
 from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
-
-ROUNDING_TICKS = 1.5
-"""Limits that differ by less are the same: a tick of rounding, and half of one."""
 
 
 class BusConfig(ServoSettings):
@@ -134,38 +127,6 @@ class ServoConfig(ServoSettings):
                 allowed = f"at most {half:g}, half a turn of the servo"
                 raise Misdeclared(f"follower.{field}", value, allowed)
         return self
-
-    def contradictions(self, arm: Arm, where: str, file: str) -> Iterator[InputError]:
-        """Yield an error for each thing in which the servos and an arm's joints do not agree.
-
-        The servos must be the arm's, of the type of their joints, within the joints' limits, and
-        able to stand at the declared steps.
-
-        Args:
-            where: of these servos. file: of the arm.
-        """
-        if sorted(self.joints) != sorted(arm.joint_names):
-            theirs = f"{', '.join(arm.joint_names)}, as in {file}"
-            yield InputError(where, "joints", ", ".join(self.joints), theirs)
-            return
-        rows = [arm.joints[number - 1] for number in arm.commanded]
-        for name, declared, low, high in zip(arm.joint_names, rows, *arm.bounds, strict=True):
-            joint, field = self.joints[name], f"joints.{name}"
-            if joint.type != declared.type:
-                allowed = f"{declared.type}, as in {file}"
-                yield InputError(where, f"{field}.type", joint.type, allowed)
-                continue
-            slack = ROUNDING_TICKS * joint.si_per_tick
-            for end, limit in (("lower", joint.lower), ("upper", joint.upper)):
-                if not low - slack <= limit <= high + slack:
-                    allowed = f"{low:.6g} to {high:.6g} {joint.unit}, as in {file}"
-                    yield InputError(where, f"{field}.{end}", limit, allowed)
-            if declared.step > 0 and not joint.stands_at(declared.step):
-                tick = joint.si_per_tick
-                allowed = f"whole multiples of the servo's tick, {tick:.9g} {joint.unit}"
-                if joint.zero_ticks != round(joint.zero_ticks):
-                    allowed += f", and a whole number of zero_ticks, not {joint.zero_ticks:g}"
-                yield InputError(file, f"step of {name}", declared.step, allowed)
 
     @property
     def models(self) -> dict[int, ServoModel]:

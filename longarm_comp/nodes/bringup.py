@@ -28,6 +28,7 @@ import yaml
 from longarm_comp.arm_folder.make import parameter_files
 from longarm_comp.arm_folder.measured import CAMERAS, SIDES
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.servos import find_contradictions
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
@@ -202,7 +203,7 @@ class BringUp:
         if self.sim:
             read_arm(file)  # what cannot be emulated is said here, not by five processes
         servos = ServoConfig.load(file)
-        error = next(servos.contradictions(arm, str(file), str(self.arm)), None)
+        error = next(find_contradictions(servos, arm, str(file), str(self.arm)), None)
         if error is None:
             return self
         if not self.sim or file != folder("config") / file.name:

@@ -20,6 +20,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from longarm_comp.arm_folder.servos import find_contradictions
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import keeper
@@ -161,7 +162,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             return None, None
         files = ModelFiles(file, p["model"])
         arm = files.arm
-        for contradiction in self._config.contradictions(arm, where(self), file):
+        for contradiction in find_contradictions(self._config, arm, where(self), file):
             raise contradiction
         keeps_out = keeper(declared_model(arm), names, file)
         return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
+from longarm_comp.arm_folder.servos import find_contradictions
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_config import JointConfig, ServoConfig
@@ -227,7 +228,7 @@ def _said(fields: dict[str, Any], row: dict[str, Any]) -> str:
     whole = {"name": "a", "convention": "mdh_craig", "tip": {"frame": 1}, "joints": [joint]}
     config = ServoConfig.parse(_document(arm=fields), "servo.yaml")
     arm = Arm.parse(whole, "arm.yaml")
-    return "; ".join(map(str, config.contradictions(arm, "servo.yaml", "arm.yaml")))
+    return "; ".join(map(str, find_contradictions(config, arm, "servo.yaml", "arm.yaml")))
 
 
 def test_servos_that_contradict_the_arm_are_named() -> None:
