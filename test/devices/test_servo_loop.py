@@ -27,7 +27,7 @@ joints:
   shoulder: {servo_id: 1, model: %s, type: revolute, zero_ticks: 2048, gear_ratio: 3.0,
              multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 1.0}
   boom: {servo_id: 2, model: %s, type: prismatic, zero_ticks: 3900, direction: -1,
-         pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.1}
+         pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.09}
 follower: {stall_time_s: 0.6, silence_s: 1.5}
 """
 MODEL = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
