@@ -120,14 +120,14 @@ def test_a_bare_arm_gets_files_that_fit_in_simulation_only(tmp_path: Path) -> No
     assert graph.file("error_predictor") == folder("config") / "error_predictor.yaml"
     with pytest.raises(InputError, match=r"servo_driver.yaml: 'missing'.* longarm init DIR --arm"):
         BringUp(arm=bare).with_servos(scratch)
-    bare.write_text((folder("config") / "arm_demo.yaml").read_text())  # joints of the same names
-    with pytest.raises(InputError, match=r"servo_driver.yaml: 'missing'.* longarm init DIR --arm"):
-        BringUp(arm=bare).with_servos(scratch)
     given = tmp_path / "given"
     given.mkdir()
     (given / "servo_driver.yaml").write_text((folder("config") / "servo_driver.yaml").read_text())
     with pytest.raises(InputError, match="given"):
         BringUp(arm=bare, sim=True, config=given).with_servos(scratch)
+    bare.write_text((folder("config") / "arm_demo.yaml").read_text())  # joints of the same names
+    with pytest.raises(InputError, match=r"servo_driver.yaml: 'missing'.* longarm init DIR --arm"):
+        BringUp(arm=bare).with_servos(scratch)
 
 
 def test_files_beside_the_arm_are_used(tmp_path: Path) -> None:
