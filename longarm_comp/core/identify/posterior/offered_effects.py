@@ -33,9 +33,9 @@ LOOKED_AT = 1e-4
 """Probability from which on another name is fitted in the place of an effect: columns are those of
 small changes, so a fit may be worth ten log units more."""
 
-IMPOSSIBLE = 1e-12
-"""Probability below which a name, or a tolerance, is none: a fit may be worth thirty log units at
-most."""
+IMPOSSIBLE = 1e-20
+"""Probability below which a name, or a tolerance, is none: a fit, or another explanation by that
+tolerance, may be worth forty log units (the touches of an iiwa 14 need more than thirty)."""
 
 
 @dataclass(frozen=True)
