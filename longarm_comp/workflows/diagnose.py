@@ -14,7 +14,6 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.uncertainty import uncertainty
-from longarm_comp.core.data.admission import FEW_POSES
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
@@ -39,6 +38,10 @@ from longarm_comp.workflows import inputs
 from longarm_comp.workflows.calibrate import kind_from
 from longarm_comp.workflows.evaluate import ErrorTable
 from longarm_comp.workflows.train import training_rows
+
+POSES = 20
+"""Poses that a diagnosis needs. Fewer may be fitted exactly by what no pose contradicts; then
+nothing is left to hold out. `calibrate` takes fewer."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -211,7 +214,7 @@ def diagnose(
         JobError: a fit diverged.
     """
     known = None if model is None else inputs.physics(arm, model)
-    whole = inputs.admit_session(session, arm, known, FEW_POSES, note)
+    whole = inputs.admit_session(session, arm, known, POSES, note)
     held_out = None if test is None else inputs.admit_session(test, arm, known, 1, note)
     for rows in (whole, held_out):
         if rows is not None and not rows.placed.any():

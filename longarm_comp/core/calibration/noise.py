@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +20,13 @@ ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""
 ALLOWED = 1e-3
 """Chance of an axis, one of several in every session, to be noisier than its repeats allow."""
+NEWTON_STEPS = 10
 MOST_STEPS = 60
 """Of the noise and the size of the library's effects together."""
+USUAL = 3e-4
+"""Noise of a sighting before any row is seen, m or rad; a factor of `_WITHIN` is one standard
+deviation."""
+_WITHIN = 10.0
 PLACES = ("group", "marker", *dict.fromkeys(k.label for k in KINDS.values() if k.label))
 """Text columns that say what is measured, and from where."""
 
@@ -162,9 +168,9 @@ def from_residual(
         worst = np.abs(kept) / np.maximum(robust * np.sqrt(rows_held / degrees), 1e-9)
         weights = count * (np.nan_to_num(worst).max(axis=1) <= OUTLIER)
         square = (even[weights > 0] ** 2).sum(0)
-        parts = np.split(square / degrees, ends)
+        parts = np.split(_likeliest_noise(square, degrees) ** 2, ends)
         alike = np.concatenate([np.full(len(part), np.median(part)) for part in parts])
-        new = np.sqrt((square + BEFOREHAND * alike) / (degrees + BEFOREHAND))
+        new = _likeliest_noise(square + BEFOREHAND * alike, degrees + BEFOREHAND)
         new = np.where(held[weights > 0].any(0), new, np.inf)
         shrunk = 1.0
         if few:  # size of the library's effects in their priors' standard deviations
@@ -180,6 +186,21 @@ def from_residual(
         sigma = np.maximum(sigma, [claimed.get(name, 0.0) for name in fit.session.channels])
     rho = lag_correlation(even / sigma, weights, held)
     return NoiseEstimate(sigma, "residual", rho, float(np.max(degrees))), weights
+
+
+def _likeliest_noise(square: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    """Return (d,) the most probable noise by a sum of squares and its degrees of freedom.
+
+    Beforehand its logarithm is normal about that of `USUAL`.  Few equations can be fitted exactly,
+    and would have no noise at all; many outweigh what was thought beforehand.
+    """
+    price, middle = 1.0 / math.log(_WITHIN) ** 2, math.log(USUAL)
+    log_sigma = np.minimum(0.5 * np.log(np.maximum(square, 1e-30) / degrees), middle)
+    for _ in range(NEWTON_STEPS):  # from below: they never overshoot
+        pull = square * np.exp(-2.0 * log_sigma)
+        slope = degrees - pull + price * (log_sigma - middle)
+        log_sigma = log_sigma - slope / (2.0 * pull + price)
+    return np.asarray(np.exp(log_sigma))
 
 
 def limit_by_repeats(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:

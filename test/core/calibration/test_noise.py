@@ -7,9 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hidden_arm import SIGMA, at, session
+from small_arm import ARM
 
 from longarm_comp.core.calibration.noise import from_residual
 from longarm_comp.core.data.measured_rows import ChannelBlock
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.sim.hidden import drives
 
 NOISE = 2e-5
 """m, of every axis."""
@@ -61,3 +65,10 @@ def test_every_axis_counts_its_own_freedom() -> None:
     extra[:, 0] = 1e-2 * rng.standard_normal((200, 120))
     noise, _ = from_residual(fit_of(true * rng.standard_normal((200, 3))), extra)
     assert noise.sigma == pytest.approx(true, rel=0.15)
+
+
+def test_six_poses_that_can_be_fitted_exactly_keep_a_noise() -> None:
+    """By a noise of nothing no prior would count, and rows held out would be met exactly too."""
+    found = diagnose(ARM, session([drives.JointGain(at(2, 0.02))], n=6, seed=3))
+    assert (found.fit.judged["sigma"] > SIGMA / 4).all()
+    assert (found.fit.judged["sigma"] < SIGMA * 4).all()
