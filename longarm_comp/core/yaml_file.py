@@ -32,6 +32,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "_nm2": (1e-9, 1e18),
     "_mps2": (-50.0, 50.0),
     "_c": (-273.15, 2000.0),
+    "t_s": (-1e10, 1e10),
 }
 """What any machine's quantity of a unit lies within, by the end of its key. Beyond it the unit is
 wrong (gravity in mm/s^2)."""

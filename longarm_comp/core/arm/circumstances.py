@@ -36,7 +36,7 @@ def allowed_range(arm: Arm, name: str) -> tuple[float, float]:
         own = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
         usual = max(MOST_PAYLOADS * arm.payload.mass_kg, own) or upper
         return lower, usual if arm.payload.most_kg is None else arm.payload.most_kg
-    return (-math.tau, math.tau) if INCLINATION.match(name) else (-math.inf, math.inf)
+    return (-math.tau, math.tau) if INCLINATION.match(name) else (lower, upper)
 
 
 def check_circumstance(arm: Arm, name: str, values: ArrayLike, where: object) -> None:
@@ -50,6 +50,8 @@ def check_circumstance(arm: Arm, name: str, values: ArrayLike, where: object) ->
     wrong = np.isinf(given) | (given < lower) | (given > upper)
     if wrong.any():
         allowed = f"{lower:g} to {upper:g}"
+        if name == "t_s":
+            allowed += " seconds"
         if name == "payload_kg":
             allowed += f" of arm {arm.name}; more: payload.most_kg in arm.yaml"
         if name == "temperature_c":

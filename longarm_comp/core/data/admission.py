@@ -72,6 +72,7 @@ def admit(
     findings += _check_joints(session, arm)
     _check_loads(session, arm)
     _check_order(session)
+    _check_groups(session)
     findings += (AdmissionFinding("touch", *found) for found in check_touches(session, arm))
     findings += (*_check_blanks(session), *_check_constant(session, arm), *_check_copies(session))
     poses = len(np.unique(session.take(session.seen).pose_id))
@@ -157,6 +158,17 @@ def _check_loads(session: Session, arm: Arm) -> None:
     if not (sag <= reach(arm)).all():
         allowed = "a load that the beams of arm.yaml carry: look at E_pa, sections and masses"
         raise session.error("payload_kg", float(loads.max()), allowed)
+
+
+def _check_groups(session: Session) -> None:
+    """Refuse a place of the base that too few sightings fix: a frame takes three points."""
+    if "group" not in session.labels:
+        return
+    groups = session.labels["group"][session.located]
+    for group, count in Counter(groups.tolist()).items():
+        if count < 3:
+            allowed = "at least 3 rows from a place of the base, or they cannot say where it is"
+            raise session.error(f"group {group!r}", f"{count} rows", allowed)
 
 
 def _check_order(session: Session) -> None:

@@ -72,6 +72,9 @@ def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray
 
     -1 of a row that is in every fit: the other folds do not tell where its marker, sensor or base
     is.
+
+    Raises:
+        InputError: there is no row that can be held out.
     """
     block = blocks_of(session)
     names = np.unique(block)
@@ -83,6 +86,9 @@ def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray
             mine = session.labels[label] == value
             if len(np.unique(fold[mine])) == 1:
                 fold = np.where(mine, -1, fold)
+    if (fold < 0).all():
+        labels = ", ".join(label for label in PLACED_APART if label in session.labels)
+        raise session.error(labels, "each in few rows", "one of them, at least, in many poses")
     return np.asarray(fold)
 
 

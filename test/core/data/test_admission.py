@@ -100,6 +100,10 @@ REFUSED: dict[str, Callable[[Session], Session]] = {
     ),
     "sigma_x, sigma_y, sigma_z: 0.3": lambda s: dataclasses.replace(s, sigma=np.full((80, 3), 0.3)),
     "temperature_c: -300.0": lambda s: filled(s, "temperature_c", -300.0),
+    "t_s: 1.7e\\+18; allowed: .* seconds": lambda s: filled(s, "t_s", 1.7e18),
+    "group 'b': '2 rows'; allowed: at least 3": lambda s: dataclasses.replace(
+        s, labels={"group": np.where(np.arange(80) < 78, "a", "b")}
+    ),
     "payload_kg: -0.1": lambda s: filled(s, "payload_kg", -0.1),
 }
 

@@ -15,7 +15,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
-from longarm_comp.core.errors import JobError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.posterior.explain import _explain_halves, explain_session
@@ -105,6 +105,13 @@ def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt() -> None:
     assert doubted.there == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
     (both,) = dataclasses.replace(found.linear, of_halves=(found.found,) * 2).average_samples(0)
     assert both.there > 0.99 and both.name == doubted.name
+
+
+def test_where_every_row_has_a_marker_of_its_own_none_can_be_held_out() -> None:
+    rows = session(n=30)
+    own = dataclasses.replace(rows, labels={"marker": np.arange(30).astype(str)})
+    with pytest.raises(InputError, match=r"marker: 'each in few rows'; allowed: .*many poses"):
+        folds_of(own)
 
 
 @pytest.fixture(scope="module")
