@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtri
+from scipy.special import expit, fdtri
+from scipy.stats import norm
 
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.linear import BEFOREHAND, MAD, OUTLIER, mean, median
@@ -20,6 +21,10 @@ ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""
 ALLOWED = 1e-3
 """Chance of an axis, one of several in every session, to be noisier than its repeats allow."""
+RIGHT_WITHIN = 2.0
+"""Factor within which a sensor's stated noise is right: one standard deviation."""
+EXCESS_WITHIN = 1e3
+"""Range of what else may scatter the rows: from the least that matters to a thousand times that."""
 NEWTON_STEPS = 10
 MOST_STEPS = 60
 """Of the noise and the size of the library's effects together."""
@@ -94,6 +99,27 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
     degrees = np.nansum(share[kept], axis=0)
     size = np.sqrt(np.nansum(scatter[kept] ** 2, axis=0) / np.maximum(degrees, 1e-9))
     return size, degrees
+
+
+def share_of_sensor(fit: ModelFit) -> tuple[float, float]:
+    """Return the expected share of the sensor in the white residual's variance, by what rows state.
+
+    Either all of it is the sensor's, or something else that no input tells adds to it, alike likely
+    at any size: two tools that nobody wrote down, an arm that does not come back.
+
+    Returns:
+        The share, and the probability that all is the sensor's; 1 and 1 where no row states any.
+    """
+    stated = [fit.session.claimed.get(name, math.nan) for name in fit.session.channels]
+    ratios = np.log(fit.sigma) - np.log(stated)
+    if not np.isfinite(ratios).any():
+        return 1.0, 1.0
+    within, ratio = math.log(RIGHT_WITHIN), float(ratios[np.isfinite(ratios)].mean())
+    log_less = norm.logcdf(ratio / within)
+    log_all = norm.logpdf(ratio, 0.0, within) - log_less + math.log(math.log(EXCESS_WITHIN))
+    whole = float(expit(log_all))
+    log_part = norm.logcdf(ratio / within - 2.0 * within) - log_less + 2.0 * (within**2 - ratio)
+    return whole + (1.0 - whole) * math.exp(min(log_part, 0.0)), whole
 
 
 def sightings(rows: Session) -> np.ndarray:

@@ -12,7 +12,7 @@ Not all of a fit's residual is noise.  At similar poses the arm behaves alike, s
 model lacks looks as if the parameters changed with the joints.  The residual is white noise and
 such a Gaussian process; their shares are weighed by the evidence of the rows, with the part that
 the fit explains projected out (restricted likelihood; Patterson and Thompson 1971, Biometrika 58),
-and by repeats, however few.
+and by repeats, however few.  Of the white part no more is the sensor's than it may have stated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from longarm_comp.core.arm.context import CLOCK, ORDER, is_told
 from longarm_comp.core.calibration.left_out import LeftOut
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.noise import repeat_scatter
+from longarm_comp.core.calibration.noise import repeat_scatter, share_of_sensor
 from longarm_comp.core.data.commanded import moved_by_measuring, moved_with_time
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model
@@ -51,7 +51,8 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))
     else:
         spread = fit.residual[kept & fit.pointed][:, :3]
-        noise = (1.0 - arm_share(fit)) * np.diag((spread**2).mean(axis=0))
+        sensor = (1.0 - arm_share(fit)) * share_of_sensor(fit)[0]
+        noise = sensor * np.diag((spread**2).mean(axis=0))
         alike, structure = left_out.explain(noise)
     # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
     # or that of the session's start, where that of any row may be meant; and that of the end, where

@@ -2,9 +2,9 @@
 
 It knows no physics. Whatever moves the tip, or a joint, as some function of a joint, of a pair
 of joints, of the approach, temperature, time or payload shows here, whether the library has a name
-for it or not.  Two more tests ask whether held-out poses err by more than the noise, and whether
-the rows that the fit left out share a displacement.  Their results are reported, and used for
-nothing.
+for it or not.  Three more tests ask whether held-out poses err by more than the noise, whether the
+rows that the fit left out share a displacement, and whether the rows state far less noise.  Their
+results are reported, and used for nothing.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from scipy.special import bdtrc, fdtrc, gammaincinv
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.calibration.linear import Marginal, inliers, solve, solve_products
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.noise import share_of_sensor
 from longarm_comp.core.calibration.reading_steps import read_exactly
 from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.registration import median_spread
@@ -322,6 +323,27 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
         inputs=("rows left out",),
         size_m=size,
         sign=f"is shared by the {count} rows that no fit explains",
+    )
+
+
+def with_stated_noise(structure: Structure, fit: ModelFit) -> Structure:
+    """Return the structure, flagged also where the noise is far more than the sensor states.
+
+    Args:
+        structure: as it shows in the fitted rows.
+        fit: the final fit.
+    """
+    share, p = share_of_sensor(fit)
+    size = float(np.linalg.norm(fit.noise_m)) * math.sqrt(1.0 - share)
+    if structure.flag or p > SIGNIFICANT or size < smallest(fit):
+        return structure
+    return dataclasses.replace(
+        structure,
+        flag=True,
+        p_value=p,
+        inputs=("stated noise",),
+        size_m=size,
+        sign="is scatter far beyond the noise that the rows state",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,9 +11,12 @@ import pytest
 from hidden_arm import SIGMA, at, session
 from small_arm import ARM
 
-from longarm_comp.core.calibration.noise import from_residual
+from longarm_comp.core.calibration.noise import from_residual, share_of_sensor
+from longarm_comp.core.calibration.uncertainty import uncertainty
 from longarm_comp.core.data.measured_rows import ChannelBlock
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.uncertainty import sizes
 from longarm_comp.sim.hidden import drives
 
 NOISE = 2e-5
@@ -72,3 +76,39 @@ def test_six_poses_that_can_be_fitted_exactly_keep_a_noise() -> None:
     found = diagnose(ARM, session([drives.JointGain(at(2, 0.02))], n=6, seed=3))
     assert (found.fit.judged["sigma"] > SIGMA / 4).all()
     assert (found.fit.judged["sigma"] < SIGMA * 4).all()
+
+
+@pytest.mark.parametrize(
+    ("times", "share", "whole"),
+    [(0.2, 1.0, 1.0), (1.0, 0.96, 0.9), (3.0, 0.6, 0.6), (10.0, 0.04, 0.02), (100.0, 3e-4, 0.0)],
+)
+def test_noise_is_the_sensors_as_far_as_it_may_have_stated_it(
+    times: float, share: float, whole: float
+) -> None:
+    """The rows scatter so many times as much as they state."""
+    fit = fit_of(np.zeros((ROWS, 3)))
+    fit.session.claimed = dict.fromkeys(fit.session.channels[:2], 1e-3 / times)
+    assert share_of_sensor(fit) == (pytest.approx(share, 0.3), pytest.approx(whole, abs=0.1))
+    fit.session.claimed = {}
+    assert share_of_sensor(fit) == (1.0, 1.0)
+
+
+def test_two_tools_that_nobody_wrote_down_are_more_than_a_better_sensors_noise() -> None:
+    """Half of the rows were touched with a tool 20 mm longer: each command misses by ten."""
+    rows = session(n=80)
+    turned = Model(ARM).pose(rows.q, rows.context())[:, :3, 0]
+    longer = np.random.default_rng(0).choice([0.0, 0.02], 80)[:, None] * turned
+    stated = np.full((80, 3), SIGMA)
+    found = diagnose(ARM, dataclasses.replace(rows, xyz=rows.xyz + longer, sigma=stated))
+    assert found.verdict == "unknown"
+    promised = sizes(uncertainty(found.fit).structure)[1]
+    assert 0.01 < promised < 0.03
+
+
+@pytest.mark.parametrize(("stated", "verdict"), [(SIGMA, "unknown"), (5 * SIGMA, "noise")])
+def test_scatter_far_beyond_what_the_rows_state_is_not_called_noise(
+    stated: float, verdict: str
+) -> None:
+    rows = session(n=80, noise=lambda rng, n: 15 * SIGMA * rng.standard_normal((n, 3)))
+    found = diagnose(ARM, dataclasses.replace(rows, sigma=np.full((80, 3), stated)))
+    assert found.verdict == verdict
