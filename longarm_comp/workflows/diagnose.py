@@ -14,6 +14,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.uncertainty import uncertainty
+from longarm_comp.core.data.admission import FEW_POSES
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
@@ -40,8 +41,8 @@ from longarm_comp.workflows.evaluate import ErrorTable
 from longarm_comp.workflows.train import training_rows
 
 POSES = 20
-"""Poses that a diagnosis needs. Fewer may be fitted exactly by what no pose contradicts; then
-nothing is left to hold out. `calibrate` takes fewer."""
+"""Poses that a diagnosis needs, unless arms of the kind are known: of fewer, little is left that
+could contradict what explains them."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -214,7 +215,8 @@ def diagnose(
         JobError: a fit diverged.
     """
     known = None if model is None else inputs.physics(arm, model)
-    whole = inputs.admit_session(session, arm, known, POSES, note)
+    poses = FEW_POSES if kind_of else POSES
+    whole = inputs.admit_session(session, arm, known, poses, note)
     held_out = None if test is None else inputs.admit_session(test, arm, known, 1, note)
     for rows in (whole, held_out):
         if rows is not None and not rows.placed.any():
