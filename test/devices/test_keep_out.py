@@ -11,8 +11,17 @@ from follower_rig import CONFIG, Rig
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model import link_frames
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import describe_entry, keeper, outline
+from longarm_comp.core.model.link_frames import (
+    boxes_entered,
+    describe_entry,
+    find_entry,
+    keeper,
+    most_motion,
+    outline,
+)
+from longarm_comp.core.model.model import Model
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 
@@ -77,6 +86,147 @@ def test_joints_in_the_order_of_the_servos_are_kept_out_too(demo_arm_path: Path)
         keeper(model, names[:1], "arm.yaml")
 
 
+ROWS = (
+    {"id": 1, "name": "turn", "type": "revolute", "d_m": 0.3, "limits_deg": [-100, 100]},
+    {"id": 2, "name": "lift", "type": "revolute", "alpha_deg": 90, "limits_deg": [-180, 180]},
+)
+SWINGING = {
+    "name": "swing",
+    "convention": "mdh_craig",
+    "tip": {"frame": 2, "position_m": [1.5, 0, 0]},
+    "joints": ROWS,
+}
+
+
+def swinging(**boxes: tuple[tuple[float, ...], tuple[float, ...]]) -> Model:
+    """An arm of 1.5 m that turns at a height of 0.3 m, among boxes of least and largest corner."""
+    keep_out = {name: {"min_m": low, "max_m": high} for name, (low, high) in boxes.items()}
+    return declared_model(Arm.parse(SWINGING | {"keep_out": keep_out}, "arm.yaml"))
+
+
+SWING = np.array([[-1.5, 0.0], [1.5, 0.0]])
+
+
+@pytest.mark.parametrize("thick", [0.2, 0.002])
+def test_no_box_on_the_way_is_swept_through(thick: float) -> None:
+    """A box at any place beside the reach of the tip, looked at by many postures."""
+    way = SWING[0] + np.linspace(0.0, 1.0, 9000)[:, None] * np.diff(SWING, axis=0)
+    for y in np.arange(-1.2, 1.2, 0.1):
+        model = swinging(lamp=((1.2, y, 0.0), (1.6, y + thick, 0.5)))
+        swept = any(boxes_entered(model, way))
+        assert bool(describe_entry(model, SWING)) is swept, y
+        keeps_out = keeper(model, ["lift", "turn"], "arm.yaml")
+        assert keeps_out is not None
+        assert bool(keeps_out(SWING[:, ::-1])) is swept, y
+
+
+def test_a_way_close_by_a_box_is_free() -> None:
+    for gap in (0.1, 0.01, 0.002):
+        over = swinging(table=((-2.0, -2.0, -1.0), (2.0, 2.0, 0.3 - gap)))
+        assert not describe_entry(over, np.array([[-1.5, 0.2], [1.5, 0.0], [-1.5, 0.0]]))
+        beside = swinging(lamp=((1.5 + gap, -2.0, 0.0), (2.0, 2.0, 0.5)))
+        assert not describe_entry(beside, SWING)
+
+
+def test_a_short_dip_below_a_floor_above_the_foot_is_found() -> None:
+    """The only part of the arm begins below the floor, and may; the tip may not."""
+    model = swinging(floor=((-9.0, -9.0, -9.0), (9.0, 9.0, 0.5)))
+    way = np.array([(0.8 * (-1) ** k, 0.3) for k in range(80)])
+    assert not describe_entry(model, way)
+    dipped = np.insert(way, 41, [(0.0, 0.3), (0.0, 0.13), (0.0, 0.3)], axis=0)
+    row, found = find_entry(model, dipped)
+    assert "floor" in found and row in (42, 43)
+
+
+def test_random_ways_among_random_boxes_are_judged_as_by_many_looks(
+    demo_arm_path: Path, rng: np.random.Generator
+) -> None:
+    """A sagging arm of seven joints; what goes into a box by 3 mm is found, what does not, not."""
+    plain = declared_model(Arm.load(demo_arm_path))
+    lower, upper = plain.arm.lower, plain.arm.upper
+    seen = [0, 0]
+    for _ in range(16):
+        start, end = rng.uniform(lower, upper, (2, len(lower)))
+        way = start + np.linspace(0.0, 1.0, 1000)[:, None] * (end - start)
+        centre = outline(plain, rng.uniform(lower, upper))[rng.integers(10, 32)]
+        model = declared_model(boxed(demo_arm_path, centre, half=0.08))
+        box, lines = model.arm.keep_out["lamp"], outline(plain, way)
+        core = Box(min_m=tuple(centre - 0.077), max_m=tuple(centre + 0.077))
+        found = describe_entry(model, np.array([start, end]))
+        assert found or not core.crosses_segments(lines).any()
+        assert not found or box.crosses_segments(lines).any()
+        seen[bool(found)] += 1
+    assert min(seen) > 3
+
+
+def test_no_part_moves_by_more_than_is_reckoned_with(
+    demo_arm_path: Path, rng: np.random.Generator
+) -> None:
+    """Rows that turn, slide and follow others, with sag."""
+    follows = {"id": 3, "type": "revolute", "a_m": 1.0, "mimic": {"joint": 2, "multiplier": -2.0}}
+    data = SWINGING | {"joints": [*ROWS, follows], "tip": {"frame": 3, "position_m": [1, 0, 0]}}
+    for arm in (Arm.load(demo_arm_path), Arm.parse(data, "arm.yaml")):
+        model = declared_model(arm)
+        lower, upper = model.arm.lower, model.arm.upper
+        a, b = rng.uniform(lower, upper, (2, 4000, len(lower)))
+        b = np.where(rng.random(a.shape) < 0.2, a + 0.2 * (b - a), a)
+        moved = np.linalg.norm(outline(model, b) - outline(model, a), axis=-1)
+        most = np.abs(b - a) @ most_motion(model).T
+        assert (moved[:, 1:] <= most[:, :-1] + 1e-9).all()
+        assert (moved[:, -1] > 0.8 * most[:, -1])[most[:, -1] > 0.05].any()
+
+
+def test_the_distance_from_a_box_is_never_overrated(rng: np.random.Generator) -> None:
+    ends = rng.uniform(-2.0, 3.0, (3000, 2, 3))
+    ends[:100, 1, 0] = ends[:100, 0, 0]
+    ends[100:200, 1] = ends[100:200, 0]
+    share = np.linspace(0.0, 1.0, 400)[:, None, None]
+    points = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
+    real = np.linalg.norm(points - np.clip(points, 0.0, 1.0), axis=-1).min(axis=0)
+    told = UNIT.clearance(ends)[:, 0]
+    assert (told <= real + 1e-9).all()
+    assert (told >= real / np.sqrt(3.0) - 0.01).all()
+    assert ((told == 0.0) == UNIT.crosses_segments(ends)[:, 0]).all()
+    inside = rng.uniform(0.0, 1.0, (100, 3))
+    walls = np.concatenate([inside, 1.0 - inside], axis=1).min(axis=1)
+    np.testing.assert_allclose(UNIT.depth(inside), walls)
+
+
+@pytest.fixture
+def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of postures that were looked at together."""
+    made: list[int] = []
+
+    def count(model: Model, q: np.ndarray) -> np.ndarray:
+        made.append(int(np.size(q) // model.arm.n))
+        return outline(model, q)
+
+    monkeypatch.setattr(link_frames, "outline", count)
+    return made
+
+
+def test_looks_depend_on_the_way_and_not_on_its_points(looks: list[int]) -> None:
+    model = swinging(lamp=((1.4, 1.0, 0.0), (2.0, 2.0, 0.5)))
+    needed = []
+    for count in (2, 20_000):
+        share = np.linspace(0.0, 1.0, count)[:, None]
+        looks.clear()
+        assert not describe_entry(model, [-1.5, 0.0] + share * [1.7, 0.0])
+        needed.append(sum(looks))
+    assert needed[0] == needed[1] < 150
+
+
+def test_a_driver_gives_up_on_a_way_that_takes_too_long_to_check(looks: list[int]) -> None:
+    model = swinging(table=((-2.0, -2.0, -1.0), (2.0, 2.0, 0.295)))
+    way = np.array([(0.8 * (-1) ** k, 0.0) for k in range(10)])
+    assert not describe_entry(model, way)
+    keeps_out = keeper(model, ["turn", "lift"], "arm.yaml")
+    assert keeps_out is not None and not keeps_out(way[:2])
+    looks.clear()
+    assert "send it in parts" in keeps_out(way)
+    assert sum(looks) <= 1001  # and one for the lengths of the links
+
+
 def test_a_box_is_declared_from_its_least_to_its_largest_corner(demo_arm_path: Path) -> None:
     with pytest.raises(InputError, match="max_m"):
         boxed(demo_arm_path, np.zeros(3), half=-0.1)
@@ -120,7 +270,7 @@ def test_the_way_that_is_judged_is_the_way_that_is_gone() -> None:
     for part, near in ((gone[:10], 0.005), (gone[25:], 0.02)):  # blended; then sampled coarser
         far = np.abs(part[:, None] - asked[-1][None]).max(axis=2)
         assert far.min(axis=1).max() < near
-    np.testing.assert_allclose(asked[-1][15], gone[9], atol=0.005)  # where the blend ends
+    np.testing.assert_allclose(asked[-1][16], gone[9], atol=0.005)  # where the blend ends
     far = np.abs(asked[-1][:, None] - gone[None]).max(axis=2)
     assert far.min(axis=1).max() < 0.01
     rig.follower.accept(JointTrajectory((), ()), rig.now)

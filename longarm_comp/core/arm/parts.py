@@ -247,6 +247,30 @@ class Box(Declared):
         inside = (points >= np.array(self.min_m)) & (points <= np.array(self.max_m))
         return np.asarray(inside.all(axis=-1))
 
+    def depth(self, points: np.ndarray) -> np.ndarray:
+        """(...) m: how far points (..., 3) in the box are from its nearest side."""
+        inside = np.minimum(points - np.array(self.min_m), np.array(self.max_m) - points)
+        return np.asarray(inside.min(axis=-1))
+
+    def clearance(self, points: np.ndarray) -> np.ndarray:
+        """(..., k - 1) m: how far segments of polylines (..., k, 3) are from the box, at least.
+
+        It is the largest gap along the axes that separate a segment from a box: those of the box
+        together, and those across one of them and the segment.
+        """
+        begin, end = points[..., :-1, :], points[..., 1:, :]
+        low, high = np.array(self.min_m), np.array(self.max_m)
+        beside = np.maximum(low - np.maximum(begin, end), np.minimum(begin, end) - high)
+        found = np.sqrt((np.maximum(beside, 0.0) ** 2).sum(axis=-1))
+        way, off, half = end - begin, begin - (low + high) / 2, (high - low) / 2
+        for a, b in ((0, 1), (1, 2), (2, 0)):  # the plane in which the axis lies
+            along, across = way[..., a], way[..., b]
+            length = np.hypot(along, across)
+            gap = np.abs(off[..., a] * across - off[..., b] * along)
+            gap -= half[a] * np.abs(across) + half[b] * np.abs(along)
+            found = np.maximum(found, np.divide(gap, length, np.zeros_like(gap), where=length > 0))
+        return np.asarray(found)
+
     def crosses_segments(self, points: np.ndarray) -> np.ndarray:
         """(..., k - 1) bool: which segments of polylines (..., k, 3), m, are partly in the box."""
         begin, way = points[..., :-1, :], np.diff(points, axis=-2)

@@ -13,6 +13,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
+from longarm_comp.math.cubic_path import split
 
 
 def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
@@ -89,36 +90,96 @@ def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
     ]
 
 
+_LOOK_M = 0.005
+"""How far the arm moves at most between two postures that are looked at beside a box, m; half the
+box's thickness where that is less."""
+_AT_ONCE = 64
+"""Parts of a piece of the way that are looked at together: one posture takes about as long."""
+_MOST_LOOKS = 1000
+"""Postures that `keeper` looks at before it gives up: 60 ms, and a driver does nothing else."""
+_SAG = 0.05
+"""Motion that sag adds for a unit of any joint, at most, as a share of the length from the foot."""
+_TOO_LONG = "keep_out: so long a way beside a box takes too long to check; send it in parts"
+
+
 def describe_entry(model: Model, path: np.ndarray) -> str:
     """Say which box a move enters, where, and at which joints; empty if it enters none.
 
     The arm is the line through its stations, from the foot to the tip: a box must be larger than
     the thing that it protects by the arm's radius. Between way-points joints move straight.
     """
-    # Postures looked at from one way-point to the next
-    shares = np.linspace(0.0, 1.0, 16 + 1)[1:, None]
-    for start, end in pairwise(path) if model.arm.keep_out else ():
-        if found := entered_at(model, start + shares * (end - start)):
-            return found
-    return ""
+    return find_entry(model, path)[1]
 
 
-def entered_at(model: Model, q: np.ndarray) -> str:
-    """Name the first keep-out box that the arm enters at postures (M, n), and the joints; "" if
-    none."""
-    for joints, found in zip(q.tolist(), boxes_entered(model, q), strict=True):
-        if found:
-            at = ", ".join(f"{number:.3g}" for number in joints)
-            return f"keep_out {found}, at joints {at}"
-    return ""
+def find_entry(model: Model, path: np.ndarray, most: float = np.inf) -> tuple[int, str]:
+    """Find where a move through joints (N, n) enters a box: before which row, and `describe_entry`.
+
+    It is cut into ever smaller pieces until no link can reach a box unseen: its distances from it
+    at both ends of a piece add up to more than it moves in between, or it moves by `_LOOK_M` at
+    most (adaptive collision checking, Schwarzer, Saha and Latombe 2005).
+
+    Args:
+        most: postures after which it gives up and says so.
+    """
+    boxes = model.arm.keep_out.values()
+    if not boxes or not len(path):
+        return 0, ""
+    thin = min(high - low for b in boxes for low, high in zip(b.min_m, b.max_m, strict=True))
+    least, far = min(_LOOK_M, 0.5 * thin), most_motion(model)
+    turned = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
+    at = turned @ far.max(axis=0)
+    new = np.linspace(0.0, at[-1], _AT_ONCE + 1) if at[-1] > 0.0 else at[:1]
+    known, clear = np.zeros(0), np.zeros((0, len(far)))
+    while len(new):
+        if len(known) + len(new) > most:
+            return len(path) - 1, _TOO_LONG
+        q = _between(at, path, new)
+        entered, distances = _entries(model, q)
+        for k in (k for k, found in enumerate(entered) if found):
+            joints = ", ".join(f"{number:.3g}" for number in q[k])
+            return int(np.searchsorted(at, new[k])), f"keep_out {entered[k]}, at joints {joints}"
+        order = np.argsort(np.concatenate([known, new]))
+        known, clear = (np.concatenate(pair)[order] for pair in ((known, new), (clear, distances)))
+        moved = np.diff(_between(at, turned, known), axis=0) @ far.T
+        # Half as far as what is known at the ends allows: fewer rounds
+        apart = np.maximum(0.5 * (clear[1:] + clear[:-1]), least)
+        pieces = np.where(moved > 2.0 * apart, np.ceil(moved / apart), 1.0).max(axis=1)
+        places = split(np.minimum(pieces, _AT_ONCE).astype(int))
+        new = np.interp(places[places % 1 > 0], np.arange(len(known)), known)
+    return 0, ""
+
+
+def _between(at: np.ndarray, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(M, n) rows (N, n) at places (M,) between those that they are at (N,)."""
+    return np.stack([np.interp(places, at, column) for column in rows.T], axis=-1)
+
+
+def most_motion(model: Model) -> np.ndarray:
+    """(parts, n): how far a part of `outline` moves at most for a unit of every joint, m.
+
+    The last part is the tip by itself.
+    """
+    arm, line = model.arm, _lines(model.with_terms(()), model.arm.mid)
+    moved, span = np.abs(arm.mixing[0]), arm.upper - arm.lower
+    along = np.insert(np.linalg.norm(np.diff(line, axis=0), axis=1), 0, 0.0)
+    bearings = [row.bearing for row in model.chain.rows]
+    for joint, bearing, weights in zip(arm.joints, bearings, moved, strict=True):
+        along[bearing + 1] += 0.5 * weights @ span * (joint.type == "prismatic")
+    along, far = np.cumsum(along), np.zeros((len(along), arm.n))
+    for joint, bearing, weights in zip(arm.joints, bearings, moved, strict=True):
+        lever = along[bearing:] - along[bearing]
+        slid = np.ones_like(lever)
+        far[bearing:] += np.outer(slid if joint.type == "prismatic" else lever, weights)
+    return (far + _SAG * along[:, None])[1:]
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
-    """Return `entered_at` of joints (M, n) in the order of their names; None without boxes."""
+    """Return what says why the arm must not move through joints (N, n), in the order of their
+    names; None without boxes."""
     if not model.arm.keep_out:
         return None
     order = model.arm.order(names, where)
-    return lambda q: entered_at(model, q[:, order])
+    return lambda q: find_entry(model, q[:, order], _MOST_LOOKS)[1]
 
 
 def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
@@ -127,13 +188,29 @@ def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
     A box that the arm's foot stands in, as a floor above the foot, is left once: what comes after
     must stay out, and so must the tip.
     """
-    lines = outline(model, q)
-    found = [""] * len(q)
+    return _entries(model, q)[0]
+
+
+def _lines(model: Model, q: np.ndarray) -> np.ndarray:
+    """Return the outlines, and the tip once more: a last part that is the tip alone."""
+    line = outline(model, q)
+    return np.concatenate([line, line[..., -1:, :]], axis=-2)
+
+
+def _entries(model: Model, q: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """Return `boxes_entered`, and (M, parts) m: how far parts can move until that may change.
+
+    A part that leaves the box of the foot does so while its beginning is in there.
+    """
+    lines = _lines(model, q)
+    found, clear = [""] * len(q), np.full(lines[:, 1:, 0].shape, np.inf)
     for name, box in model.arm.keep_out.items():
-        parts = box.crosses_segments(lines)
         below = np.logical_and.accumulate(box.holds(lines), axis=-1)
-        parts &= ~below[:, :-1] | below[:, -1:]
+        leaves = below[:, :-1] & ~below[:, -1:]
+        parts = box.crosses_segments(lines) & ~leaves
+        free = np.where(leaves, box.depth(lines[:, :-1]), box.clearance(lines))
+        clear = np.minimum(clear, free)
         for k in np.flatnonzero(parts.any(axis=-1)):
             near = ", ".join(f"{number:.3g}" for number in lines[k, np.argmax(parts[k]) + 1])
             found[k] = found[k] or f"{name}: the arm would enter it near {near} m"
-    return found
+    return found, clear
