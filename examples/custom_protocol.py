@@ -13,7 +13,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply, limit_units
 from longarm_comp.devices.servo_bus.memory import Register
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 from longarm_comp.sim.servo_emulator.motor import Motor
@@ -58,7 +58,7 @@ class MakerServo(Dialect):
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         """Position, and speed with 0 for as fast as it can."""
-        return struct.pack("<hH", ticks, min(round(speed_ticks_s), 0xFFFF))
+        return struct.pack("<hH", ticks, limit_units(speed_ticks_s, 1.0, 0xFFFF))
 
     def turns_bytes(self, many: bool) -> bytes:
         """1 counts turns."""

@@ -8,6 +8,7 @@ joints of it mimic becomes a row that does not move.  A URDF knows no beams.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,9 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
 def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
     """What arm.yaml holds for the chain from link `base` to link `tip`. Raises InputError.
 
-    Continuous joints are endless.  Every link's mass is lumped at its centre of mass; what hangs
-    beside the chain (a gripper, another arm) is carried with its own joints at zero.
+    Continuous joints are endless.  Limits are the tighter ones of hard and soft limits.  Every
+    link's mass is lumped at its centre of mass; what hangs beside the chain (a gripper, another
+    arm) is carried with its own joints at zero.
     """
     way = robot.path(base, tip)
     moving = {joint.name: joint for joint in way if joint.moves}
@@ -71,6 +73,25 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
         "joints": rows,
         "point_masses": masses,
     }
+
+
+def read_drives(path: str | Path, data: Mapping[str, Any]) -> dict[int, UrdfJoint]:
+    """Return a file's joint of each commanded row of the arm.yaml that was made of it, by row."""
+    joints = UrdfRobot(path).joints
+    commanded = [row for row in data["joints"] if row["type"] != "fixed" and "mimic" not in row]
+    return {row["id"]: joints[row["name"]] for row in commanded}
+
+
+def describe_drive(joint: UrdfJoint) -> str:
+    """Say which limits of a joint are taken and how fast it may be; empty where neither is told."""
+    turns, said = MOVING[joint.type] == "revolute", []
+    scale, unit = (math.degrees(1.0), "deg") if turns else (1e3, "mm")
+    if joint.hard is not None and joint.hard != joint.limits:
+        low, high = (scale * limit for limit in joint.hard)
+        said.append(f"soft limits; the hard ones are {low:.6g} to {high:.6g} {unit}")
+    if math.isfinite(joint.velocity):
+        said.append(f"at most {scale * joint.velocity:.6g} {unit}/s")
+    return ", ".join(said)
 
 
 def chain_ends(path: str | Path, base: str, tip: str) -> tuple[str, str]:

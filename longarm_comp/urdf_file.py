@@ -34,7 +34,9 @@ _LIMITS = {
 class UrdfJoint:
     """A joint: origin (4, 4) in the parent's frame, unit axis (3,) in its own, limits (rad, m).
 
-    Limits are None where the file gives none, and may coincide: see `UrdfRobot.check_ranges`.
+    Limits are None where the file gives none, and may coincide: see `UrdfRobot.check_ranges`. They
+    are the tighter ones of its hard limits (`hard`) and of the soft ones of its safety controller.
+    `velocity` is the highest in rad/s or m/s; infinite where the file tells none, or 0.
     """
 
     name: str
@@ -45,6 +47,8 @@ class UrdfJoint:
     axis: np.ndarray
     limits: tuple[float, float] | None
     mimic: dict[str, Any] | None
+    hard: tuple[float, float] | None = None
+    velocity: float = math.inf
 
     @property
     def moves(self) -> bool:
@@ -250,6 +254,11 @@ class UrdfRobot:
             if lower > upper:
                 raise self.error(f"joint {name} limit", [lower, upper], "lower <= upper")
             limits = lower, upper
+        hard, limits = limits, self._softened(node, limits) if kind != "continuous" else limits
+        (velocity,) = self._numbers(node, "limit", "velocity", "0", most=math.inf).tolist()
+        if velocity < 0:
+            allowed = "velocity, 0 (not told) or more"
+            raise self.error(f"joint {name} limit", velocity, allowed)
         follows: dict[str, Any] | None = None
         mimic = node.find("mimic")
         if mimic is not None:
@@ -265,7 +274,34 @@ class UrdfRobot:
         if np.abs(turns).max() > 1.01 * _TURN:
             allowed = f"rpy in rad, a turn ({_TURN:.3g}) at most, not degrees"
             raise self.error(f"joint {name} origin", turns.tolist(), allowed)
-        return UrdfJoint(name, kind, parent, child, origin, axis / (length or 1.0), limits, follows)
+        axis = axis / (length or 1.0)
+        top = velocity or math.inf
+        return UrdfJoint(name, kind, parent, child, origin, axis, limits, follows, hard, top)
+
+    def _softened(
+        self, node: ET.Element, limits: tuple[float, float] | None
+    ) -> tuple[float, float] | None:
+        """Return the part of hard limits that lies within the soft ones, where they are given.
+
+        A safety controller whose two soft limits are 0, their default, has none.
+        """
+        controller = node.find("safety_controller")
+        if controller is None or limits is None:
+            return limits
+        keys = ("soft_lower_limit", "soft_upper_limit")
+        lower, upper = (
+            float(self._numbers(node, "safety_controller", key, "0", most=math.inf)[0])
+            if controller.get(key) is not None
+            else hard
+            for key, hard in zip(keys, limits, strict=True)
+        )
+        if lower == upper == 0.0:
+            return limits
+        made = max(limits[0], lower), min(limits[1], upper)
+        if made[0] > made[1]:
+            allowed = f"soft limits that leave a range of {limits[0]:g} to {limits[1]:g}"
+            raise self.error(f"joint {node.get('name')} safety_controller", [lower, upper], allowed)
+        return made
 
 
 def resting(joint: UrdfJoint) -> float:

@@ -16,6 +16,7 @@ from longarm_comp.arm_folder.head import View, head_for
 from longarm_comp.arm_folder.make import ARM, NODES
 from longarm_comp.arm_folder.measured import CAMERAS, FILE, SIDES, camera_path, read_measured
 from longarm_comp.arm_folder.parameter_file import find_strangers, own_parameters, read_parameters
+from longarm_comp.arm_folder.servos import ROUNDING_TICKS, find_contradictions
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol
@@ -200,8 +201,22 @@ def _check_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield unmeasured(f"{ARM}: point_masses", f"no part has a mass: weigh them. {until}")
     if arm.payload is None:
         yield unmeasured(f"{ARM}: payload", "no payload is declared: weigh tool and marker")
-    if not any(arm.gravity_mps2):
-        yield implausible(f"{ARM}: gravity_mps2", "no gravity")
+    yield _check_gravity(arm)
+
+
+def _check_gravity(arm: Arm) -> _FolderFinding:
+    """Return how the arm is taken to stand or hang; a slip of gravity's sign is seen there."""
+    where, gravity = f"{ARM}: gravity_mps2", np.array(arm.gravity_mps2)
+    if not gravity.any():
+        return implausible(where, "no gravity")
+    foot = arm.base.frame().matrix()[:3, 2]
+    lean = math.degrees(math.acos(np.clip(-gravity @ foot / np.linalg.norm(gravity), -1.0, 1.0)))
+    how = "stands on" if lean < 45.0 else "hangs down from" if lean > 135.0 else "reaches out from"
+    said = f"the arm {how} its base: the base's z leans {lean:.0f} deg from upright"
+    if lean > 135.0 and foot[2] > math.cos(math.radians(45.0)):
+        said += ", by gravity towards +z with a level base.rpy_deg. "
+        return unmeasured(where, said + "On a floor it is [0, 0, -9.80665]: every sag turns round")
+    return declared(where, said)
 
 
 def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
@@ -209,21 +224,18 @@ def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFindin
     servos, found = _load(path, ServoConfig.load)
     if servos is None:
         return found
-    if sorted(servos.joints) != sorted(arm.joint_names):
-        said = f"{', '.join(servos.joints)}; arm.yaml has {', '.join(arm.joint_names)}"
-        return [implausible(f"{path.name}: joints", said)]
+    found += [
+        implausible(f"{error.where}: {error.field}", f"{error.value}; allowed: {error.allowed}")
+        for error in find_contradictions(servos, arm, path.name, ARM)
+    ]
+    if found:
+        return found
     for name, lower, upper in zip(arm.joint_names, arm.lower, arm.upper, strict=True):
         joint = servos.joints[name]
-        off = max(abs(joint.lower - lower), abs(joint.upper - upper))
-        # a tick of rounding, and half of one
-        if off > 1.5 * joint.si_per_tick:
-            said = f"limits {joint.lower:g} to {joint.upper:g} {joint.unit}; "
-            said += f"arm.yaml has {lower:g} to {upper:g}"
+        if max(joint.lower - lower, upper - joint.upper) > ROUNDING_TICKS * joint.si_per_tick:
+            said = f"limits {joint.lower:g} to {joint.upper:g} {joint.unit}; poses are planned "
+            said += f"within {lower:g} to {upper:g}, as in {ARM}"
             found.append(implausible(f"{path.name}: joints.{name}", said))
-    try:
-        servos.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), path.name)
-    except InputError as error:
-        found.append(implausible(f"{ARM}: {error.field}", str(error.allowed)))
     zeros = [n for n, j in servos.joints.items() if j.zero_ticks == j.servo.ticks_per_turn / 2]
     if zeros and path.name not in known:
         said = f"half a turn at {', '.join(zeros)}: read the encoders at joint value 0"

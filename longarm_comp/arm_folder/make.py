@@ -98,11 +98,16 @@ def arm_file(
     return "\n".join(lines) + "\n", arm
 
 
-def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
-    """Return the texts of the parameter files that fit an arm, by node."""
+def parameter_files(
+    arm: Arm,
+    servos: str = DEFAULT_MODEL,
+    direct: bool = False,
+    fastest: Mapping[int, float] | None = None,
+) -> dict[str, str]:
+    """Return the texts of the parameter files that fit an arm, by node; see `servo_section`."""
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
-            "joints": servo_section(arm, servos, direct),
+            "joints": servo_section(arm, servos, direct, fastest),
             "bus.protocol": models()[servos].protocol,
         },
     } | head_for(arm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from longarm_comp.arm_folder.parameter_file import edit_text, own_parameters
@@ -39,12 +39,56 @@ def with_joints(
     return made
 
 
+ROUNDING_TICKS = 1.5
+"""Limits that differ by less are the same: a tick of rounding, and half of one."""
+
+
+def find_contradictions(
+    servos: ServoConfig, arm: Arm, where: str, file: str
+) -> Iterator[InputError]:
+    """Yield an error for each thing in which the servos and an arm's joints do not agree.
+
+    The servos must be the arm's, of the type of their joints, within the joints' limits, and
+    able to stand at the declared steps.
+
+    Args:
+        where: of the servos. file: of the arm.
+    """
+    if sorted(servos.joints) != sorted(arm.joint_names):
+        theirs = f"{', '.join(arm.joint_names)}, as in {file}"
+        yield InputError(where, "joints", ", ".join(servos.joints), theirs)
+        return
+    rows = [arm.joints[number - 1] for number in arm.commanded]
+    for name, declared, low, high in zip(arm.joint_names, rows, *arm.bounds, strict=True):
+        joint, field = servos.joints[name], f"joints.{name}"
+        if joint.type != declared.type:
+            allowed = f"{declared.type}, as in {file}"
+            yield InputError(where, f"{field}.type", joint.type, allowed)
+            continue
+        slack = ROUNDING_TICKS * joint.si_per_tick
+        for end, limit in (("lower", joint.lower), ("upper", joint.upper)):
+            if not low - slack <= limit <= high + slack:
+                allowed = f"{low:.6g} to {high:.6g} {joint.unit}, as in {file}"
+                yield InputError(where, f"{field}.{end}", limit, allowed)
+        if declared.step > 0 and not joint.stands_at(declared.step):
+            tick = joint.si_per_tick
+            allowed = f"whole multiples of the servo's tick, {tick:.9g} {joint.unit}"
+            if joint.zero_ticks != round(joint.zero_ticks):
+                allowed += f", and a whole number of zero_ticks, not {joint.zero_ticks:g}"
+            yield InputError(file, f"step of {name}", declared.step, allowed)
+
+
 DEFAULT_MODEL = "sts3215"
-_SPEED = 0.85 * 3000.0
-"""Velocity of a joint as ticks a second of its servo: 85 % of a small servo without load."""
+_SHARE, _SMALL_TICKS_S = 0.85, 3000.0
+"""Velocity of a joint as a share of its servo's without load: of a small servo, if it is faster."""
 
 
-def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, Any]:
+def servo_section(
+    arm: Arm,
+    model: str = DEFAULT_MODEL,
+    direct: bool = False,
+    fastest: Mapping[int, float] | None = None,
+) -> dict[str, Any]:
     """Return key ``joints`` of a servo driver's file, in the order of the arm.
 
     The gearing is an assumption. It is the demonstration's (10:1, a pinion of 8 mm) where the
@@ -54,12 +98,15 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) ->
     Args:
         direct: the servos' horns turn the joints, as in printed arms: one turn, no gearing, and
             no joint alone moves the tip faster than 0.25 m/s.
+        fastest: highest velocities of joints, rad/s or m/s, by row; absent: what their servos do.
     """
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))
     horn_m = reach(arm) if direct else 0.0
     made = {
-        name: _fit_servo(number, arm.joints[row - 1], models()[model], horn_m)
+        name: _fit_servo(
+            number, arm.joints[row - 1], models()[model], horn_m, (fastest or {}).get(row, math.inf)
+        )
         for number, (name, row) in enumerate(zip(arm.joint_names, arm.commanded, strict=True), 1)
     }
     protocol = models()[model].protocol
@@ -67,7 +114,9 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) ->
     return made
 
 
-def _fit_servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict[str, Any]:
+def _fit_servo(
+    number: int, joint: Joint, model: ServoModel, reach_m: float, fastest: float
+) -> dict[str, Any]:
     """``reach_m``: of an arm whose joints sit on the servos' horns; 0: geared."""
     horn = reach_m > 0.0 and joint.type == "revolute"
     low, high = model.multi_turn
@@ -81,8 +130,9 @@ def _fit_servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> 
     transmission, tick = _fit_gearing(joint, farthest / room, model.ticks_per_turn)
     if horn:
         transmission, tick = {"gear_ratio": 1.0}, 2 * math.pi / model.ticks_per_turn
+    speed = _SHARE * min(_SMALL_TICKS_S, model.top_speed_ticks_s or math.inf) * tick
     # Speed of the tip at which people may stand beside an arm (ISO 10218-1, reduced speed)
-    speed = min(_SPEED * tick, 0.25 / reach_m) if horn else _SPEED * tick
+    speed = min(speed, 0.25 / reach_m) if horn else speed
     return {
         "servo_id": number,
         "model": model.name,
@@ -92,7 +142,7 @@ def _fit_servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> 
         "multi_turn": not horn,
         "lower": round(joint.limits[0], 7),
         "upper": round(joint.limits[1], 7),
-        "max_velocity": float(f"{speed:.2g}"),
+        "max_velocity": min(float(f"{speed:.2g}"), fastest),
     }
 
 

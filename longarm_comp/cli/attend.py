@@ -92,7 +92,7 @@ def reset(namespace: str, kept: bool, yes: bool) -> None:
             note(str(stop))
             if user_agrees("End it?", yes):
                 stop.file.unlink(missing_ok=True)
-        note("nothing to reset" if not standing else "a driver that runs stays as it is")
+        note("nothing to reset" if not standing else "a driver that runs keeps its own stops")
         return
     from longarm_comp.jobs.attend import Attendant
 

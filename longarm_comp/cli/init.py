@@ -92,7 +92,7 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.devices.servo_bus.registry import models
     from longarm_comp.sim.servo_emulator.wires import wires
-    from longarm_comp.urdf import chain_ends, import_urdf
+    from longarm_comp.urdf import chain_ends, describe_drive, import_urdf, read_drives
 
     make.check_free(out)
     sources = {"--urdf": urdf, "--like": like, "--arm": arm, "--joint": rows}
@@ -100,6 +100,7 @@ def command(
     if len(given) != 1:
         allowed = "one of --urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
         raise InputError("init", "source", " and ".join(given) or "none", allowed)
+    drives = {}
     if like is not None:
         files = make.demonstration()
     else:
@@ -109,6 +110,7 @@ def command(
             if urdf is not None:
                 base, tip = chain_ends(urdf, base, tip)
                 data, where = import_urdf(urdf, base, tip), f"{urdf.name}, {base} to {tip}"
+                drives = read_drives(urdf, data)
             else:
                 data, where = arm_of(name or out.name, rows, tip_at, payload), "a DH table"
             homes = numbers_by_name("init", "--home", home, "JOINT=DEG, for instance joint2=30")
@@ -120,10 +122,15 @@ def command(
             data, notes = make.narrow_limits(data, range_deg, homes)
             head = f"The declared arm, from {where}. `longarm check` lists what is still assumed."
             head += _RANGES.format(range_deg) if notes else ""
+            for row, joint in drives.items():
+                notes[row] = "; ".join(filter(None, (notes.get(row), describe_drive(joint))))
+                if joint.hard != joint.limits:
+                    note(f"joint {joint.name}: {describe_drive(joint)}")
             text, made = make.arm_file(data, head, notes, seen=not only_arm)
         files = {make.ARM: text}
         if not only_arm:
-            others = make.parameter_files(made, servos, hobby)
+            fastest = {row: joint.velocity for row, joint in drives.items()}
+            others = make.parameter_files(made, servos, hobby, fastest)
             files |= {f"{node}.yaml": text for node, text in others.items()}
     make.write_folder(out, files)
     print_json({"folder": out, "files": list(files)})
@@ -149,10 +156,10 @@ def check(folder: Path) -> None:
 
     DIR may be its arm.yaml. Reads that and the servo, camera and marker files beside it, compares
     them with each other, and computes at how many poses the cameras see the marker. Lists the
-    declared beams and prints the sag of the arm held out; compare both with the real arm. The exit
-    code is 3 if something is missing or implausible, and 0 if values are only unmeasured. Values
-    that `servo setup`, `stereo calibrate` and `stereo hand-eye` wrote count as measured until they
-    are changed.
+    declared beams, whether the arm stands or hangs, and the sag of the arm held out; compare them
+    with the real arm. The exit code is 3 if something is missing or implausible, and 0 if values
+    are only unmeasured. Values that `servo setup`, `stereo calibrate` and `stereo hand-eye` wrote
+    count as measured until they are changed.
 
     \b
     Example:

@@ -20,7 +20,14 @@ from longarm_comp.devices.servo_bus.state import (
 )
 from longarm_comp.devices.servo_check import check_memory, check_placed, check_reach
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import Accepted, KeepsOut, Shapes, Step, TrajectoryFollower
+from longarm_comp.devices.servo_follower import (
+    Accepted,
+    FollowerState,
+    KeepsOut,
+    Shapes,
+    Step,
+    TrajectoryFollower,
+)
 from longarm_comp.devices.setup_journal import SetupJournal
 
 
@@ -68,15 +75,21 @@ class ServoArm:
         self.follower = TrajectoryFollower(config, keeps_out, shapes, trim)
         self._ids = list(config.ids.values())
         self._speeds: dict[int, float] = {}
+        self._stood: dict[int, int] = {}  # ticks by servo id, when the torque last held the arm
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
         self.owing_off = False  # torque off was not confirmed yet
         self._cycles = 0
+        self._missed = False  # whether a servo did not answer: it may have lost its power
         self._next_try = 0.0
         self._closed = f"{config.bus.port} is unplugged"
-        self.bus: SerialServoBus | None = self._open()
+        self.bus: SerialServoBus | None = self._open(again=False)
 
-    def _open(self) -> SerialServoBus:
+    def _open(self, again: bool) -> SerialServoBus:
+        """Open the port and check the servos; they are set for other turns the first time only.
+
+        What comes back may be another servo.
+        """
         bus = self.config.open_bus()
         try:
             for name, joint in self.config.joints.items():
@@ -89,7 +102,7 @@ class ServoArm:
                         model=joint.model,
                         answers=bus.model_name(number) or f"unknown model {number}",
                     )
-            self._check(bus, turned=False)
+            self._check(bus, turned=again)
             self._set_turns(bus)
         except BaseException:
             if self.owing_off:  # also to servos that are refused
@@ -141,20 +154,25 @@ class ServoArm:
     def power(self, on: bool) -> None:
         """Switch the torque. Where off is not confirmed, `cycle` sends it again until it is.
 
-        Where not every servo can be switched on, none of them is left so that was off before.
+        Off, nothing is driven any more: what moved the arm before is dropped.  Where not every
+        servo can be switched on, none of them is left so that was off before.
 
         Raises:
             BusUnplugged, IncompleteReply, ServoFault: it could not be switched (on), or was not
                 confirmed (off).
+            JobError: a servo was set for other turns meanwhile, or may have lost count of them.
         """
         before = self.powered
         self.powered = self.powered and on
         self.owing_off = self.owing_off or not on
+        if not on:
+            self.follower.let_go()
         if self.bus is None:
             raise BusUnplugged(port=self.config.bus.port, why="the port is gone")
         try:
             if on:
                 self._check(self.bus, turned=True)
+                self._stood = self._check_turn_counts(self.bus)
             self.bus.torque(self._ids, on)
         except ServoBusError:
             if on and not before:
@@ -162,6 +180,26 @@ class ServoArm:
                     self.power(False)
             raise
         self.powered, self.owing_off = on, False
+
+    def _check_turn_counts(self, bus: SerialServoBus) -> dict[int, int]:
+        """Return where every servo stands now, ticks by id.
+
+        A servo of many turns that stands elsewhere than when the torque last held the arm is
+        refused: without power it loses count of its turns.  Half a turn tells, because what is lost
+        is a whole one.
+        """
+        now = {i: state.position_ticks for i, state in bus.read(self._ids).items()}
+        for name, joint in self.config.joints.items():
+            at = now[joint.servo_id]
+            moved = abs(at - self._stood.get(joint.servo_id, at))
+            if joint.multi_turn and moved > joint.servo.ticks_per_turn / 2:
+                raise JobError(
+                    f"{name} may have lost count of its servo's turns without power: see whether "
+                    "it stands where it says; then configure the driver again, which believes it",
+                    reads=f"{joint.to_si(at):.4g} {joint.unit}",
+                    stood=f"{joint.to_si(self._stood[joint.servo_id]):.4g} {joint.unit}",
+                )
+        return now
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         if not self.powered:
@@ -205,13 +243,17 @@ class ServoArm:
             try:
                 states = bus.read(self._ids)
                 # cycles between two checks that the torque is still on
-                if self.powered and self._cycles % 25 == 0:
+                if self.powered and (self._cycles % 25 == 0 or self._missed):
                     driven = bus.driven(self._ids)
+                self._missed = False
             except IncompleteReply as error:
-                trouble, states = str(error), error.states
+                trouble, states, self._missed = str(error), error.states, True
             except ServoBusError as error:
                 trouble = self._lose(error)
         step = self.follower.step(now, states, driven)
+        driving = step.state in (FollowerState.TRACKING, FollowerState.HOLDING)
+        if driving and self.follower.fresh(now):
+            self._stood = {i: state.position_ticks for i, state in states.items()}
         if step.goals and self.bus is not None and self.powered:
             try:
                 self.bus.write_goal(step.goals, self._speeds)
@@ -251,7 +293,7 @@ class ServoArm:
     def _mend(self) -> None:
         """Reopen a lost port, and switch off what is to be off. Else servos kept their torque."""
         try:
-            self.bus = self.bus or self._open()
+            self.bus = self.bus or self._open(again=True)
             if self.owing_off:
                 self.power(False)
         except ServoBusError as error:

@@ -13,7 +13,6 @@ from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import Misdeclared, parse_declared, read_yaml
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
@@ -41,23 +40,30 @@ class BusConfig(ServoSettings):
 
 
 class FollowerConfig(ServoSettings):
-    """Limits that hold for every joint; ticks are the servo's own."""
+    """Limits that hold for every joint; ticks are the servo's own, half a turn at most.
+
+    Times that guard against a fault are of the order of the harm, seconds at most: in ms they would
+    guard against nothing.
+    """
 
     blend_s: Positive = Field(
-        default=0.2, description="time in which a new trajectory takes over from a running one, s"
+        default=0.2,
+        le=2.0,
+        description="time in which a new trajectory takes over from a running one, s",
     )
     max_step_s: Positive = Field(
         default=0.1,
+        le=1.0,
         description="longest time by which the goal moves on at once, also after a pause, s",
     )
     silence_s: Positive = Field(
-        default=0.25, description="time without a trusted reading that is a fault, s"
+        default=0.25, le=5.0, description="time without a trusted reading that is a fault, s"
     )
     stall_error_ticks: Positive = Field(
         default=40.0, description="position error at full load that counts as a stall"
     )
     stall_time_s: Positive = Field(
-        default=0.5, description="time that it must last to be a stall, s"
+        default=0.5, le=5.0, description="time that it must last to be a stall, s"
     )
     lost_error_ticks: Positive = Field(
         default=400.0, description="position error over stall_time_s that is a fault at any load"
@@ -72,6 +78,7 @@ class FollowerConfig(ServoSettings):
     )
     trim_pause_s: Positive = Field(
         default=0.12,
+        le=60.0,
         description="rest between two corrections of trim, a period of the slowest swing, s",
     )
 
@@ -104,22 +111,22 @@ class ServoConfig(ServoSettings):
                     hint = "" if joint.multi_turn else "; multi_turn: true gives more turns"
                     allowed = f"{ends[0]:.6g} to {ends[1]:.6g} {joint.unit} in its turns{hint}"
                     raise Misdeclared(f"{where}.{field}", limit, allowed)
+            if joint.max_speed_ticks_s > joint.fastest_ticks_s * (1.0 + 1e-6):
+                top = f"{joint.fastest_ticks_s * joint.si_per_tick:.4g} {joint.unit}/s"
+                allowed = f"at most {top}, as fast as a {joint.model} moves it; "
+                allowed += "top_speed_ticks_s where this servo is faster"
+                raise Misdeclared(f"{where}.max_velocity", joint.max_velocity, allowed)
             if joint.tick_limits[0] > joint.tick_limits[1]:
                 raise Misdeclared(
                     f"{where}.upper", joint.upper, "at least one encoder tick above lower"
                 )
+        # Beyond half a turn a servo that stands still, or lost a turn, passes for one that follows
+        half = min(joint.servo.ticks_per_turn for joint in self.joints.values()) / 2
+        for field, value in self.follower:
+            if field.endswith("_ticks") and value > half:
+                allowed = f"at most {half:g}, half a turn of the servo"
+                raise Misdeclared(f"follower.{field}", value, allowed)
         return self
-
-    def check_steps(self, steps: Mapping[str, float], where: str) -> None:
-        """Refuse steps of joints (rad, m; 0: continuous) that their servos cannot stand at."""
-        for name, step in steps.items():
-            joint = self.joints.get(name)
-            if joint is not None and step > 0 and not joint.stands_at(step):
-                tick = joint.si_per_tick
-                allowed = f"whole multiples of the servo's tick, {tick:.9g} {joint.unit}"
-                if joint.zero_ticks != round(joint.zero_ticks):
-                    allowed += f", and a whole number of zero_ticks, not {joint.zero_ticks:g}"
-                raise InputError(where, f"step of {name}", step, allowed)
 
     @property
     def models(self) -> dict[int, ServoModel]:

@@ -149,6 +149,12 @@ class TrajectoryFollower:
         self._settled = True
         self._say(kind, why)
 
+    def let_go(self) -> None:
+        """Drive nothing any more, because the torque is off. A fault or an emergency stop stays."""
+        if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
+            self.state = FollowerState.IDLE
+        self._drop_motion()
+
     def estop(self) -> None:
         """Send no goals until ``reset``. The caller switches the torque off."""
         self.state = FollowerState.ESTOP
@@ -178,7 +184,8 @@ class TrajectoryFollower:
         loose = [n for n, i in self._config.ids.items() if (driven or {}).get(i) is False]
         findings += [JointFault(ServoTrouble.LET_GO, n, "its torque is off") for n in loose]
         goals = None
-        if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
+        driving = self.state in (FollowerState.TRACKING, FollowerState.HOLDING)
+        if driving or (loose and self.state is FollowerState.IDLE):
             goals = self._fault(findings) if findings else self._move(dt)
         events, self._events = tuple(self._events), []
         return Step(self.state, goals, self.set_points, events)

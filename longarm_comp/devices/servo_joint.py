@@ -48,7 +48,14 @@ class JointConfig(ServoSettings):
     )
     lower: float = Field(description="limit, rad or m")
     upper: float = Field(description="limit, rad or m")
-    max_velocity: Positive = Field(description="rad/s or m/s")
+    max_velocity: Positive = Field(
+        description="rad/s or m/s, at most what the servo does through its gearing"
+    )
+    top_speed_ticks_s: Positive | None = Field(
+        None,
+        description="highest speed of the servo without load, ticks/s; absent: by the data sheet "
+        "of its model, which other gearings of the same model exceed",
+    )
     max_temperature_c: float = Field(
         65.0,
         ge=30.0,
@@ -180,6 +187,11 @@ class JointConfig(ServoSettings):
     @property
     def max_speed_ticks_s(self) -> float:
         return self.max_velocity / self.si_per_tick
+
+    @property
+    def fastest_ticks_s(self) -> float:
+        """Highest speed of the servo without load, ticks/s; infinite where it is not known."""
+        return self.top_speed_ticks_s or self.servo.top_speed_ticks_s or math.inf
 
     def having(self, **values: object) -> JointConfig:
         """The same joint with other values, checked."""

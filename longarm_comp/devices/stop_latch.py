@@ -76,10 +76,11 @@ class StopLatch:
             self._owing = True
 
     def keep(self) -> None:
-        """Write what is not written yet. Where that fails, `trouble` says why: call it again."""
-        if not self._owing:
-            return
+        """Write what is not written, or not there any more. Where that fails, `trouble` says why:
+        call it again."""
         try:
+            if not self._owing and self._is_whole():
+                return
             for stop, words in self.standing.items():
                 for file, of in self._files(stop).items():
                     write_text(file, f"{words}\n{of}\n")
@@ -91,6 +92,9 @@ class StopLatch:
             self._owing, self.trouble = False, ""
         except (LongarmError, OSError) as error:
             self.trouble = str(error)
+
+    def _is_whole(self) -> bool:
+        return all(os.path.lexists(file) for stop in self.standing for file in self._files(stop))
 
     @contextmanager
     def lift_stops(self, *stops: Stop) -> Iterator[None]:

@@ -9,6 +9,7 @@ A program can start the graph itself::
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -26,11 +27,13 @@ import yaml
 
 from longarm_comp.arm_folder.make import parameter_files
 from longarm_comp.arm_folder.measured import CAMERAS, SIDES
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, ros_parameters
+from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.servos import find_contradictions
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import EFFECTS, GUARD, NETWORK
 from longarm_comp.share import PACKAGE, folder
@@ -189,8 +192,9 @@ class BringUp:
     def with_servos(self, scratch: Path) -> BringUp:
         """Return this graph with servos that fit the arm's joints.
 
-        If the package's own files for the simulated arm do not fit this arm, files that do are
-        written to ``scratch``, together with those that the arm's folder has.
+        A real arm has a file of its own: the package's says nothing of its servos.  If the
+        package's files for the simulated arm do not fit this arm, files that do are written to
+        ``scratch``, together with those that the arm's folder has.
         """
         for node in self.nodes:
             _refuse_code(self.file(node))
@@ -199,15 +203,17 @@ class BringUp:
             return self
         if self.sim:
             read_arm(file)  # what cannot be emulated is said here, not by five processes
-        joints = list(ros_parameters(read_yaml(file), file).get("joints", {}))
-        if sorted(joints) == sorted(arm.joint_names):
+        own = self.config or self.arm.absolute().parent
+        hint = f"longarm init DIR --arm {self.arm} writes files that fit"
+        if not self.sim and not (own / file.name).is_file():
+            allowed = f"servo ids, zeros and limits of this arm; {hint}"
+            raise InputError(own, file.name, "missing", allowed)
+        servos = ServoConfig.load(file)
+        error = next(find_contradictions(servos, arm, str(file), str(self.arm)), None)
+        if error is None:
             return self
         if not self.sim or file != folder("config") / file.name:
-            hint = f"longarm init DIR --arm {self.arm} writes files that fit"
-            raise InputError(
-                file, "joints", ", ".join(joints), f"{', '.join(arm.joint_names)}; {hint}"
-            )
-        own = self.config or self.arm.absolute().parent
+            raise InputError(error.where, error.field, error.value, f"{error.allowed}; {hint}")
         for node, text in parameter_files(arm).items():
             write_text(scratch / f"{node}.yaml", text)
         for node in self.nodes:
@@ -250,8 +256,9 @@ class BringUp:
         """Return velocities of the servos and limits of the driver, scaled by the same factor.
 
         The error at which a joint counts as not following is scaled too, because a moving joint is
-        behind by its velocity times the driver's cycle.  The time step is shortened by the same
-        factor, down to two cycles, so that a late cycle does not miss the turn of a run-up.
+        behind by its velocity times the driver's cycle; up to half a turn, which is the most that
+        the driver takes.  The time step is shortened by the same factor, down to two cycles, so
+        that a late cycle does not miss the turn of a run-up.
         """
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
@@ -265,10 +272,19 @@ class BringUp:
                 "lag_s": usual["lag_s"] / speed,
             }
         longest = usual["follower.max_step_s"]
+        joints = ServoConfig.load(self.file(node)).joints
+        half_turn = min(joint.servo.ticks_per_turn for joint in joints.values()) / 2
+        lost = speed * usual["follower.lost_error_ticks"]
+        tops = {
+            f"joints.{name}.top_speed_ticks_s": speed * joint.fastest_ticks_s
+            for name, joint in joints.items()
+            if math.isfinite(joint.fastest_ticks_s)
+        }
         return {
-            "follower.lost_error_ticks": speed * usual["follower.lost_error_ticks"],
+            "follower.lost_error_ticks": min(lost, half_turn),
             "follower.max_step_s": min(longest, max(longest / speed, 2.0 / usual["rate_hz"])),
             **{name: speed * v for name, v in given.items() if name.endswith(".max_velocity")},
+            **tops,
         }
 
     def files(self, node: str, bus: str, scratch: Path) -> list[Path]:

@@ -187,7 +187,7 @@ class FollowServer:
 
     async def _follow(self, goal: Any, name: str) -> Any:
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
-        problem = _not_offered(goal.request)
+        problem = _not_offered(goal.request, self._site.names)
         if problem:
             return abort(goal, result.INVALID_GOAL, problem)
         began, deadline_s = self._node.get_clock().now(), math.inf
@@ -267,12 +267,18 @@ def abort(goal: Any, code: int, why: str) -> Any:
     return graph.FOLLOW.type.Result(error_code=code, error_string=why)
 
 
-def _not_offered(asked: Any) -> str:
-    """Say which part of a goal this driver cannot do; empty if none."""
+def _not_offered(asked: Any, names: Sequence[str]) -> str:
+    """Say which part of a goal a driver of joints ``names`` cannot do; empty if none."""
     if asked.multi_dof_trajectory.points:
         return "multi_dof_trajectory: joints of several degrees of freedom; allowed: none"
     for kind in ("path_tolerance", "goal_tolerance"):
         for limit in getattr(asked, kind):
+            if limit.name not in names:
+                return f"{kind}: {limit.name!r}; allowed: one of {', '.join(names)}"
+            for field in ("position", "velocity", "acceleration"):
+                if not math.isfinite(value := getattr(limit, field)):
+                    allowed = "a number; 0: not told, -1: none"
+                    return f"{kind}: {limit.name}: {field} {value}; allowed: {allowed}"
             if limit.velocity > 0.0 or limit.acceleration > 0.0:
                 return f"{kind}: {limit.name}: velocity or acceleration; allowed: position"
     for kind in ("component_path_tolerance", "component_goal_tolerance"):

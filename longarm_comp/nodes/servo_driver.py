@@ -20,6 +20,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from longarm_comp.arm_folder.servos import find_contradictions
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import keeper
@@ -50,7 +51,7 @@ from longarm_interfaces.msg import DriverState, Motion
 
 PARAMS = (
     Param("rate_hz", 50.0, "cycles a second; each reads and commands all servos", 1.0, 500.0),
-    Param("arm", "", "arm.yaml with servo steps and keep-out boxes; empty: no checks"),
+    Param("arm", "", "arm.yaml that the servos must fit, with keep-out boxes; empty: no checks"),
     Param("shaping", False, "split moves from rest so that `arm` rings little"),
     Param("model", "", "model.yaml that predicts the ring; empty: the arm as declared"),
     Param("autostart", True, "configure and activate without being asked, also after a failure"),
@@ -153,8 +154,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().close()
 
     def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
-        """Check the declared steps; return how moves are kept out of boxes, and how they are
-        shaped."""
+        """Check the servos against the arm; return how moves are kept out of boxes and shaped."""
         file, names = p["arm"], list(self._config.joints)
         if not file:
             if p["shaping"]:
@@ -162,7 +162,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
             return None, None
         files = ModelFiles(file, p["model"])
         arm = files.arm
-        self._config.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), file)
+        for contradiction in find_contradictions(self._config, arm, where(self), file):
+            raise contradiction
         keeps_out = keeper(declared_model(arm), names, file)
         return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None
 

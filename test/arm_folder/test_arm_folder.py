@@ -215,6 +215,15 @@ FAULTS = {
         "arm.yaml: joints.joint1.limits_deg"),
     "other limits": ("servo_driver.yaml", r"upper: [\d.]+", "upper: 0.9", "implausible",
                      "servo_driver.yaml: joints.joint1"),
+    "wider limits": ("servo_driver.yaml", r"upper: 1.04\d+", "upper: 1.2", "implausible",
+                     "servo_driver.yaml: joints.joint1.upper"),
+    "a slide that turns": ("arm.yaml", r"type: revolute(.*)limits_deg: \[-60.0, 60.0\]",
+                           r"type: prismatic\1limits_m: [-1.05, 1.05]", "implausible",
+                           "servo_driver.yaml: joints.joint1.type"),
+    "degrees a second": ("servo_driver.yaml", r"max_velocity: [\d.]+", "max_velocity: 45.0",
+                         "implausible", "servo_driver.yaml: joints.joint1.max_velocity"),
+    "milliseconds": ("servo_driver.yaml", r"silence_s: [\d.]+", "silence_s: 250.0", "implausible",
+                     "servo_driver.yaml: follower.silence_s"),
     "another joint": ("servo_driver.yaml", "joint6:", "joint7:", "implausible",
                       "servo_driver.yaml: joints"),
     "an id twice": ("servo_driver.yaml", "servo_id: 2", "servo_id: 1", "implausible",
@@ -307,6 +316,47 @@ def test_a_printed_arm_has_horns_small_paper_and_cameras_on_the_table(shell: She
                      said[0])  # fmt: skip
 
 
+SLOW = """<robot name="slow"><link name="base"/><link name="l1"/><link name="l2"/>
+<joint name="lift" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+<limit lower="0.2" upper="1.5" effort="1" velocity="0.0123"/>
+<safety_controller soft_lower_limit="0.3" soft_upper_limit="0.6" k_velocity="1"/></joint>
+<joint name="slide" type="prismatic"><parent link="l1"/><child link="l2"/>
+<origin xyz="0.3 0 0"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="0.15" effort="1" velocity="9"/></joint></robot>"""
+
+
+def test_soft_limits_and_velocities_of_a_urdf_are_kept(shell: Shell) -> None:
+    (shell.folder / "slow.urdf").write_text(SLOW)
+    folder = made(shell, "slow", "--urdf", shell.folder / "slow.urdf")
+    assert "joint lift: soft limits; the hard ones are 11.4592 to 85.9437 deg" in shell.err
+    assert "# soft limits; the hard ones are" in (folder / "arm.yaml").read_text()
+    servos = ServoConfig.load(folder / "servo_driver.yaml").joints
+    assert (servos["lift"].lower, servos["lift"].upper) == pytest.approx((0.3, 0.6))
+    assert servos["lift"].max_velocity == 0.0123
+    assert servos["slide"].max_velocity < 0.05  # as fast as its servo
+    assert not [finding for finding in check_folder(folder) if finding.blocks]
+
+
+@pytest.mark.parametrize(
+    ("base", "gravity", "level", "words"),
+    [
+        ("[0, 0, 0]", "[0, 0, -9.81]", "declared", "stands on its base: .* leans 0 deg"),
+        ("[0, 0, 0]", "[0, 0, 9.81]", "unmeasured", "hangs down .* level base.*turns round"),
+        ("[180, 0, 0]", "[0, 0, -9.81]", "declared", "hangs down from its base: .* 180 deg"),
+        ("[0, 90, 0]", "[0, 0, -9.81]", "declared", "reaches out from its base: .* 90 deg"),
+        ("[0, 0, 0]", "[0, 0, 0]", "implausible", "no gravity"),
+    ],
+)
+def test_check_says_how_the_arm_stands(
+    base: str, gravity: str, level: str, words: str, tmp_path: Path
+) -> None:
+    text = BOX.replace("WIDTH", "0.02").replace("HEIGHT", "0.04")
+    text += f"base: {{rpy_deg: {base}}}\ngravity_mps2: {gravity}\n"
+    (tmp_path / "arm.yaml").write_text(text)
+    (found,) = [f for f in check_folder(tmp_path) if "gravity_mps2" in f.where]
+    assert found.level == level and re.search(words, found.text)
+
+
 BOX = """
 name: boom
 convention: mdh_craig
@@ -336,7 +386,7 @@ def test_check_says_how_beams_stand_and_prints_the_sag(
     """A clamped beam by the textbook. Its height is along the level axis of joint 2."""
     text = BOX.replace("WIDTH", str(width)).replace("HEIGHT", str(height))
     (tmp_path / "arm.yaml").write_text(text)
-    beam, sag, ring = (f.text for f in check_folder(tmp_path) if f.level == "declared")
+    beam, sag, ring, _ = (f.text for f in check_folder(tmp_path) if f.level == "declared")
     expected = 9.80665 * (2.0 / 3 + 1.5 / 8) / (7e10 * height * width**3 / 12)
     found = re.search(r"sags by ([\d.]+) mm", sag)
     assert found is not None and float(found[1]) == pytest.approx(1e3 * expected, rel=0.02)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -116,17 +118,32 @@ def test_a_bare_arm_gets_files_that_fit_in_simulation_only(tmp_path: Path) -> No
     assert graph.parameters("simulated_arm", "")["servos"] == str(scratch / "servo_driver.yaml")
     assert graph.file("kinematics") == scratch / "kinematics.yaml"
     assert graph.file("error_predictor") == folder("config") / "error_predictor.yaml"
-    with pytest.raises(InputError, match=r"joint1, .* longarm init DIR --arm"):
+    with pytest.raises(InputError, match=r"servo_driver.yaml: 'missing'.* longarm init DIR --arm"):
         BringUp(arm=bare).with_servos(scratch)
     given = tmp_path / "given"
     given.mkdir()
     (given / "servo_driver.yaml").write_text((folder("config") / "servo_driver.yaml").read_text())
     with pytest.raises(InputError, match="given"):
         BringUp(arm=bare, sim=True, config=given).with_servos(scratch)
+    bare.write_text((folder("config") / "arm_demo.yaml").read_text())  # joints of the same names
+    with pytest.raises(InputError, match=r"servo_driver.yaml: 'missing'.* longarm init DIR --arm"):
+        BringUp(arm=bare).with_servos(scratch)
 
 
 def test_files_beside_the_arm_are_used(tmp_path: Path) -> None:
     assert Shell(tmp_path)("init", tmp_path / "mine", *HOBBY) == 0
     graph = BringUp(arm=tmp_path / "mine" / "arm.yaml", sim=True)
     assert graph.with_servos(tmp_path) is graph
+    servos = tmp_path / "mine" / "servo_driver.yaml"
+    text = servos.read_text()
+    for old, new, field in (
+        (r"upper: 1.04\d+", "upper: 1.2", "joints.joint1.upper"),
+        (r"max_velocity: [\d.]+", "max_velocity: 45.0", "joints.joint1.max_velocity"),
+        (r"stall_time_s: [\d.]+", "stall_time_s: 500.0", "follower.stall_time_s"),
+    ):
+        servos.write_text(re.sub(old, new, text, count=1))
+        for sim in (False, True):
+            with pytest.raises(InputError, match=rf"servo_driver.yaml: {field}: "):
+                replace(graph, sim=sim).with_servos(tmp_path)
+    servos.write_text(text)
     assert graph.file("stereo_bridge") == tmp_path / "mine" / "stereo_bridge.yaml"

@@ -62,6 +62,14 @@ def test_ping_read_and_move(rig: Rig) -> None:
     assert bus.counters.retries == 0
 
 
+def test_a_speed_limit_below_one_unit_is_not_no_limit(rig: Rig) -> None:
+    emulator, bus = rig
+    bus.torque(IDS, on=True)
+    bus.write_goal({1: 3000, 2: 3000}, {1: 0.4})  # ticks/s; of servo 2: none
+    assert _until(lambda: emulator.positions()[2] > 1900.0)  # 0.3 s at the servo's maximum
+    assert 2048.0 < emulator.positions()[1] < 2100.0  # a unit of speed is 1 or 16 ticks/s
+
+
 def test_switching_on_never_moves_a_servo(rig: Rig) -> None:
     emulator, bus = rig
     bus.torque(IDS, on=True)

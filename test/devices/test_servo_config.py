@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
+from longarm_comp.arm_folder.servos import find_contradictions
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_config import JointConfig, ServoConfig
 
@@ -28,7 +30,7 @@ SCREW = REVOLUTE | {
     "multi_turn": True,
     "lower": 0.0,
     "upper": 0.05,
-    "max_velocity": 0.02,
+    "max_velocity": 0.005,
 }
 RACK = REVOLUTE | {
     "servo_id": 3,
@@ -104,6 +106,8 @@ def test_values_outside_the_limits_are_refused(value: float) -> None:
         ({"lower": -4.0}, "joints.a.lower", "multi_turn"),
         ({"zero_ticks": 4000}, "joints.a.upper", "multi_turn"),
         ({"max_velocity": -1}, "joints.a.max_velocity", "greater than 0"),
+        ({"max_velocity": 45.0}, "joints.a.max_velocity", "at most 5.236 rad/s"),
+        ({"top_speed_ticks_s": 100.0}, "joints.a.max_velocity", "at most 0.1534 rad/s"),
         ({"screw_lead_m": 0.008}, "joints.a.pinion_radius_m", "revolute"),
         ({"type": "prismatic"}, "joints.a.pinion_radius_m", "exactly one of"),
         ({"max_tempreature_c": 60}, "joints.a.max_tempreature_c", "max_temperature_c"),
@@ -128,6 +132,34 @@ def test_wrong_documents_are_named() -> None:
     assert _refused(_document()).startswith("joints")
 
 
+def test_a_faster_servo_of_a_model_may_be_declared() -> None:
+    fast = REVOLUTE | {"max_velocity": 9.0, "top_speed_ticks_s": 6000.0}
+    assert ServoConfig.parse(_document(a=fast), "servo.yaml").joints["a"].max_velocity == 9.0
+
+
+@pytest.mark.parametrize(
+    ("limit", "most", "allowed"),
+    [
+        ("silence_s", 5.0, "5"),
+        ("stall_time_s", 5.0, "5"),
+        ("blend_s", 2.0, "2"),
+        ("max_step_s", 1.0, "1"),
+        ("trim_pause_s", 60.0, "60"),
+        ("lost_error_ticks", 2048.0, "at most 2048, half a turn"),
+        ("stall_error_ticks", 2048.0, "at most 2048, half a turn"),
+        ("jump_ticks", 2048.0, "at most 2048, half a turn"),
+        ("trim_ticks", 2048.0, "at most 2048, half a turn"),
+    ],
+)
+def test_a_limit_that_guards_against_nothing_is_refused(
+    limit: str, most: float, allowed: str
+) -> None:
+    data = _document(a=REVOLUTE)
+    ServoConfig.parse(data | {"follower": {limit: most}}, "servo.yaml")
+    said = _refused(data | {"follower": {limit: 1.001 * most}})
+    assert said.startswith(f"follower.{limit} |") and allowed in said
+
+
 def test_plain_and_ros_parameter_files_are_read(tmp_path: Path) -> None:
     data = _document(b=SCREW, a=REVOLUTE)
     plain, ros = tmp_path / "plain.yaml", tmp_path / "ros.yaml"
@@ -147,6 +179,9 @@ def test_plain_and_ros_parameter_files_are_read(tmp_path: Path) -> None:
 TICK = 2 * math.pi / 4096
 
 
+GEARED = REVOLUTE | {"gear_ratio": 10.0, "multi_turn": True, "max_velocity": 0.5}
+
+
 @pytest.mark.parametrize(
     ("fields", "step", "stands"),
     [
@@ -156,8 +191,8 @@ TICK = 2 * math.pi / 4096
         (REVOLUTE, 4.1 * TICK, False),
         (REVOLUTE, 2 * math.pi / 1000, False),  # 4.096 ticks: off by half a step after five
         (REVOLUTE, 0.4 * TICK, False),
-        (REVOLUTE | {"gear_ratio": 10.0, "multi_turn": True}, 5 * TICK / 10, True),
-        (REVOLUTE | {"gear_ratio": 10.0, "multi_turn": True}, 2 * math.pi / 1000, False),
+        (GEARED, 5 * TICK / 10, True),
+        (GEARED, 2 * math.pi / 1000, False),
         (REVOLUTE | {"zero_ticks": 2048.5}, TICK, False),
         (REVOLUTE | {"zero_ticks": 2048.5}, 4 * TICK, True),  # known to an eighth
         (SCREW, 0.008 / 4096, True),
@@ -175,10 +210,39 @@ def test_a_declared_step_must_be_one_that_the_servo_has(
         at = k * step
         if joint.lower < at < joint.upper:
             assert abs(joint.to_si(joint.to_ticks(at)) - at) <= 0.15 * step
+    turns = fields["type"] == "revolute"
+    row = {"step_deg": math.degrees(step)} if turns else {"step_m": step}
+    assert _said(fields, {}) == ""
+    said = _said(fields, row)
+    assert bool(said) is not stands
+    assert stands or (said.startswith("arm.yaml: step of arm: ") and "whole multiples" in said)
+
+
+def _said(fields: dict[str, Any], row: dict[str, Any]) -> str:
+    """What servos of one joint say of an arm whose joint is theirs, with other keys."""
+    turns = fields["type"] == "revolute"
+    ends = [fields["lower"], fields["upper"]]
+    limits = {"limits_deg": [math.degrees(v) for v in ends]} if turns else {"limits_m": ends}
+    joint = {"id": 1, "name": "arm", "type": fields["type"]} | limits | row
+    joint = {key: value for key, value in joint.items() if value is not None}
+    whole = {"name": "a", "convention": "mdh_craig", "tip": {"frame": 1}, "joints": [joint]}
     config = ServoConfig.parse(_document(arm=fields), "servo.yaml")
-    config.check_steps({"arm": 0.0, "another": step}, "arm.yaml")
-    if stands:
-        config.check_steps({"arm": step}, "arm.yaml")
-    else:
-        with pytest.raises(InputError, match=r"^arm.yaml: step of arm: .*whole multiples"):
-            config.check_steps({"arm": step}, "arm.yaml")
+    arm = Arm.parse(whole, "arm.yaml")
+    return "; ".join(map(str, find_contradictions(config, arm, "servo.yaml", "arm.yaml")))
+
+
+def test_servos_that_contradict_the_arm_are_named() -> None:
+    slack = 1.4 * TICK
+    assert (
+        _said(REVOLUTE, {"limits_deg": [math.degrees(-1 + slack), math.degrees(1.2 - slack)]}) == ""
+    )
+    assert _said(REVOLUTE, {"limits_deg": [-180, 180]}) == ""  # the servo keeps the narrower ones
+    said = _said(REVOLUTE, {"limits_deg": [-57, 68]})
+    assert said.startswith("servo.yaml: joints.arm.lower: -1.0; allowed: -0.994838 to 1.18682 rad")
+    assert "joints.arm.upper: 1.2; " in said
+    said = _said(REVOLUTE, {"type": "prismatic", "limits_deg": None, "limits_m": [-1.0, 1.2]})
+    assert said == "servo.yaml: joints.arm.type: 'revolute'; allowed: prismatic, as in arm.yaml"
+    said = _said(REVOLUTE, {"name": "boom"})
+    assert said == "servo.yaml: joints: 'arm'; allowed: boom, as in arm.yaml"
+    endless = {"endless": True, "limits_deg": [-20, 20]}
+    assert _said(REVOLUTE, endless) == ""

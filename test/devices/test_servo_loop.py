@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ joints:
   shoulder: {servo_id: 1, model: %s, type: revolute, zero_ticks: 2048, gear_ratio: 3.0,
              multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 1.0}
   boom: {servo_id: 2, model: %s, type: prismatic, zero_ticks: 3900, direction: -1,
-         pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.1}
+         pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.09}
 follower: {stall_time_s: 0.6, silence_s: 1.5}
 """
 MODEL = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
@@ -185,6 +186,125 @@ def test_an_unplugged_bus_is_a_fault_and_the_arm_goes_on_after_reset(loop: Loop)
     assert loop.until(_holding(loop))
     loop.until(lambda: abs(loop.joints()["shoulder"] - 0.4) < 6e-4)
     assert loop.joints()["shoulder"] == pytest.approx(0.4, abs=6e-4)
+
+
+class Driven:
+    """A `ServoArm` whose torque is on, with its emulator."""
+
+    def __init__(self, arm: ServoArm, loop: Loop) -> None:
+        self.arm, self.loop, self.emulator = arm, loop, loop.emulator
+
+    def until(self, done: Callable[[Cycle], object], limit_s: float = 20.0) -> None:
+        """Cycle until ``done``; the limit is only there to end a broken test."""
+        end = time.monotonic() + limit_s
+        while not done(self.arm.cycle(time.monotonic())):
+            assert time.monotonic() < end
+            time.sleep(0.005)
+
+    def send(self, **target: float) -> None:
+        self.until(lambda cycle: cycle.joints)
+        point = TrajectoryPoint(0.0, tuple(target.values()))
+        self.arm.accept(JointTrajectory(tuple(target), (point,)), time.monotonic())
+
+    def cycles(self, count: int) -> None:
+        for _ in range(count):
+            self.until(lambda _: True)
+
+    def turn_by_hand(self, ticks: float) -> None:
+        """Turn the shoulder where nothing holds it."""
+        self.emulator.push(1, self.emulator.positions()[1] + ticks)
+
+
+@pytest.fixture
+def driven(loop: Loop) -> Iterator[Driven]:
+    assert loop.bus is not None
+    loop.bus.close()
+    loop.bus = None
+    arm = Driven(ServoArm(loop.config), loop)
+    arm.arm.power(True)
+    yield arm
+    arm.arm.close()
+
+
+def test_what_moved_the_arm_before_its_torque_went_off_is_forgotten(driven: Driven) -> None:
+    """Also where it stands by then: a person may have moved it."""
+    driven.send(shoulder=0.9)
+    driven.until(lambda cycle: cycle.joints and cycle.joints["shoulder"].position > 0.3)
+    driven.arm.power(False)
+    driven.cycles(20)
+    driven.turn_by_hand(-300.0)
+    driven.cycles(20)
+    at = driven.loop.joints()["shoulder"]
+    driven.arm.power(True)
+    driven.cycles(100)
+    assert driven.loop.joints()["shoulder"] == pytest.approx(at, abs=2e-3)
+    assert driven.arm.follower.state is FollowerState.IDLE
+
+
+@pytest.mark.parametrize("stopped", ["in a fault", "by an emergency stop", "deactivated"])
+def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
+    driven: Driven, stopped: str
+) -> None:
+    """A whole turn without power; half of one is a hand's."""
+    driven.send(shoulder=0.9)
+    driven.until(lambda cycle: cycle.step.state is FollowerState.HOLDING)
+    arm, torques = driven.arm, driven.emulator.torques_on
+    if stopped == "in a fault":
+        driven.emulator.faults.silent.add(1)
+        driven.until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+        driven.emulator.faults.silent.clear()
+    elif stopped == "by an emergency stop":
+        arm.estop()
+    else:
+        arm.power(False)
+    driven.emulator.power_cycle(1)
+    driven.turn_by_hand(-4096.0)
+    driven.cycles(20)
+    for switch in (lambda: arm.release(time.monotonic()), lambda: arm.power(True)):
+        with pytest.raises(JobError, match="shoulder may have lost count of its servo's turns"):
+            switch()
+        assert not torques()[1]
+    driven.turn_by_hand(4096.0 - 2000.0)
+    driven.cycles(20)
+    arm.release(time.monotonic())
+    assert set(torques().values()) == {True}
+
+
+def test_a_servo_that_was_without_power_is_a_fault_before_it_gets_a_goal(driven: Driven) -> None:
+    """A goal would switch it on again, and it would jump back from where it sank to."""
+    driven.send(shoulder=0.5)
+    driven.until(lambda cycle: cycle.step.state is FollowerState.HOLDING)
+    driven.emulator.faults.silent.add(1)
+    driven.cycles(3)
+    driven.emulator.power_cycle(1)
+    driven.turn_by_hand(-300.0)
+    sunk = driven.emulator.positions()[1]
+    driven.emulator.faults.silent.clear()
+    driven.until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+    driven.cycles(50)
+    assert driven.emulator.positions()[1] == pytest.approx(sunk, abs=10.0)
+
+
+def test_a_servo_without_torque_is_a_fault_before_the_first_move_too(driven: Driven) -> None:
+    driven.cycles(3)
+    driven.emulator.power_cycle(1)
+    driven.until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+
+
+def test_what_another_servo_has_stored_is_not_rewritten_when_the_cable_is_back(
+    driven: Driven,
+) -> None:
+    driven.emulator.unplug()
+    driven.until(lambda _: driven.arm.bus is None)
+    driven.emulator.start()
+    with closing(driven.loop.config.open_bus()) as bus:
+        own = bus.turns([1])
+        bus.set_turns({1: False})
+        other = bus.turns([1])
+    assert own != other
+    driven.until(lambda cycle: "set for other turns" in cycle.trouble)
+    with closing(driven.loop.config.open_bus()) as bus:
+        assert bus.turns([1]) == other
 
 
 def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_it(

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import serial
 from cli_shell import Shell
+from faulty_bus import FaultyBus
 from serial.tools.list_ports_common import ListPortInfo
 from servo_bench import bus
 
@@ -34,6 +35,29 @@ def test_ids_are_set_one_servo_at_a_time_and_outlive_the_power(protocol: str, sh
         line = ("--port", two.port, "--protocol", protocol, "--ids", "0-9")
         assert "one servo alone" in shell.refused("servo", "set-id", 7, *line, code=3)
         assert set(two.positions()) == {1, 2}
+
+
+@pytest.mark.parametrize("twin", [False, True])
+@pytest.mark.parametrize("protocol", MODELS)
+def test_an_id_that_another_servo_has_is_not_given(protocol: str, twin: bool, shell: Shell) -> None:
+    """The scan is told to ask id 1 only; two servos of one id answer with damage."""
+    with FaultyBus(protocol, {1: 1000.0, 3: 3000.0}) as emulator:
+        if twin:
+            emulator.add_twin(3, 700.0)
+        line = ("--port", emulator.port, "--protocol", protocol, "--ids", "1")
+        said = shell.refused("servo", "set-id", 3, *line, code=3)
+        assert "another servo has this id" in said and "id=3" in said
+        assert [device.servo_id for device in emulator._devices.values()] == [1, 3]
+
+
+@pytest.mark.parametrize("protocol", MODELS)
+def test_an_id_that_two_servos_have_at_the_end_is_an_error(protocol: str, shell: Shell) -> None:
+    """The other one is plugged in while the id is being given."""
+    with FaultyBus(protocol, {1: 1000.0}) as emulator:
+        emulator.add_twin(3, 700.0)
+        line = ("--port", emulator.port, "--protocol", protocol, "--ids", "1")
+        said = shell.refused("servo", "set-id", 3, *line, code=3)
+        assert "two servos have this id now" in said and "before=1" in said
 
 
 def test_a_port_that_cannot_be_opened_says_what_to_do(shell: Shell, tmp_path: Path) -> None:

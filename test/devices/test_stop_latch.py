@@ -45,6 +45,20 @@ def test_a_stop_stands_for_every_successor_until_it_is_lifted(tmp_path: Path, st
     assert not latch(tmp_path).standing
 
 
+def test_a_stop_that_somebody_deleted_is_written_again_while_its_driver_runs(
+    tmp_path: Path,
+) -> None:
+    (file,) = stopped(tmp_path)
+    running = latch(tmp_path)
+    file.unlink()
+    running.keep()
+    assert list(latch(tmp_path).standing) == [Stop.ESTOP]
+    with running.lift_stops(Stop.ESTOP):
+        pass
+    running.keep()
+    assert not file.exists()
+
+
 def test_an_arm_is_known_by_its_port_and_by_its_file_in_its_namespace(tmp_path: Path) -> None:
     file, elsewhere = str(tmp_path / "arm.yaml"), str(tmp_path / "other.yaml")
     stopped(tmp_path, namespace="/left", arm=file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -82,10 +83,18 @@ def test_a_goal_of_joints_is_followed_told_of_and_reached(rig: Rig) -> None:
         ({"elbow": 0.1}, {}, "INVALID_JOINTS", "'elbow'; allowed: one of shoulder, boom"),
         ({"shoulder": 3.0}, {}, "INVALID_GOAL", "shoulder"),
         ({"shoulder": 0.1}, {"velocity": 1.0}, "INVALID_GOAL", "velocity or acceleration"),
+        (
+            {"shoulder": 0.1},
+            {"name": "Shoulder"},
+            "INVALID_GOAL",
+            "path_tolerance: 'Shoulder'; allowed: one of shoulder, boom",
+        ),
+        ({"shoulder": 0.1}, {"position": math.nan}, "INVALID_GOAL", "shoulder: position nan"),
+        ({"shoulder": 0.1}, {"velocity": math.nan}, "INVALID_GOAL", "shoulder: velocity nan"),
     ],
 )
 def test_a_goal_that_cannot_be_followed_is_refused_in_words(
-    rig: Rig, to: dict[str, float], tolerances: dict[str, float], code: str, words: str
+    rig: Rig, to: dict[str, float], tolerances: dict[str, Any], code: str, words: str
 ) -> None:
     rig.is_idle()
     limits = allowed("shoulder", 0.1)

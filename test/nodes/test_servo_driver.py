@@ -6,6 +6,7 @@ import math
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -302,7 +303,7 @@ def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Pat
     described = rig.stage.call(client, DescribeParameters.Request(names=names)).descriptors
     assert len(own) > 30 and all(d.description and d.read_only for d in described)
     assert "\n" not in "".join(d.description for d in described)  # its own, not a section's
-    assert described[1].additional_constraints == "above 0"
+    assert described[1].additional_constraints == "above 0 to 5"
     assert described[0].floating_point_range[0].to_value == 500.0
     told = {name: d.additional_constraints for name, d in zip(names, described, strict=True)}
     assert told["joints.boom.pinion_radius_m"] == "from 1e-06 to 1e+06"
@@ -327,12 +328,27 @@ def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Pat
     assert "Traceback" not in said
 
 
-def test_steps_that_the_servos_do_not_have_are_refused(rig: Rig, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("shoulder", "words"),
+    [
+        ({"limits_deg": [-29, 58], "step_deg": 0.36}, "whole multiples of the servo's tick"),
+        ({"limits_deg": [-29, 57]}, "joints.shoulder.upper: 1.0; allowed: -0.506145 to 0.994838"),
+        (
+            {"type": "prismatic", "limits_m": [-1, 1]},
+            "joints.shoulder.type: 'revolute'; allowed: prismatic",
+        ),
+        ({"name": "elbow", "limits_deg": [-29, 58]}, "allowed: elbow, boom"),
+    ],
+)
+def test_servos_that_contradict_the_arm_are_refused(
+    rig: Rig, tmp_path: Path, shoulder: dict[str, Any], words: str
+) -> None:
     arm = tmp_path / "arm.yaml"
-    shoulder = {"id": 1, "name": "shoulder", "type": "revolute", "limits_deg": [-28, 57]}
-    shoulder["step_deg"] = 0.36
-    tip = {"frame": 1, "position_m": [1, 0, 0]}
-    text = {"name": "arm", "convention": "mdh_craig", "tip": tip, "joints": [shoulder]}
+    joints = [
+        {"id": 1, "name": "shoulder", "type": "revolute"} | shoulder,
+        {"id": 2, "name": "boom", "type": "prismatic", "alpha_deg": 90, "limits_m": [0, 0.1]},
+    ]
+    text = {"name": "arm", "convention": "mdh_craig", "tip": {"frame": 2}, "joints": joints}
     arm.write_text(yaml.safe_dump(text))
     second = rig.stage.python(
         [
@@ -342,8 +358,7 @@ def test_steps_that_the_servos_do_not_have_are_refused(rig: Rig, tmp_path: Path)
     )
     assert second.wait(timeout=300) == 2
     said = rig.stage.output(second)
-    assert "step of shoulder" in said
-    assert "whole multiples of the servo's tick" in said
+    assert words in said and str(arm) in said
     assert "Traceback" not in said
 
 
@@ -352,7 +367,7 @@ def test_shaped_moves_arrive_and_shaping_needs_an_arm(rig: Rig, tmp_path: Path) 
             "section": {"type": "tube", "od_m": 0.02, "id_m": 0.016}, "mass_kg": 0.3,
             "mass": "uniform", "body_length_m": 0.9}  # fmt: skip
     joints = [
-        {"id": 1, "name": "shoulder", "type": "revolute", "limits_deg": [-28, 57]},
+        {"id": 1, "name": "shoulder", "type": "revolute", "limits_deg": [-29, 58]},
         {"id": 2, "name": "boom", "type": "prismatic", "alpha_deg": 90, "d_m": 0.9,
          "limits_m": [0, 0.1]},
     ]  # fmt: skip

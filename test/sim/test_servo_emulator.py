@@ -298,7 +298,7 @@ servo_driver:
       lift: {servo_id: 4, model: sts3215, type: revolute, zero_ticks: 2000, direction: -1,
              gear_ratio: 2.0, lower: 0.1, upper: 0.5, max_velocity: 1.0}
       feed: {servo_id: 2, model: sts3215, type: prismatic, zero_ticks: 100, screw_lead_m: 0.008,
-             multi_turn: true, lower: 0.0, upper: 0.03, max_velocity: 0.01}
+             multi_turn: true, lower: 0.0, upper: 0.03, max_velocity: 0.006}
 """
 
 

@@ -33,10 +33,10 @@ CONFIG = """
     bus: {protocol: feetech, port: PORT, reply_timeout_s: 0.2, retries: 1}
     joints:
       shoulder: {servo_id: 1, model: sts3215, type: revolute, zero_ticks: 2048.0, gear_ratio: 3.0,
-        multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 2.0,
+        multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 1.7,
         full_effort: 8.0}
       boom: {servo_id: 2, model: sts3215, type: prismatic, zero_ticks: 3900.0, direction: -1,
-        pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.1}
+        pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.09}
     follower: {stall_time_s: 0.3, silence_s: 1.0}
 """
 

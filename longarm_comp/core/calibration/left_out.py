@@ -17,8 +17,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
 PARTS, SMALL = 4, 20
-"""Parts of a joint's range, and random parts, that are left out one at a time; a 90 % radius takes
-as many rows at least."""
+"""Parts of a joint's range, and random parts, that are left out one at a time."""
 MOST = 1000
 """Rows that are left out, at most, evenly over the session: they tell 90 % to one percent."""
 AMID = (1.0 + LEVEL) / 2.0
@@ -52,7 +51,7 @@ class LeftOut:
         A touched point is not known, so its rows are judged against their mean.
         """
         kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
-        if len(kept) < SMALL:
+        if len(kept) < 2:
             return None
         touched = fit.session.labels["touch"][kept] if not fit.session.located.any() else None
         both = np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1)

@@ -48,6 +48,7 @@ def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
     The model's prediction for a pose is subtracted, so that the scatter is the same by any model.
     Repeats from different sides differ by hysteresis too, so each side is a group of its own, as
     is each anchor, marker and base.  Deviations beyond 4.2 robust standard deviations are left out.
+    A row that repeats another to the last digit is a copy, and no second measurement.
 
     Returns:
         The noise, infinite in channels of too few repeats; None where all have too few.
@@ -77,6 +78,10 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
         stood = again[:, None] & np.array([not kind.cells for kind in kinds])
         second = ~stood & ~np.array([kind.of_joint for kind in kinds])
         values = np.where(seen.measured & second, residual, np.nan)
+    whole = np.column_stack([keys, np.nan_to_num(values)])
+    first = np.unique(whole, axis=0, return_index=True)[1]
+    copy = ~np.isin(np.arange(len(seen)), first)
+    values = np.where(copy[:, None], np.nan, values)
     scatter, share = _deviations(values, group.reshape(-1))
     robust = MAD * median(np.abs(scatter)) / np.sqrt(np.maximum(mean(share), 1e-9))
     kept = (np.nan_to_num(np.abs(scatter)) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)

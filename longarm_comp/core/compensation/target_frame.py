@@ -111,7 +111,7 @@ def placement(
     if frame not in ("", *FRAMES):
         raise InputError(where, "frame", frame, " or ".join(FRAMES))
     declared, found = model.arm.base.frame().matrix(), _bases(model)
-    if len(found) > 1 and group not in found and frame != MEASURED:
+    if len(found) > 1 and group not in found:
         names = ", ".join(str(name) for name in found)
         raise InputError(where, "group", group or "missing", f"{names}: the base stood in several")
     base = found.get(group, declared) if len(found) > 1 else next(iter(found.values()), declared)

@@ -38,6 +38,11 @@ class Block:
     length: int
 
 
+def limit_units(limit: float, unit: float, most: int) -> int:
+    """Return a limit in whole units of its register, where 0 means none: 0 only for none."""
+    return min(max(round(limit / unit), 1), most) if limit > 0.0 else 0
+
+
 class Dialect(ABC):
     """Encoding and decoding of one protocol; stateless."""
 
@@ -123,7 +128,7 @@ class Dialect(ABC):
 
     @abstractmethod
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
-        """Contents of ``goal``; speed 0 is the servo's own maximum."""
+        """Contents of ``goal``; speed 0 is the servo's own maximum (`limit_units`)."""
 
     @abstractmethod
     def turns_bytes(self, many: bool) -> bytes:

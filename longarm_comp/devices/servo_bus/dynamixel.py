@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply, limit_units
 from longarm_comp.devices.servo_bus.memory import Register, one_bit, signed
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
@@ -22,9 +22,11 @@ _VELOCITY_TICKS_S = 0.229 / 60.0 * 4096
 """One unit of velocity is 0.229 turns a minute."""
 
 
-def _x(name: str, number: int, full_load: float, friction: float | None = None) -> ServoModel:
-    turns = (0, 4095), (-1048575, 1048575)
-    return ServoModel(name, "dynamixel", number, 4096, *turns, full_load, friction)
+def _x(
+    name: str, number: int, full_load: float, top_rpm: float, friction: float | None = None
+) -> ServoModel:
+    turns, top = ((0, 4095), (-1048575, 1048575)), top_rpm / 60.0 * 4096
+    return ServoModel(name, "dynamixel", number, 4096, *turns, full_load, friction, top)
 
 
 def _divide(crc: int) -> int:
@@ -42,11 +44,11 @@ class DynamixelX(Dialect):
 
     name = "dynamixel"
     models = (
-        _x("xl330-m077", 1190, 1750.0),  # present current, 1 mA a unit
-        _x("xl330-m288", 1200, 1750.0),
-        _x("xl430-w250", 1060, 1000.0),  # present load, 0.1 % a unit
-        _x("xm430-w350", 1020, 1193.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
-        _x("xm540-w270", 1120, 2047.0),
+        _x("xl330-m077", 1190, 1750.0, 456.0),  # present current, 1 mA a unit
+        _x("xl330-m288", 1200, 1750.0, 123.0),
+        _x("xl430-w250", 1060, 1000.0, 61.0),  # present load, 0.1 % a unit
+        _x("xm430-w350", 1020, 1193.0, 57.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
+        _x("xm540-w270", 1120, 2047.0, 37.0),
     )
     header = _HEADER
     overhead = 11
@@ -123,7 +125,7 @@ class DynamixelX(Dialect):
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         # profile acceleration 0 (none), profile velocity, goal position
-        speed = max(1, min(round(speed_ticks_s / _VELOCITY_TICKS_S), 32767)) if speed_ticks_s else 0
+        speed = limit_units(speed_ticks_s, _VELOCITY_TICKS_S, 32767)
         return bytes(4) + speed.to_bytes(4, "little") + ticks.to_bytes(4, "little", signed=True)
 
     def turns_bytes(self, many: bool) -> bytes:

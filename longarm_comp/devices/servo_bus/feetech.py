@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply, limit_units
 from longarm_comp.devices.servo_bus.memory import Register, one_bit, sign_magnitude
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
@@ -19,15 +19,16 @@ _position, _load = sign_magnitude(15), sign_magnitude(10)
 _LONGEST = 250  # bytes that a frame may say it has: a larger number is damage
 
 
-def _sts(name: str, number: int, friction: float | None = None) -> ServoModel:
-    return ServoModel(name, "feetech", number, 4096, (0, 4095), (-30719, 30719), 1000.0, friction)
+def _sts(name: str, number: int, top_rpm: float, friction: float | None = None) -> ServoModel:
+    turns, top = ((0, 4095), (-30719, 30719)), top_rpm / 60.0 * 4096
+    return ServoModel(name, "feetech", number, 4096, *turns, 1000.0, friction, top)
 
 
 class FeetechSts(Dialect):
     """STS3215 and its family."""
 
     name = "feetech"
-    models = (_sts("sts3215", 777, 0.18 / 2.7), _sts("sts3250", 2825))
+    models = (_sts("sts3215", 777, 50.0, 0.18 / 2.7), _sts("sts3250", 2825, 79.0))
     header = _HEADER
     overhead = 6
     alarm_bits: ClassVar = {
@@ -90,9 +91,9 @@ class FeetechSts(Dialect):
         return Reply(frame[2], frame[4], frame[5:-1], _checksum(frame[2:-1]) == frame[-1])
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
-        speed = min(round(speed_ticks_s), 0x7FFF) if speed_ticks_s else 0
+        speed = limit_units(speed_ticks_s, 1.0, 0x7FFF)
         # acceleration 0 (the servo's maximum), position, time (unused), speed
-        return b"\0" + _signed(ticks) + b"\0\0" + max(speed, 0).to_bytes(2, "little")
+        return b"\0" + _signed(ticks) + b"\0\0" + speed.to_bytes(2, "little")
 
     def turns_bytes(self, many: bool) -> bytes:
         low, high = (0, 0) if many else (0, 4095)

@@ -53,6 +53,8 @@ def open_bus(
 
 
 _ALL_IDS = range(253)
+_PATIENCE_S = 0.2
+"""Longest wait for a servo that may have an id that is to be given."""
 _LOOKS, _DAMAGED = 5, 2
 """States read of a servo that answers, and damaged ones among them that are no accident."""
 
@@ -211,9 +213,11 @@ def renumber(found: Scan, servo_id: int) -> int:
     Returns:
         The id that it had.
 
+    The scan may have asked only some ids, so the new one is asked before it is given, and after.
+
     Raises:
         InputError: no id of a servo.
-        JobError: several servos are on the line, or it does not answer to its new id.
+        JobError: several servos are on the line, one has this id, or it does not answer to it.
     """
     if servo_id not in _ALL_IDS:
         raise InputError("servo set-id", "ID", servo_id, f"0 to {_ALL_IDS[-1]}")
@@ -223,7 +227,9 @@ def renumber(found: Scan, servo_id: int) -> int:
     dialect, old = protocols()[found.protocol](), ids[0]
     if dialect.identity is None:
         raise JobError(f"ids of {found.protocol} are set with its maker's tool")
-    with closing(SerialPort(found.port, found.baudrate, reply_timeout_s=0.05)) as line:
+    with closing(SerialPort(found.port, found.baudrate, reply_timeout_s=_PATIENCE_S)) as line:
+        if servo_id != old and look(line, dialect, servo_id) is not None:
+            raise JobError("another servo has this id: connect one servo alone", id=servo_id)
         line.send(dialect.sync_write(dialect.torque, {old: b"\0"}))
         if dialect.turns_lock is not None:
             line.send(dialect.sync_write(dialect.turns_lock, {old: b"\0"}))
@@ -231,6 +237,10 @@ def renumber(found: Scan, servo_id: int) -> int:
         if dialect.turns_lock is not None:
             line.send(dialect.sync_write(dialect.turns_lock, {servo_id: b"\1"}))
         for _ in range(3):
-            if look(line, dialect, servo_id) is not None:
-                return old
+            if (renamed := look(line, dialect, servo_id)) is None:
+                continue
+            if renamed.clash:
+                why = "two servos have this id now, or the line is bad: scan one servo alone"
+                raise JobError(why, id=servo_id, before=old)
+            return old
     raise JobError("the servo does not answer to its new id: scan again", id=servo_id, before=old)

@@ -54,6 +54,8 @@ class ServoModel:
     friction: float | None = None
     """Share of full effort that turns it free: its current then over that at a stall; None: its
     data sheet does not say. It bounds what its load tells of a payload."""
+    top_speed_ticks_s: float | None = None
+    """Speed without load at the highest voltage of its data sheet; None: not known."""
 
 
 class ServoBusError(JobError):

@@ -15,7 +15,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.strict_yaml import MOST_BYTES
-from longarm_comp.urdf import chain_ends, import_urdf
+from longarm_comp.urdf import chain_ends, describe_drive, import_urdf, read_drives
 from longarm_comp.urdf_file import UrdfRobot
 
 ROBOTS = (
@@ -345,4 +345,58 @@ def test_a_file_without_a_chain_is_refused(text: str, words: str, tmp_path: Path
     path.write_text(text)
     with pytest.raises(InputError) as caught:
         import_urdf(path, *chain_ends(path, "", ""))
+    assert words in str(caught.value)
+
+
+LIFT = """<robot name="a"><link name="base"/><link name="l1"/><link name="tool"/>
+<joint name="lift" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+<limit lower="0.2" upper="1.5" effort="1" velocity="0.3"/>SOFT</joint>
+<joint name="slide" type="prismatic"><parent link="l1"/><child link="tool"/>
+<origin xyz="0.3 0 0"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="0.15" effort="1" velocity="0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("soft", "expected"),
+    [
+        ('soft_lower_limit="0.3" soft_upper_limit="0.6"', (0.3, 0.6)),
+        ('soft_lower_limit="-1" soft_upper_limit="0.6"', (0.2, 0.6)),
+        ('soft_lower_limit="0.3"', (0.3, 1.5)),
+        ('soft_lower_limit="0" soft_upper_limit="0"', (0.2, 1.5)),
+        ("", (0.2, 1.5)),
+    ],
+)
+def test_the_tighter_of_hard_and_soft_limits_is_taken(
+    soft: str, expected: tuple[float, float], tmp_path: Path
+) -> None:
+    path = tmp_path / "lift.urdf"
+    path.write_text(LIFT.replace("SOFT", f'<safety_controller {soft} k_velocity="1"/>'))
+    data = import_urdf(path, "base", "tool")
+    arm = Arm.parse(data, "lift")
+    assert (arm.lower[0], arm.upper[0]) == pytest.approx(expected)
+    lift, slide = read_drives(path, data).values()
+    assert (lift.velocity, slide.velocity) == (0.3, np.inf)
+    assert ("hard ones are 11.4592 to 85.9437 deg" in describe_drive(lift)) is (
+        expected != (0.2, 1.5)
+    )
+    assert describe_drive(lift).endswith("at most 17.1887 deg/s") and not describe_drive(slide)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("SOFT", '<safety_controller soft_lower_limit="1.6" soft_upper_limit="2"/>',
+         "joint lift safety_controller: [1.6, 2.0]; allowed: soft limits that leave a range of "
+         "0.2 to 1.5"),
+        ("SOFT", '<safety_controller soft_lower_limit="low"/>', "lift safety_controller: 'low'"),
+        ('velocity="0.3"', 'velocity="-1"', "joint lift limit: -1.0; allowed: velocity, 0"),
+    ],
+)  # fmt: skip
+def test_bad_soft_limits_and_velocities_are_named(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "lift.urdf"
+    path.write_text(LIFT.replace(old, new).replace("SOFT", ""))
+    with pytest.raises(InputError) as caught:
+        import_urdf(path, "base", "tool")
     assert words in str(caught.value)

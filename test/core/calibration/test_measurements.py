@@ -311,6 +311,20 @@ def test_repeats_tell_the_noise_of_every_kind_in_enough_of_them() -> None:
     assert np.isinf(told["z"])
 
 
+def test_a_copied_row_is_no_second_measurement() -> None:
+    """Ten poses, each measured six times; of others every row stands twice."""
+    rng = np.random.default_rng(1)
+    again = np.repeat(np.arange(10), 6)
+    q = ARM.lower + rng.random((30, ARM.n)) * (ARM.upper - ARM.lower)
+    q = np.concatenate([q[again], np.repeat(q[10:], 2, axis=0)])
+    xyz = declared_model(ARM).tip(q) + SIGMA * rng.standard_normal((100, 3))
+    xyz[61::2] = xyz[60::2]
+    noise = from_repeats(declared_model(ARM), Session.record(q, xyz))
+    assert noise is not None and 40.0 < noise.degrees <= 50.0
+    np.testing.assert_allclose(noise.sigma, SIGMA, rtol=0.35)
+    assert from_repeats(declared_model(ARM), Session.record(q[60:], xyz[60:])) is None
+
+
 def test_a_network_learns_from_whole_positions_and_says_what_it_leaves_out() -> None:
     session = mixture()
     model = la.calibrate(ARM, session).model

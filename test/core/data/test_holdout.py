@@ -18,10 +18,11 @@ from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.posterior.explain import _Search, explain_session
+from longarm_comp.core.identify.posterior.explain import _explain_halves, explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession, judge_noise_and_fit
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.resampled import SAMPLES
+from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import worse
 from longarm_comp.core.model.model import Model
@@ -78,22 +79,23 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
     """A search that stopped at a function of no use goes on from there; a good one stays."""
     rows = session([drives.JointGain(at(2, 0.02))])
     useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
-    search = _Search(Model(ARM), rows, [], None, (), lambda _: None, nameless=True)
+    search = ExplanationSearch(Model(ARM), rows, [], None, (), lambda _: None, nameless=True)
     first = judge_noise_and_fit(search.base, rows, [])
-    poor = search._fit_with(first, (FoundEffect((useless,), 1.0, 0.0),))
+    poor = search.fit_with(first, (FoundEffect((useless,), 1.0, 0.0),))
     assert poor is not None
-    rows_of, explain = [], _Search._repeat
+    rows_of, explain = [], ExplanationSearch.repeat
 
-    def spied(self: _Search, *how: Any, **further: Any) -> ExplainedSession:
+    def spied(self: ExplanationSearch, *how: Any, **further: Any) -> ExplainedSession:
         rows_of.append(len(self.session))
         return explain(self, *how, **further)
 
-    monkeypatch.setattr(_Search, "_repeat", spied)
-    found = search._by_halves(poor, 0)
+    monkeypatch.setattr(ExplanationSearch, "repeat", spied)
+    found, of_halves = _explain_halves(search, poor, 0)
+    assert len(of_halves) == 2
     assert rows_of == [60, 120, 60, 120]  # either half, and all rows from what it brings
     assert [t.function for f in found.found for t in f.terms] == ["linear(q2)"]  # type: ignore[union-attr]
-    assert search._by_halves(found, 0) is found
-    assert search._by_halves(first, 0) is first  # where no function is needed, none is sought
+    assert _explain_halves(search, found, 0)[0] is found
+    assert _explain_halves(search, first, 0)[0] is first  # needs no function, seeks none
 
 
 def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt() -> None:
