@@ -17,14 +17,16 @@ from longarm_comp.math.cubic_path import split
 
 
 def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """Points (..., k, 3) m, base frame: every station from the foot to the tip, at q (..., n).
+    """Points (..., k, 3) m, base frame: every station from the foot to the tip, at q (n,) or
+    (N, n).
 
     Effects of circumstances that the context does not hold are left out.
     """
     context = context or Context()
     model = model.told_by(context)
     posture = model.posture(unstack(q), context)
-    points = [stack(frame.p) for frame in (*posture.frames, model.tip_frame(posture))]
+    chain = posture.frames[: min(model.chain.spots.values())]  # what carries markers is among it
+    points = [stack(frame.p) for frame in (*chain, model.tip_frame(posture))]
     shape = (*np.shape(q)[:-1], 3)
     return np.stack([np.broadcast_to(point, shape) for point in points], axis=-2)
 
@@ -91,15 +93,19 @@ def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
 
 
 _LOOK_M = 0.005
-"""How far the arm moves at most between two postures that are looked at beside a box, m; half the
-box's thickness where that is less."""
+"""How deep the arm can be in a box unseen, m, at most; half the box's thickness if that is less."""
 _AT_ONCE = 64
 """Parts of a piece of the way that are looked at together: one posture takes about as long."""
-_MOST_LOOKS = 1000
-"""Postures that `keeper` looks at before it gives up: 60 ms, and a driver does nothing else."""
-_SAG = 0.05
-"""Motion that sag adds for a unit of any joint, at most, as a share of the length from the foot."""
-_TOO_LONG = "keep_out: so long a way beside a box takes too long to check; send it in parts"
+_TOGETHER = 4096
+"""Postures that are looked at together at most, for their memory."""
+_MOST_LOOKS = 100_000
+"""Postures that are looked at before a way is given up: some seconds."""
+_DRIVERS_LOOKS = 1000
+"""The same of a driver, which does nothing else meanwhile."""
+_TOO_LONG = (
+    "keep_out: so long a way so near a box takes too long to check; allowed: shorter parts of it, "
+    "or a thicker box"
+)
 
 
 def describe_entry(model: Model, path: np.ndarray) -> str:
@@ -111,21 +117,20 @@ def describe_entry(model: Model, path: np.ndarray) -> str:
     return find_entry(model, path)[1]
 
 
-def find_entry(model: Model, path: np.ndarray, most: float = np.inf) -> tuple[int, str]:
+def find_entry(model: Model, path: np.ndarray, most: int = _MOST_LOOKS) -> tuple[int, str]:
     """Find where a move through joints (N, n) enters a box: before which row, and `describe_entry`.
 
-    It is cut into ever smaller pieces until no link can reach a box unseen: its distances from it
-    at both ends of a piece add up to more than it moves in between, or it moves by `_LOOK_M` at
-    most (adaptive collision checking, Schwarzer, Saha and Latombe 2005).
+    It is cut into ever smaller pieces until no link can be in a box by `_LOOK_M` unseen: it moves
+    less in a piece than it may move from both ends of it together (adaptive collision checking,
+    Schwarzer, Saha and Latombe 2005).
 
     Args:
         most: postures after which it gives up and says so.
     """
-    boxes = model.arm.keep_out.values()
-    if not boxes or not len(path):
+    if not model.arm.keep_out or not len(path):
         return 0, ""
-    thin = min(high - low for b in boxes for low, high in zip(b.min_m, b.max_m, strict=True))
-    least, far = min(_LOOK_M, 0.5 * thin), most_motion(model)
+    model = model.commandable  # a servo's rounding is no motion on the way
+    far = most_motion(model)
     turned = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
     at = turned @ far.max(axis=0)
     new = np.linspace(0.0, at[-1], _AT_ONCE + 1) if at[-1] > 0.0 else at[:1]
@@ -141,11 +146,11 @@ def find_entry(model: Model, path: np.ndarray, most: float = np.inf) -> tuple[in
         order = np.argsort(np.concatenate([known, new]))
         known, clear = (np.concatenate(pair)[order] for pair in ((known, new), (clear, distances)))
         moved = np.diff(_between(at, turned, known), axis=0) @ far.T
-        # Half as far as what is known at the ends allows: fewer rounds
-        apart = np.maximum(0.5 * (clear[1:] + clear[:-1]), least)
-        pieces = np.where(moved > 2.0 * apart, np.ceil(moved / apart), 1.0).max(axis=1)
+        allowed = clear[1:] + clear[:-1]
+        # Pieces half as long as allowed: fewer rounds
+        pieces = np.where(moved > allowed, np.ceil(2.0 * moved / allowed), 1.0).max(axis=1)
         places = split(np.minimum(pieces, _AT_ONCE).astype(int))
-        new = np.interp(places[places % 1 > 0], np.arange(len(known)), known)
+        new = np.interp(places[places % 1 > 0], np.arange(len(known)), known)[:_TOGETHER]
     return 0, ""
 
 
@@ -159,7 +164,15 @@ def most_motion(model: Model) -> np.ndarray:
 
     The last part is the tip by itself.
     """
-    arm, line = model.arm, _lines(model.with_terms(()), model.arm.mid)
+    if "most_motion" not in model.memo:
+        model.memo["most_motion"] = (_turning(model) + _sagging(model))[1:]
+    found: np.ndarray = model.memo["most_motion"]
+    return found
+
+
+def _turning(model: Model) -> np.ndarray:
+    """(points of the line, n): `most_motion` about the axes and along the slides."""
+    arm, line = model.arm, _lines(model, model.arm.mid)
     moved, span = np.abs(arm.mixing[0]), arm.upper - arm.lower
     along = np.insert(np.linalg.norm(np.diff(line, axis=0), axis=1), 0, 0.0)
     bearings = [row.bearing for row in model.chain.rows]
@@ -170,7 +183,18 @@ def most_motion(model: Model) -> np.ndarray:
         lever = along[bearing:] - along[bearing]
         slid = np.ones_like(lever)
         far[bearing:] += np.outer(slid if joint.type == "prismatic" else lever, weights)
-    return (far + _SAG * along[:, None])[1:]
+    return far
+
+
+def _sagging(model: Model) -> np.ndarray:
+    """(points of the line, n): what sag adds to `most_motion`, twice the most at some postures."""
+    arm, bare = model.arm, model.with_terms(())
+    here = np.random.default_rng(0).uniform(arm.lower, arm.upper, (32, arm.n))
+    most = []
+    for step in np.diag(1e-3 * (arm.upper - arm.lower)):
+        before, after = (_lines(model, q) - _lines(bare, q) for q in (here, here + step))
+        most.append(np.linalg.norm(after - before, axis=-1).max(axis=0) / step.max())
+    return np.maximum.accumulate(2.0 * np.array(most).T, axis=0)
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
@@ -179,7 +203,8 @@ def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray],
     if not model.arm.keep_out:
         return None
     order = model.arm.order(names, where)
-    return lambda q: find_entry(model, q[:, order], _MOST_LOOKS)[1]
+    most_motion(model.commandable)  # kept with the model: the first check is as fast as the others
+    return lambda q: find_entry(model, q[:, order], _DRIVERS_LOOKS)[1]
 
 
 def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
@@ -198,7 +223,8 @@ def _lines(model: Model, q: np.ndarray) -> np.ndarray:
 
 
 def _entries(model: Model, q: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """Return `boxes_entered`, and (M, parts) m: how far parts can move until that may change.
+    """Return `boxes_entered`, and (M, parts) m: how far parts can move until that changes by more
+    than may remain unseen.
 
     A part that leaves the box of the foot does so while its beginning is in there.
     """
@@ -207,9 +233,10 @@ def _entries(model: Model, q: np.ndarray) -> tuple[list[str], np.ndarray]:
     for name, box in model.arm.keep_out.items():
         below = np.logical_and.accumulate(box.holds(lines), axis=-1)
         leaves = below[:, :-1] & ~below[:, -1:]
-        parts = box.crosses_segments(lines) & ~leaves
-        free = np.where(leaves, box.depth(lines[:, :-1]), box.clearance(lines))
-        clear = np.minimum(clear, free)
+        outside = box.clearance(lines)
+        free = np.where(leaves, box.depth(lines[:, :-1]), outside)
+        clear = np.minimum(clear, np.maximum(free, min(_LOOK_M, 0.5 * box.thickness)))
+        parts = (outside == 0.0) & ~leaves
         for k in np.flatnonzero(parts.any(axis=-1)):
             near = ", ".join(f"{number:.3g}" for number in lines[k, np.argmax(parts[k]) + 1])
             found[k] = found[k] or f"{name}: the arm would enter it near {near} m"
