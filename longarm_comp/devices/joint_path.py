@@ -131,7 +131,7 @@ class TakenOver:
     def looked_at(self) -> Array:
         """(N,) s, sorted, from 0 on: joints move straight from one to the next."""
         blend = np.linspace(0.0, self.blend_s, 16 + 1)
-        return np.union1d(blend, self.path.chords(STRAIGHT))
+        return np.sort(np.concatenate((blend, self.path.chords(STRAIGHT))))
 
     def postures(self) -> Array:
         """(N, n) joints on the way."""

@@ -224,7 +224,7 @@ def test_a_driver_gives_up_on_a_way_that_takes_too_long_to_check(looks: list[int
     assert keeps_out is not None and not keeps_out(way[:2])
     looks.clear()
     assert "too long to check" in keeps_out(way)
-    assert sum(looks) <= 1000
+    assert sum(looks) <= 800
 
 
 def test_a_box_is_declared_from_its_least_to_its_largest_corner(demo_arm_path: Path) -> None:
