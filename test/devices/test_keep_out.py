@@ -138,6 +138,13 @@ def test_a_short_dip_below_a_floor_above_the_foot_is_found() -> None:
     assert "floor" in found and row in (42, 43)
 
 
+def test_the_arm_is_a_line_whatever_its_markers_are_on() -> None:
+    marked = SWINGING | {"markers": {"column": {"frame": 1}, "hand": {"frame": 2}}}
+    model, plain = declared_model(Arm.parse(marked, "arm.yaml")), swinging()
+    np.testing.assert_array_equal(outline(model, SWING), outline(plain, SWING))
+    assert np.linalg.norm(np.diff(outline(plain, SWING[0]), axis=0), axis=1).sum() == 1.8
+
+
 def test_random_ways_among_random_boxes_are_judged_as_by_many_looks(
     demo_arm_path: Path, rng: np.random.Generator
 ) -> None:
@@ -162,10 +169,12 @@ def test_random_ways_among_random_boxes_are_judged_as_by_many_looks(
 def test_no_part_moves_by_more_than_is_reckoned_with(
     demo_arm_path: Path, rng: np.random.Generator
 ) -> None:
-    """Rows that turn, slide and follow others, with sag."""
+    """Rows that turn, slide and follow others, with sag, and with much of it."""
+    soft = dict(read_yaml(demo_arm_path))
+    soft["links"] = [beam | {"E_pa": 0.05 * beam["E_pa"]} for beam in soft["links"]]
     follows = {"id": 3, "type": "revolute", "a_m": 1.0, "mimic": {"joint": 2, "multiplier": -2.0}}
     data = SWINGING | {"joints": [*ROWS, follows], "tip": {"frame": 3, "position_m": [1, 0, 0]}}
-    for arm in (Arm.load(demo_arm_path), Arm.parse(data, "arm.yaml")):
+    for arm in (Arm.load(demo_arm_path), Arm.parse(soft, "soft"), Arm.parse(data, "arm.yaml")):
         model = declared_model(arm)
         lower, upper = model.arm.lower, model.arm.upper
         a, b = rng.uniform(lower, upper, (2, 4000, len(lower)))
@@ -214,6 +223,18 @@ def test_looks_depend_on_the_way_and_not_on_its_points(looks: list[int]) -> None
         assert not describe_entry(model, [-1.5, 0.0] + share * [1.7, 0.0])
         needed.append(sum(looks))
     assert needed[0] == needed[1] < 150
+
+
+def test_a_thin_box_asks_for_closer_looks_beside_itself_alone(looks: list[int]) -> None:
+    boxes = {"table": ((-2.0, -2.0, -1.0), (2.0, 2.0, 0.297))}
+    needed = []
+    for more in ({}, {"film": ((3.0, 3.0, 3.0), (3.1, 3.1, 3.00001))}):
+        model = swinging(**boxes, **more)
+        assert not describe_entry(model, SWING[:1])
+        looks.clear()
+        assert not describe_entry(model, SWING)
+        needed.append(sum(looks))
+    assert needed[0] == needed[1] < 1000
 
 
 def test_a_driver_gives_up_on_a_way_that_takes_too_long_to_check(looks: list[int]) -> None:
