@@ -182,7 +182,7 @@ def test_no_part_moves_by_more_than_is_reckoned_with(
         moved = np.linalg.norm(outline(model, b) - outline(model, a), axis=-1)
         most = np.abs(b - a) @ most_motion(model).T
         assert (moved[:, 1:] <= most[:, :-1] + 1e-9).all()
-        assert (moved[:, -1] > 0.8 * most[:, -1])[most[:, -1] > 0.05].any()
+        assert (moved[:, -1] > 0.7 * most[:, -1])[most[:, -1] > 0.05].any()
 
 
 def test_the_distance_from_a_box_is_never_overrated(rng: np.random.Generator) -> None:
@@ -234,7 +234,7 @@ def test_a_thin_box_asks_for_closer_looks_beside_itself_alone(looks: list[int]) 
         looks.clear()
         assert not describe_entry(model, SWING)
         needed.append(sum(looks))
-    assert needed[0] == needed[1] < 1000
+    assert needed[0] == needed[1] < 2000
 
 
 def test_a_driver_gives_up_on_a_way_that_takes_too_long_to_check(looks: list[int]) -> None:
