@@ -138,6 +138,31 @@ def test_a_short_dip_below_a_floor_above_the_foot_is_found() -> None:
     assert "floor" in found and row in (42, 43)
 
 
+def test_a_short_way_out_of_the_box_of_the_foot_is_found(looks: list[int]) -> None:
+    """The shoulder rises out of a box and the arm crosses its edge; in the box both may be."""
+    rows = (
+        {"id": 1, "name": "lift", "type": "prismatic", "limits_m": [0.0, 1.0]},
+        {"id": 2, "name": "turn", "type": "revolute", "limits_deg": [-100, 100]},
+    )
+    data = SWINGING | {"joints": rows, "tip": {"frame": 2, "position_m": [0.5, 0, -0.3]}}
+    data |= {"keep_out": {"plinth": {"min_m": [-0.2, -0.2, -0.1], "max_m": [0.2, 0.2, 0.5]}}}
+    model = declared_model(Arm.parse(data, "arm.yaml"))
+    way = np.array([(0.4, 1.5 * (-1) ** k) for k in range(40)])
+    assert not describe_entry(model, way[:1])
+    looks.clear()
+    assert not describe_entry(model, way[:2])
+    assert sum(looks) == 65  # none beside the box that the arm is in
+    row, found = find_entry(model, np.insert(way, 20, (0.6, 1.5), axis=0))
+    assert "plinth" in found and row in (20, 21)
+
+
+def test_an_arm_that_stands_in_a_box_is_not_moved() -> None:
+    row, found = find_entry(
+        swinging(lamp=((1.4, -0.01, 0.2), (1.6, 0.01, 0.4))), np.array([(0.0, 0.0), (0.0, 1.5)])
+    )
+    assert row == 0 and found.endswith("at joints 0, 0")
+
+
 def test_the_arm_is_a_line_whatever_its_markers_are_on() -> None:
     marked = SWINGING | {"markers": {"column": {"frame": 1}, "hand": {"frame": 2}}}
     model, plain = declared_model(Arm.parse(marked, "arm.yaml")), swinging()
@@ -174,30 +199,33 @@ def test_no_part_moves_by_more_than_is_reckoned_with(
     soft["links"] = [beam | {"E_pa": 0.05 * beam["E_pa"]} for beam in soft["links"]]
     follows = {"id": 3, "type": "revolute", "a_m": 1.0, "mimic": {"joint": 2, "multiplier": -2.0}}
     data = SWINGING | {"joints": [*ROWS, follows], "tip": {"frame": 3, "position_m": [1, 0, 0]}}
-    for arm in (Arm.load(demo_arm_path), Arm.parse(soft, "soft"), Arm.parse(data, "arm.yaml")):
+    arms = (Arm.load(demo_arm_path), Arm.parse(soft, "soft"), Arm.parse(data, "arm.yaml"))
+    for arm, tight in zip(arms, (0.9, 0.7, 0.7), strict=True):
         model = declared_model(arm)
         lower, upper = model.arm.lower, model.arm.upper
         a, b = rng.uniform(lower, upper, (2, 4000, len(lower)))
         b = np.where(rng.random(a.shape) < 0.2, a + 0.2 * (b - a), a)
         moved = np.linalg.norm(outline(model, b) - outline(model, a), axis=-1)
         most = np.abs(b - a) @ most_motion(model).T
+        assert (np.diff(most_motion(model), axis=0) >= 0.0).all()  # as a part's beginning moves
         assert (moved[:, 1:] <= most[:, :-1] + 1e-9).all()
-        assert (moved[:, -1] > 0.7 * most[:, -1])[most[:, -1] > 0.05].any()
+        assert (moved[:, -1] > tight * most[:, -1])[most[:, -1] > 0.05].any()
 
 
 def test_the_distance_from_a_box_is_never_overrated(rng: np.random.Generator) -> None:
+    box = Box(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 0.4, 2.0))
     ends = rng.uniform(-2.0, 3.0, (3000, 2, 3))
     ends[:100, 1, 0] = ends[:100, 0, 0]
     ends[100:200, 1] = ends[100:200, 0]
     share = np.linspace(0.0, 1.0, 400)[:, None, None]
     points = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
-    real = np.linalg.norm(points - np.clip(points, 0.0, 1.0), axis=-1).min(axis=0)
-    told = UNIT.clearance(ends)[:, 0]
+    real = np.linalg.norm(points - np.clip(points, 0.0, box.max_m), axis=-1).min(axis=0)
+    told = box.clearance(ends)[:, 0]
     assert (told <= real + 1e-9).all()
     assert (told >= real / np.sqrt(3.0) - 0.01).all()
-    inside = rng.uniform(0.0, 1.0, (100, 3))
-    walls = np.concatenate([inside, 1.0 - inside], axis=1).min(axis=1)
-    np.testing.assert_allclose(UNIT.depth(inside), walls)
+    inside = rng.uniform(0.0, box.max_m, (100, 3))
+    walls = np.concatenate([inside, np.array(box.max_m) - inside], axis=1).min(axis=1)
+    np.testing.assert_allclose(box.depth(inside), walls)
 
 
 @pytest.fixture
@@ -222,7 +250,7 @@ def test_looks_depend_on_the_way_and_not_on_its_points(looks: list[int]) -> None
         looks.clear()
         assert not describe_entry(model, [-1.5, 0.0] + share * [1.7, 0.0])
         needed.append(sum(looks))
-    assert needed[0] == needed[1] < 150
+    assert needed[0] == needed[1] < 100
 
 
 def test_a_thin_box_asks_for_closer_looks_beside_itself_alone(looks: list[int]) -> None:
@@ -235,6 +263,27 @@ def test_a_thin_box_asks_for_closer_looks_beside_itself_alone(looks: list[int]) 
         assert not describe_entry(model, SWING)
         needed.append(sum(looks))
     assert needed[0] == needed[1] < 2000
+
+
+def test_a_servos_steps_ask_for_no_closer_looks(looks: list[int]) -> None:
+    needed = []
+    for step in ({}, {"step_deg": 0.5}):
+        data = SWINGING | {"joints": (ROWS[0] | step, ROWS[1])}
+        data |= {"keep_out": {"table": {"min_m": [-2, -2, -1], "max_m": [2, 2, 0.25]}}}
+        model = declared_model(Arm.parse(data, "arm.yaml"))
+        assert not describe_entry(model, SWING[:1])
+        looks.clear()
+        assert not describe_entry(model, SWING)
+        needed.append(sum(looks))
+    assert needed[0] == needed[1]
+
+
+def test_beside_a_film_the_check_ends_and_needs_little_memory(looks: list[int]) -> None:
+    model = swinging(film=((1.5 + 1e-12, -2.0, 0.0), (1.5 + 2e-12, 2.0, 0.5)))
+    assert not describe_entry(model, SWING[:1])
+    looks.clear()
+    assert "thicker box" in find_entry(model, SWING, 10_000)[1]
+    assert sum(looks) <= 10_000 and max(looks) <= 4096
 
 
 def test_a_driver_gives_up_on_a_way_that_takes_too_long_to_check(looks: list[int]) -> None:

@@ -34,6 +34,7 @@ def _points(*rows: tuple[float, tuple[float, ...]], **kwargs: Any) -> JointTraje
         (_points((1.0, (0.1, math.inf))), "points[0].positions of slide"),
         (_points((1.0, (1.1, 0.01))), "-1 to 1 rad"),
         (_points((1.0, (0.1, 0.01)), (2.0, (-1.1, 0.01))), "points[1].positions of turn"),
+        (_points((1.0, (0.1, 0.01)), (2.0, (1.1, 0.01))), "points[1].positions of turn"),
         (_points((1.0, (0.1, 0.01)), (2.0, (0.1,))), "points[1].positions"),
         (_points((1.0, (0.1, 0.01)), (2.0, (math.nan, 0.01))), "points[1].positions of turn"),
         (_points((1.0, (0.1, -0.01))), "0 to 0.1 m"),

@@ -41,6 +41,9 @@ def test_between_the_times_of_chords_joints_go_straight() -> None:
         assert set(times) <= set(at) and (np.diff(at) > 0.0).all()
         straight = np.stack([np.interp(dense, at, q) for q in path.at(at).T], axis=-1)
         assert 0.5 * off < np.abs(straight - path.at(dense)).max() <= off
+    for begin, end in ((1.5, 0.0), (0.0, 1.5)):  # bent at one end
+        bent = CubicPath(np.arange(2.0), np.arange(2.0)[:, None], np.array([[begin], [end]]))
+        assert len(bent.chords(1e-3)) == 1 + np.ceil(np.sqrt(3.0 / 8e-3))
     still = CubicPath(times, np.ones((8, 3)), np.zeros((8, 3)))
     np.testing.assert_array_equal(still.chords(1e-3), times)
     assert CubicPath(times[:1], path.joints[:1], path.velocities[:1]).chords(1e-3) == times[:1]

@@ -32,15 +32,15 @@ def is_alive(pid: int) -> bool:
 
 
 class Said(list[str]):
-    """What a supervisor said; its event is set once something with a word was said."""
+    """What a supervisor said; its event is set once it said that something ended."""
 
-    def __init__(self, word: str) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.word, self.heard = word, threading.Event()
+        self.heard = threading.Event()
 
     def __call__(self, text: str) -> None:
         self.append(text)
-        if self.word in text:
+        if "ended" in text:
             self.heard.set()
 
 
@@ -51,7 +51,7 @@ class Said(list[str]):
 def test_the_driver_goes_on_without_a_node_that_cannot_be_restarted(
     program: str, respawn: bool, how: str
 ) -> None:
-    said = Said("not started again")
+    said = Said()
     nodes = {"servo_driver": RUNS_ON, "stereo_bridge": program, "kinematics": RUNS_ON}
     with supervisor(said, respawn, **nodes) as graph:
         before = {name: graph.pid(name) for name in nodes}
@@ -69,23 +69,22 @@ def test_the_driver_goes_on_without_a_node_that_cannot_be_restarted(
 
 
 def test_all_end_with_the_driver_and_with_the_last_node() -> None:
-    said = Said("not started again")
-    nodes = {"servo_driver": BAD_INPUT, "kinematics": RUNS_ON}
+    said = Said()
     with (
-        supervisor(said, **nodes) as graph,
-        pytest.raises(JobError, match=r"servo_driver ended \(exit code 2\)"),
+        supervisor(said, servo_driver=BAD_INPUT, kinematics=RUNS_ON) as graph,
+        pytest.raises(JobError, match=r"^servo_driver ended \(exit code 2\)$"),
+    ):
+        graph.run(said.heard)
+    with (
+        supervisor(lambda text: None, kinematics=BAD_INPUT, error_predictor=BAD_INPUT) as graph,
+        pytest.raises(JobError, match=r"^\w+ ended \(exit code 2\)$"),
     ):
         graph.run(threading.Event())
-    with (
-        supervisor(said, kinematics=BAD_INPUT, error_predictor=BAD_INPUT) as graph,
-        pytest.raises(JobError, match="ended"),
-    ):
-        graph.run(threading.Event())
-    assert len([text for text in said if "not started again" in text]) == 1
+    assert not said.heard.is_set()
 
 
 def test_a_node_that_dies_is_restarted_and_the_end_is_good() -> None:
-    said = Said("started again")
+    said = Said()
     with supervisor(said, servo_driver=RUNS_ON, kinematics=DIES) as graph:
         graph.run(said.heard)
     assert "kinematics ended (SIGABRT), started again" in said[-1]
