@@ -59,8 +59,10 @@ def true(text):
 
 
 def end_on_bad_input(event, context):
-    """End the launch with a node whose input is wrong: a second start of it would not help."""
-    wrong = event.returncode == InputError.exit_code
+    """End the launch with a driver whose input is wrong; with another node the driver holds the
+    arm."""
+    driver = event.process_name.startswith("servo_driver")
+    wrong = driver and event.returncode == InputError.exit_code
     return [Shutdown(reason=event.process_name)] if wrong else None
 
 

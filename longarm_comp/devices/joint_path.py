@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.math.cubic_path import Array, CubicPath, monotone_slopes
+from longarm_comp.math.cubic_path import STRAIGHT, Array, CubicPath, monotone_slopes
 from longarm_comp.math.shaper import Shaper
 
 _WHERE = "joint trajectory"
+_MOST_POINTS = 1000
+"""Points of a trajectory at most: the driver does nothing else while it takes them, 25 us each."""
 
 
 def check_trajectory(
@@ -23,6 +24,9 @@ def check_trajectory(
 
     They are in the order of ``config``; joints not named stay at ``start`` (n,).
     """
+    if len(trajectory.points) > _MOST_POINTS:
+        found = f"{len(trajectory.points)} points"
+        raise InputError(_WHERE, "points", found, f"{_MOST_POINTS} at most, cubic in between")
     columns = _columns(trajectory.joint_names, tuple(config.joints))
     with_velocities = [p for p in trajectory.points if p.velocities]
     if with_velocities and len(with_velocities) != len(trajectory.points):
@@ -31,13 +35,12 @@ def check_trajectory(
     times = _times(trajectory)
     positions = np.tile(start, (len(times), 1))
     velocities = np.zeros_like(positions)
-    for k, point in enumerate(trajectory.points):
-        positions[k, columns] = _row(trajectory, k, "positions", point.positions)
-        if with_velocities:
-            velocities[k, columns] = _row(trajectory, k, "velocities", point.velocities)
-    for column, (name, joint) in zip(positions.T.tolist(), config.joints.items(), strict=True):
-        for k, value in enumerate(column):
-            joint.check_inside(value, _WHERE, f"points[{k}].positions of {name}")
+    positions[:, columns] = _rows(trajectory, "positions")
+    if with_velocities:
+        velocities[:, columns] = _rows(trajectory, "velocities")
+    for column, (name, joint) in zip(positions.T, config.joints.items(), strict=True):
+        for k in (int(column.argmin()), int(column.argmax())):
+            joint.check_inside(float(column[k]), _WHERE, f"points[{k}].positions of {name}")
     return times, positions, velocities if with_velocities else None
 
 
@@ -65,17 +68,17 @@ def _times(trajectory: JointTrajectory) -> Array:
     return times
 
 
-def _row(trajectory: JointTrajectory, k: int, field: str, values: tuple[float, ...]) -> Array:
-    names = trajectory.joint_names
-    if len(values) != len(names):
-        raise InputError(
-            _WHERE, f"points[{k}].{field}", f"{len(values)} values", f"{len(names)} values"
-        )
-    row = np.array(values, dtype=float)
-    for name, value in zip(names, row.tolist(), strict=True):
-        if not np.isfinite(value):
-            raise InputError(_WHERE, f"points[{k}].{field} of {name}", value, "a finite number")
-    return row
+def _rows(trajectory: JointTrajectory, field: str) -> Array:
+    names, rows = trajectory.joint_names, [getattr(point, field) for point in trajectory.points]
+    for k, values in enumerate(rows):
+        if len(values) != len(names):
+            found = f"{len(values)} values"
+            raise InputError(_WHERE, f"points[{k}].{field}", found, f"{len(names)} values")
+    table = np.array(rows, dtype=float)
+    for k, j in np.argwhere(~np.isfinite(table)).tolist():
+        where = f"points[{k}].{field} of {names[j]}"
+        raise InputError(_WHERE, where, float(table[k, j]), "a finite number")
+    return table
 
 
 @dataclass(frozen=True)
@@ -126,9 +129,9 @@ class TakenOver:
 
     @property
     def looked_at(self) -> Array:
-        """(N,) s, sorted: 16 times in the blend, and 16 from one way-point to the next."""
-        knots = [(0.0, self.blend_s), *pairwise(self.path.times.tolist())]
-        return np.sort([np.linspace(a, b, 16 + 1)[1:] for a, b in knots], axis=None)
+        """(N,) s, sorted, from 0 on: joints move straight from one to the next."""
+        blend = np.linspace(0.0, self.blend_s, 16 + 1)
+        return np.sort(np.concatenate((blend, self.path.chords(STRAIGHT))))
 
     def postures(self) -> Array:
         """(N, n) joints on the way."""

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+STRAIGHT = 1e-3
+"""Distance from a straight line at which joints still count as on it, rad or m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,14 @@ class CubicPath:
         ends = np.maximum(np.abs(b), np.abs(b + 2.0 * c)) / h
         return np.asarray(ends.max(axis=0, initial=0.0))
 
+    def chords(self, off: float) -> Array:
+        """List times, all way-points among them, between which no joint is farther than ``off``
+        from a straight line."""
+        (b, c), h = self._velocity_terms(), np.diff(self.times)
+        bend = h * np.maximum(np.abs(b), np.abs(b + 2.0 * c)).max(axis=1)
+        at = split(np.ceil(np.sqrt(np.maximum(bend / (8.0 * off), 1.0))).astype(int))
+        return np.interp(at, np.arange(len(self.times)), self.times)
+
     @property
     def jerk(self) -> Array:
         """(k - 1, n) of every segment, rad/s^3 or m/s^3."""
@@ -105,6 +115,14 @@ class CubicPath:
         chord = np.diff(self.joints, axis=0) / np.diff(self.times)[:, None]
         m, n = self.velocities[:-1], self.velocities[1:]
         return 6 * chord - 4 * m - 2 * n, 3 * (m + n) - 6 * chord
+
+
+def split(pieces: np.ndarray) -> Array:
+    """(sum + 1,) ends of equal pieces of intervals, so many of each: 1.5 is the middle of the
+    second interval."""
+    k = np.repeat(np.arange(len(pieces)), pieces)
+    begun = np.repeat(np.cumsum(pieces) - pieces, pieces)
+    return np.append(k + (np.arange(len(k)) - begun) / pieces[k], float(len(pieces)))
 
 
 def smooth_slopes(times: Array, joints: Array) -> Array:

@@ -45,11 +45,16 @@ _GENTLE_S, _FIRM_S = 6.0, 2.0
 
 @dataclass
 class Supervisor:
-    """A supervisor of processes, by name. Use it as a context manager."""
+    """A supervisor of processes, by name. Use it as a context manager.
+
+    The servo driver holds the arm up: it ends only when it is told to, or when it cannot go on
+    itself.
+    """
 
     commands: Mapping[str, Sequence[str]]  # program and arguments of each
     respawn: bool = True  # restart a process that ends, except after exit code 2 (bad input)
     say: Callable[[str], None] = lambda text: None  # called with a message on every start and end
+    gone: dict[str, str] = field(default_factory=dict)  # how processes ended that stay ended
     _children: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
     _begun: dict[str, float] = field(default_factory=dict)  # monotonic s
 
@@ -80,20 +85,35 @@ class Supervisor:
         self.say(f"{name} {why}, pid {self.pid(name)}")
 
     def look(self) -> None:
+        """Restart processes that ended, or say once that one cannot be restarted.
+
+        Raises:
+            JobError: the driver cannot be restarted, or no process is left.
+        """
         for name, child in self._children.items():
             code = child.poll()
-            if code is None:
+            if code is None or name in self.gone:
                 continue
+            how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
             if code == InputError.exit_code or not self.respawn:
-                raise JobError(f"{name} ended", exit_code=code)
-            if time.monotonic() - self._begun[name] >= 1.0:
-                how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+                self.gone[name] = how
+                if name == _DRIVER or len(self.gone) == len(self._children):
+                    raise JobError(f"{name} ended ({how})")
+                self.say(f"{name} ended ({how}) and is not started again; the other nodes go on")
+            elif time.monotonic() - self._begun[name] >= 1.0:
                 self._start(name, f"ended ({how}), started again")
 
     def run(self, stop: threading.Event) -> None:
-        """Restart processes until the event is set. Raises as `look`."""
+        """Restart processes until the event is set.
+
+        Raises:
+            JobError: as `look` does; at the end too, if a process was not restarted.
+        """
         while not stop.wait(0.2):
             self.look()
+        if self.gone:
+            ended = ", ".join(f"{name} ({how})" for name, how in self.gone.items())
+            raise JobError(f"ended before the others: {ended}")
 
     def stop(self) -> None:
         """End all processes by SIGINT, then SIGTERM, then SIGKILL; return when all are gone."""
@@ -110,7 +130,8 @@ class Supervisor:
             process.wait()
 
 
-REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
+_DRIVER = "servo_driver"
+REAL = ("error_predictor", "kinematics", _DRIVER, "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
 _EYES = ("stereo_bridge",)
 PATHS = "trajectory_compensator"

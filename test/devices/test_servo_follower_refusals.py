@@ -33,6 +33,10 @@ def _points(*rows: tuple[float, tuple[float, ...]], **kwargs: Any) -> JointTraje
         (_points((1.0, (math.nan, 0.01))), "points[0].positions of turn"),
         (_points((1.0, (0.1, math.inf))), "points[0].positions of slide"),
         (_points((1.0, (1.1, 0.01))), "-1 to 1 rad"),
+        (_points((1.0, (0.1, 0.01)), (2.0, (-1.1, 0.01))), "points[1].positions of turn"),
+        (_points((1.0, (0.1, 0.01)), (2.0, (1.1, 0.01))), "points[1].positions of turn"),
+        (_points((1.0, (0.1, 0.01)), (2.0, (0.1,))), "points[1].positions"),
+        (_points((1.0, (0.1, 0.01)), (2.0, (math.nan, 0.01))), "points[1].positions of turn"),
         (_points((1.0, (0.1, -0.01))), "0 to 0.1 m"),
         (_points((-1.0, (0.1, 0.01))), "points[0].time_from_start"),
         (_points((math.nan, (0.1, 0.01))), "points[0].time_from_start"),
@@ -55,6 +59,7 @@ def _points(*rows: tuple[float, tuple[float, ...]], **kwargs: Any) -> JointTraje
             ),
             "turn on the way",
         ),
+        (_points(*((0.01 * k, (0.1, 0.01)) for k in range(1, 1002))), "1000 at most"),
     ],
 )
 def test_a_bad_trajectory_is_refused_with_a_reason_and_changes_nothing(

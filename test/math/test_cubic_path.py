@@ -31,6 +31,24 @@ def test_derivatives_and_peaks_are_those_of_the_path() -> None:
     np.testing.assert_allclose(outside, path.joints[[0, -1]], atol=1e-12)
 
 
+def test_between_the_times_of_chords_joints_go_straight() -> None:
+    rng = np.random.default_rng(2)
+    times = np.cumsum(rng.uniform(0.1, 3.0, 8))
+    path = CubicPath(times, rng.normal(size=(8, 3)), rng.normal(size=(8, 3)))
+    dense = np.linspace(times[0], times[-1], 20_001)
+    for off in (1e-3, 0.1):
+        at = path.chords(off)
+        assert set(times) <= set(at) and (np.diff(at) > 0.0).all()
+        straight = np.stack([np.interp(dense, at, q) for q in path.at(at).T], axis=-1)
+        assert 0.5 * off < np.abs(straight - path.at(dense)).max() <= off
+    for begin, end in ((1.5, 0.0), (0.0, 1.5)):  # bent at one end
+        bent = CubicPath(np.arange(2.0), np.arange(2.0)[:, None], np.array([[begin], [end]]))
+        assert len(bent.chords(1e-3)) == 1 + np.ceil(np.sqrt(3.0 / 8e-3))
+    still = CubicPath(times, np.ones((8, 3)), np.zeros((8, 3)))
+    np.testing.assert_array_equal(still.chords(1e-3), times)
+    assert CubicPath(times[:1], path.joints[:1], path.velocities[:1]).chords(1e-3) == times[:1]
+
+
 def test_smooth_slopes_keep_the_jerk_of_what_was_sampled_on_any_grid() -> None:
     joints = np.sin(TIMES)[:, None]
     smooth, monotone = (f(TIMES, joints) for f in (smooth_slopes, monotone_slopes))

@@ -207,10 +207,13 @@ def test_a_launch_starts_every_node_with_what_it_takes(monkeypatch: pytest.Monke
         assert node == "stereo_bridge" or parameters[1]["arm"] == arm
 
 
-def test_bad_input_ends_a_launch_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_input_of_the_driver_ends_a_launch_and_nothing_else_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
-    for code, ends in ((2, True), (0, False), (1, False), (-9, False)):
-        event = types.SimpleNamespace(returncode=code, process_name="kinematics-3")
+    ended = [("servo_driver-3", code, code == 2) for code in (2, 0, 1, -9)]
+    for name, code, ends in (*ended, ("kinematics-4", 2, False)):
+        event = types.SimpleNamespace(returncode=code, process_name=name)
         done = module.end_on_bad_input(event, None)
         assert done == ([module.Shutdown.return_value] if ends else None)
 

@@ -242,24 +242,43 @@ class Box(Declared):
             raise Misdeclared("max_m", list(self.max_m), f"above min_m, {list(self.min_m)}")
         return self
 
+    @property
+    def thickness(self) -> float:
+        """Its shortest side, m."""
+        return min(high - low for low, high in zip(self.min_m, self.max_m, strict=True))
+
     def holds(self, points: np.ndarray) -> np.ndarray:
         """(...) bool: which of points (..., 3), m, are in the box."""
         inside = (points >= np.array(self.min_m)) & (points <= np.array(self.max_m))
         return np.asarray(inside.all(axis=-1))
 
-    def crosses_segments(self, points: np.ndarray) -> np.ndarray:
-        """(..., k - 1) bool: which segments of polylines (..., k, 3), m, are partly in the box."""
-        begin, way = points[..., :-1, :], np.diff(points, axis=-2)
+    def depth(self, points: np.ndarray) -> np.ndarray:
+        """(...) m: how far points (..., 3) in the box are from its nearest side."""
+        inside = np.minimum(points - np.array(self.min_m), np.array(self.max_m) - points)
+        return np.asarray(inside.min(axis=-1))
+
+    def clearance(self, points: np.ndarray) -> np.ndarray:
+        """(..., k - 1) m: how far segments of polylines (..., k, 3) are from the box, at least; 0
+        only for those that have a point in it.
+
+        It is the largest gap along the axes that separate a segment from a box: those of the box
+        together, and, for a segment longer than that, those across one of them and the segment.
+        """
+        begin, end = points[..., :-1, :], points[..., 1:, :]
         low, high = np.array(self.min_m), np.array(self.max_m)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            near, far = (low - begin) / way, (high - begin) / way
-        inside = (begin >= low) & (begin <= high)
-        still = way == 0.0  # along this axis: all of the segment is between the planes, or none
-        enter = np.where(still, np.where(inside, -np.inf, np.inf), np.minimum(near, far))
-        leave = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(near, far))
-        first = np.maximum(enter.max(axis=-1), 0.0)
-        last = np.minimum(leave.min(axis=-1), 1.0)
-        return np.asarray(first <= last)
+        beside = np.maximum(low - np.maximum(begin, end), np.minimum(begin, end) - high)
+        found = np.asarray(np.linalg.norm(np.maximum(beside, 0.0), axis=-1))
+        longer = found < np.linalg.norm(end - begin, axis=-1)
+        way, off = (end - begin)[longer], (begin - (low + high) / 2)[longer]
+        half, gaps = (high - low) / 2, [found[longer]]
+        for a, b in ((0, 1), (1, 2), (2, 0)):  # the plane in which the axis lies
+            along, across = way[:, a], way[:, b]
+            length = np.hypot(along, across)
+            gap = np.abs(off[:, a] * across - off[:, b] * along)
+            gap -= half[a] * np.abs(across) + half[b] * np.abs(along)
+            gaps.append(np.divide(gap, length, np.zeros_like(gap), where=length > 0.0))
+        found[longer] = np.max(gaps, axis=0)
+        return found
 
 
 def link_places(joints: Sequence[Any]) -> list[tuple[int, str, float]]:

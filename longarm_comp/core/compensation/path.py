@@ -22,7 +22,6 @@ from longarm_comp.core.compensation.compensate import judge, physics_of
 from longarm_comp.core.compensation.planned_path import (
     MotionLimits,
     PlannedPath,
-    between,
     fastest,
     retime,
     smooth,
@@ -49,9 +48,9 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.newton import REACHED
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import entered_at, reach
+from longarm_comp.core.model.link_frames import find_entry, reach
 from longarm_comp.core.model.model import Model
-from longarm_comp.math.cubic_path import CubicPath
+from longarm_comp.math.cubic_path import STRAIGHT, CubicPath
 
 ContextAt = Callable[[History], Context]
 """Circumstances at all way-points, given the histories (k, n) there, or one (n,) for all."""
@@ -267,10 +266,11 @@ class _Way:
         moved = self._measure_corrections(command)
         if self.model.arm.keep_out:
             declared = declared_model(self.model.arm)
-            places = np.split(between(timed), max(1, len(timed.times) - 1))
-            for row, times in enumerate(places, 1):
-                if entry := entered_at(declared, timed.at(times)):
-                    raise PathRefused(Status.KEPT_OUT, row, entry)
+            times = timed.chords(STRAIGHT)
+            k, entry = find_entry(declared, timed.at(times))
+            if entry:
+                row = int(np.searchsorted(timed.times, times[k]))
+                raise PathRefused(Status.KEPT_OUT, row, entry)
         came = self.history.along(command, command[0] if self.begun else self.start)
         # What is not known where the path begins, and what lies beyond the data
         first = int(self.begun)

@@ -106,12 +106,6 @@ class MotionLimits:
         return float(max(speed.max(), np.sqrt(force.max())))
 
 
-def between(path: CubicPath) -> np.ndarray:
-    """List times on the path: 16 in every segment, the first and last just inside its ends."""
-    share = np.linspace(1e-9, 1.0 - 1e-9, _LOOKED_AT)
-    return (path.times[:-1, None] + np.diff(path.times)[:, None] * share).ravel()
-
-
 def retime(path: CubicPath, limits: MotionLimits) -> CubicPath:
     """Slow the path down where a limit asks for it, at the same way-points and nowhere faster."""
     if limits.excess(path) <= 1.0 + _ROUNDING:

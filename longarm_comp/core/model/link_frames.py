@@ -13,17 +13,20 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
+from longarm_comp.math.cubic_path import split
 
 
 def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """Points (..., k, 3) m, base frame: every station from the foot to the tip, at q (..., n).
+    """Points (..., k, 3) m, base frame: every station from the foot to the tip, at q (n,) or
+    (N, n).
 
     Effects of circumstances that the context does not hold are left out.
     """
     context = context or Context()
     model = model.told_by(context)
     posture = model.posture(unstack(q), context)
-    points = [stack(frame.p) for frame in (*posture.frames, model.tip_frame(posture))]
+    chain = posture.frames[: min(model.chain.spots.values())]  # what carries markers is among it
+    points = [stack(frame.p) for frame in (*chain, model.tip_frame(posture))]
     shape = (*np.shape(q)[:-1], 3)
     return np.stack([np.broadcast_to(point, shape) for point in points], axis=-2)
 
@@ -89,36 +92,119 @@ def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
     ]
 
 
+_LOOK_M = 0.005
+"""How deep the arm can be in a box unseen, m, at most; half the box's thickness if that is less."""
+_AT_ONCE = 64
+"""Parts of a piece of the way that are looked at together: one posture takes about as long."""
+_TOGETHER = 4096
+"""Postures that are looked at together at most, for their memory."""
+_MOST_LOOKS = 100_000
+"""Postures that are looked at before a way is given up: some seconds."""
+_DRIVERS_LOOKS = 800
+"""The same of a driver, which does nothing else meanwhile: 45 ms among five boxes."""
+_TOO_LONG = (
+    "keep_out: so long a way so near a box takes too long to check; allowed: shorter parts of it, "
+    "or a thicker box"
+)
+
+
 def describe_entry(model: Model, path: np.ndarray) -> str:
     """Say which box a move enters, where, and at which joints; empty if it enters none.
 
     The arm is the line through its stations, from the foot to the tip: a box must be larger than
     the thing that it protects by the arm's radius. Between way-points joints move straight.
     """
-    # Postures looked at from one way-point to the next
-    shares = np.linspace(0.0, 1.0, 16 + 1)[1:, None]
-    for start, end in pairwise(path) if model.arm.keep_out else ():
-        if found := entered_at(model, start + shares * (end - start)):
-            return found
-    return ""
+    return find_entry(model, path)[1]
 
 
-def entered_at(model: Model, q: np.ndarray) -> str:
-    """Name the first keep-out box that the arm enters at postures (M, n), and the joints; "" if
-    none."""
-    for joints, found in zip(q.tolist(), boxes_entered(model, q), strict=True):
-        if found:
-            at = ", ".join(f"{number:.3g}" for number in joints)
-            return f"keep_out {found}, at joints {at}"
-    return ""
+def find_entry(model: Model, path: np.ndarray, most: int = _MOST_LOOKS) -> tuple[int, str]:
+    """Find where a move through joints (N, n) enters a box: before which row, and `describe_entry`.
+
+    It is cut into ever smaller pieces until no link can be in a box by `_LOOK_M` unseen: it moves
+    less in a piece than it may move from both ends of it together (adaptive collision checking,
+    Schwarzer, Saha and Latombe 2005).
+
+    Args:
+        most: postures after which it gives up and says so.
+    """
+    if not model.arm.keep_out or not len(path):
+        return 0, ""
+    model = model.commandable  # a servo's rounding is no motion on the way
+    far = most_motion(model)
+    turned = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
+    at = turned @ far.max(axis=0)
+    new = np.linspace(0.0, at[-1], _AT_ONCE + 1) if at[-1] > 0.0 else at[:1]
+    known, clear = np.zeros(0), np.zeros((0, len(far)))
+    while len(new):
+        if len(known) + len(new) > most:
+            return len(path) - 1, _TOO_LONG
+        q = _between(at, path, new)
+        entered, distances = _entries(model, q)
+        for k in (k for k, found in enumerate(entered) if found):
+            joints = ", ".join(f"{number:.3g}" for number in q[k])
+            return int(np.searchsorted(at, new[k])), f"keep_out {entered[k]}, at joints {joints}"
+        order = np.argsort(np.concatenate([known, new]))
+        known, clear = (np.concatenate(pair)[order] for pair in ((known, new), (clear, distances)))
+        moved = np.diff(_between(at, turned, known), axis=0) @ far.T
+        allowed = clear[1:] + clear[:-1]
+        # Pieces half as long as allowed: fewer rounds
+        pieces = np.where(moved > allowed, np.ceil(2.0 * moved / allowed), 1.0).max(axis=1)
+        places = split(np.minimum(pieces, _AT_ONCE).astype(int))
+        new = np.interp(places[places % 1 > 0], np.arange(len(known)), known)[:_TOGETHER]
+    return 0, ""
+
+
+def _between(at: np.ndarray, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(M, n) rows (N, n) at places (M,) between those that they are at (N,)."""
+    return np.stack([np.interp(places, at, column) for column in rows.T], axis=-1)
+
+
+def most_motion(model: Model) -> np.ndarray:
+    """(parts, n): how far a part of `outline` moves at most for a unit of every joint, m.
+
+    The last part is the tip by itself.
+    """
+    if "most_motion" not in model.memo:
+        model.memo["most_motion"] = (_turning(model) + _sagging(model))[1:]
+    found: np.ndarray = model.memo["most_motion"]
+    return found
+
+
+def _turning(model: Model) -> np.ndarray:
+    """(points of the line, n): `most_motion` about the axes and along the slides."""
+    arm, line = model.arm, _lines(model, model.arm.mid)
+    moved, span = np.abs(arm.mixing[0]), arm.upper - arm.lower
+    along = np.insert(np.linalg.norm(np.diff(line, axis=0), axis=1), 0, 0.0)
+    bearings = [row.bearing for row in model.chain.rows]
+    for joint, bearing, weights in zip(arm.joints, bearings, moved, strict=True):
+        along[bearing + 1] += 0.5 * weights @ span * (joint.type == "prismatic")
+    along, far = np.cumsum(along), np.zeros((len(along), arm.n))
+    for joint, bearing, weights in zip(arm.joints, bearings, moved, strict=True):
+        lever = along[bearing:] - along[bearing]
+        slid = np.ones_like(lever)
+        far[bearing:] += np.outer(slid if joint.type == "prismatic" else lever, weights)
+    return far
+
+
+def _sagging(model: Model) -> np.ndarray:
+    """(points of the line, n): what sag adds to `most_motion`, twice the most at some postures."""
+    arm, bare = model.arm, model.with_terms(())
+    here = np.random.default_rng(0).uniform(arm.lower, arm.upper, (32, arm.n))
+    most = []
+    for step in np.diag(1e-3 * (arm.upper - arm.lower)):
+        before, after = (_lines(model, q) - _lines(bare, q) for q in (here, here + step))
+        most.append(np.linalg.norm(after - before, axis=-1).max(axis=0) / step.max())
+    return np.maximum.accumulate(2.0 * np.array(most).T, axis=0)
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
-    """Return `entered_at` of joints (M, n) in the order of their names; None without boxes."""
+    """Return what says why the arm must not move through joints (N, n), in the order of their
+    names; None without boxes."""
     if not model.arm.keep_out:
         return None
     order = model.arm.order(names, where)
-    return lambda q: entered_at(model, q[:, order])
+    most_motion(model.commandable)  # kept with the model: the first check is as fast as the others
+    return lambda q: find_entry(model, q[:, order], _DRIVERS_LOOKS)[1]
 
 
 def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
@@ -127,13 +213,31 @@ def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
     A box that the arm's foot stands in, as a floor above the foot, is left once: what comes after
     must stay out, and so must the tip.
     """
-    lines = outline(model, q)
-    found = [""] * len(q)
+    return _entries(model, q)[0]
+
+
+def _lines(model: Model, q: np.ndarray) -> np.ndarray:
+    """Return the outlines, and the tip once more: a last part that is the tip alone."""
+    line = outline(model, q)
+    return np.concatenate([line, line[..., -1:, :]], axis=-2)
+
+
+def _entries(model: Model, q: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """Return `boxes_entered`, and (M, parts) m: how far parts can move until that changes by more
+    than may remain unseen.
+
+    A part that leaves the box of the foot does so while its beginning is in there.
+    """
+    lines = _lines(model, q)
+    found, clear = [""] * len(q), np.full(lines[:, 1:, 0].shape, np.inf)
     for name, box in model.arm.keep_out.items():
-        parts = box.crosses_segments(lines)
         below = np.logical_and.accumulate(box.holds(lines), axis=-1)
-        parts &= ~below[:, :-1] | below[:, -1:]
+        leaves = below[:, :-1] & ~below[:, -1:]
+        outside = box.clearance(lines)
+        free = np.where(leaves, box.depth(lines[:, :-1]), outside)
+        clear = np.minimum(clear, np.maximum(free, min(_LOOK_M, 0.5 * box.thickness)))
+        parts = (outside == 0.0) & ~leaves
         for k in np.flatnonzero(parts.any(axis=-1)):
             near = ", ".join(f"{number:.3g}" for number in lines[k, np.argmax(parts[k]) + 1])
             found[k] = found[k] or f"{name}: the arm would enter it near {near} m"
-    return found
+    return found, clear

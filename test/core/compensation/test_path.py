@@ -25,7 +25,6 @@ from longarm_comp.core.compensation.path import (
 from longarm_comp.core.compensation.planned_path import (
     MotionLimits,
     PlannedPath,
-    between,
     fastest,
     retime,
 )
@@ -271,6 +270,12 @@ def test_what_the_predictor_cannot_answer_for_is_not_corrected_in_part(
     found = follow(model, plan, Doubtful())
     assert "physics only" in found.notes[0] and "too far out" in found.notes[0]
     np.testing.assert_allclose(found.timed.joints, follow(model, plan).timed.joints, atol=1e-7)
+
+
+def between(path: CubicPath) -> np.ndarray:
+    """List times on the path: 16 in every segment, the first and last just inside its ends."""
+    share = np.linspace(1e-9, 1.0 - 1e-9, 16)
+    return (path.times[:-1, None] + np.diff(path.times)[:, None] * share).ravel()
 
 
 def test_limits_are_kept_nowhere_faster_than_the_plan(arm: Arm, model: Model) -> None:
