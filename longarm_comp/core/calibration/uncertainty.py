@@ -25,7 +25,11 @@ import numpy as np
 from longarm_comp.core.arm.context import CLOCK, ORDER, is_told
 from longarm_comp.core.calibration.left_out import LeftOut
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.noise import repeat_scatter, share_of_sensor
+from longarm_comp.core.calibration.noise import (
+    lag_correlation,
+    repeat_scatter,
+    share_of_sensor,
+)
 from longarm_comp.core.data.commanded import moved_by_measuring, moved_with_time
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model
@@ -54,6 +58,8 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         sensor = (1.0 - arm_share(fit)) * share_of_sensor(fit)[0]
         noise = sensor * np.diag((spread**2).mean(axis=0))
         alike, structure = left_out.explain(noise)
+    rho = lag_correlation(fit.residual / fit.sigma, fit.weights, fit.session.measured)
+    alike = max(alike, _rows_as_one(rho) / _rows_as_one(fit.rho))
     # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
     # or that of the session's start, where that of any row may be meant; and that of the end, where
     # the base moved, or seemed to
@@ -88,6 +94,11 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
     covariance = record.carry_to_tip(columns, [fit.slots[k].identity for k in arm_side])
     expected = sizes(covariance + record.structure)[0]
     return dataclasses.replace(record, largest_m=float(expected.max()))
+
+
+def _rows_as_one(rho: float) -> float:
+    """Return how many rows count as one, where noise goes together from row to row by `rho`."""
+    return (1.0 + rho) / (1.0 - rho)
 
 
 ROWS = 200

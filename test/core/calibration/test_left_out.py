@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hidden_arm import at, calibrated, session
+from hidden_arm import SIGMA, at, calibrated, session
+from scipy.signal import lfilter
 
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.left_out import LeftOut, about_the_mean
@@ -57,6 +58,24 @@ def test_a_short_session_promises_what_its_commands_miss_too(rows: int) -> None:
         judged = coverage.judge("", short, session(hidden, seed=100), commanded=True)
         inside.append((judged.error <= judged.radius).mean())
     assert np.mean(inside) > 0.9
+
+
+def slow(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Noise of a tracker that wanders: neighbours in time have nine tenths of it in common."""
+    return lfilter(
+        [np.sqrt(1.0 - 0.9**2)], [1.0, -0.9], SIGMA * rng.standard_normal((n, 3)), axis=0
+    )
+
+
+def test_a_tracker_that_wanders_promises_less() -> None:
+    """Its 120 rows tell as much as six; targets are judged by the true tip."""
+    inside = []
+    for seed in range(8):
+        wandering = calibrated(session([ZEROS], noise=slow, seed=seed))
+        exact = session([ZEROS], seed=100, noise=lambda _, n: np.zeros((n, 3)))
+        judged = coverage.judge("", wandering, exact, exact.xyz)
+        inside.append((judged.error <= judged.radius).mean())
+    assert np.mean(inside) > 0.85
 
 
 @pytest.mark.parametrize(("far", "one"), [(1.0, True), (30.0, False)])
