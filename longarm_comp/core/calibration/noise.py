@@ -253,3 +253,8 @@ def lag_correlation(white: np.ndarray, weights: np.ndarray, measured: np.ndarray
     size = int(measured[weights > 0].sum())
     rho = float((kept[1:] * kept[:-1]).sum() / (kept**2).sum())
     return rho if abs(rho) > 4 / np.sqrt(size) and abs(rho) > 0.1 else 0.0
+
+
+def rows_as_one(rho: float) -> float:
+    """Return how many rows count as one, where noise goes together from row to row by `rho`."""
+    return (1.0 + rho) / (1.0 - rho)

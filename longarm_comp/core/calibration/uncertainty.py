@@ -28,6 +28,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import (
     lag_correlation,
     repeat_scatter,
+    rows_as_one,
     share_of_sensor,
 )
 from longarm_comp.core.data.commanded import moved_by_measuring, moved_with_time
@@ -59,7 +60,7 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         noise = sensor * np.diag((spread**2).mean(axis=0))
         alike, structure = left_out.explain(noise)
     rho = lag_correlation(fit.residual / fit.sigma, fit.weights, fit.session.measured)
-    alike = max(alike, _rows_as_one(rho) / _rows_as_one(fit.rho))
+    alike = max(alike, rows_as_one(rho) / rows_as_one(fit.rho))
     # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
     # or that of the session's start, where that of any row may be meant; and that of the end, where
     # the base moved, or seemed to
@@ -94,11 +95,6 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
     covariance = record.carry_to_tip(columns, [fit.slots[k].identity for k in arm_side])
     expected = sizes(covariance + record.structure)[0]
     return dataclasses.replace(record, largest_m=float(expected.max()))
-
-
-def _rows_as_one(rho: float) -> float:
-    """Return how many rows count as one, where noise goes together from row to row by `rho`."""
-    return (1.0 + rho) / (1.0 - rho)
 
 
 ROWS = 200

@@ -21,7 +21,7 @@ from scipy.special import bdtrc, fdtrc, gammaincinv
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.calibration.linear import Marginal, inliers, solve, solve_products
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.noise import share_of_sensor
+from longarm_comp.core.calibration.noise import rows_as_one, share_of_sensor
 from longarm_comp.core.calibration.reading_steps import read_exactly
 from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.registration import median_spread
@@ -59,6 +59,10 @@ class Structure:
     share_explained: float
     at: str = ""
     sign: str = ""
+
+    def shown(self, p_value: float, by: str, size_m: float, sign: str) -> Structure:
+        """Return the structure as another test than the F test shows it, in what and by what."""
+        return Structure(True, p_value, (by,), size_m, self.share_explained, sign=sign)
 
 
 def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
@@ -252,20 +256,15 @@ def with_unseen(structure: Structure, held_out: Sequence[tuple[ModelFit, Session
     fit = held_out[0][0]
     if structure.flag or not len(ratio):
         return structure
-    count = max(round(len(ratio) * (1.0 - fit.rho) / (1.0 + fit.rho)), 1)  # rows that count
+    count = max(round(len(ratio) / rows_as_one(fit.rho)), 1)  # rows that count
     above = round(float((ratio > 1.0).mean()) * count)
     p = float(bdtrc(above - 1, count, 0.5))
     expected = np.sqrt(square.mean())
     excess = float(expected * np.sqrt(max(np.median(ratio) ** 2 - 1.0, 0.0)))
     if p > SIGNIFICANT or excess < max(OFF * expected, smallest(fit)):
         return structure
-    return dataclasses.replace(
-        structure,
-        flag=True,
-        p_value=min(p, structure.p_value),
-        inputs=("held-out poses",),
-        size_m=excess,
-        sign="shows in the held-out poses",
+    return structure.shown(
+        min(p, structure.p_value), "held-out poses", excess, "shows in the held-out poses"
     )
 
 
@@ -316,13 +315,8 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
     size = float(np.linalg.norm(left.mean(0) * metres(fit.model, fit.session)[held]))
     if p > SIGNIFICANT or size < smallest(fit):
         return structure
-    return dataclasses.replace(
-        structure,
-        flag=True,
-        p_value=p,
-        inputs=("rows left out",),
-        size_m=size,
-        sign=f"is shared by the {count} rows that no fit explains",
+    return structure.shown(
+        p, "rows left out", size, f"is shared by the {count} rows that no fit explains"
     )
 
 
@@ -337,13 +331,8 @@ def with_stated_noise(structure: Structure, fit: ModelFit) -> Structure:
     size = float(np.linalg.norm(fit.noise_m)) * math.sqrt(1.0 - share)
     if structure.flag or p > SIGNIFICANT or size < smallest(fit):
         return structure
-    return dataclasses.replace(
-        structure,
-        flag=True,
-        p_value=p,
-        inputs=("stated noise",),
-        size_m=size,
-        sign="is scatter far beyond the noise that the rows state",
+    return structure.shown(
+        p, "stated noise", size, "is scatter far beyond the noise that the rows state"
     )
 
 
