@@ -9,7 +9,6 @@ results are reported, and used for nothing.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
