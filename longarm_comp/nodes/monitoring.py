@@ -152,8 +152,9 @@ class TipMonitor:
 
     def on_motion(self, motion: Motion) -> None:
         if motion.event == Motion.REACHED:
+            stamp = stamp_ns(motion.header.stamp)
             with self._feeding:
-                self._watch.on_arrival()
+                self._watch.on_arrival(1e-9 * stamp if stamp else self._state.now_s)
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
         """Take in a joint reading (n,) of a time (ROS clock, s)."""

@@ -5,6 +5,7 @@ Sightings of one pose share the pose's model error, so only their mean is an ind
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -44,7 +45,7 @@ class RestWatch:
     sightings: int = 3
     _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
-    _told: bool = False
+    _arrived_s: float = math.inf
     _seen: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -53,18 +54,21 @@ class RestWatch:
 
     def on_command(self, q: np.ndarray, history: History) -> None:
         """Take a command q (n,) and the history of the joints on arrival."""
-        self._goal, self._there_since, self._told = (q, history), None, False
+        self._goal, self._there_since, self._arrived_s = (q, history), None, math.inf
         self._seen.clear()
 
-    def on_arrival(self) -> None:
-        """The driver says that the joints rest where they were sent, however far they give way."""
-        self._told = True
+    def on_arrival(self, at_s: float) -> None:
+        """Take the driver's word that from a time (s) on the joints rest where they were sent.
+
+        They may give way.  Readings from before that time may still come.
+        """
+        self._arrived_s = at_s
 
     def joints(self, q: np.ndarray, at_s: float) -> None:
         """Take a joint reading q (n,) of a time (s, of the clock of the sightings)."""
         if self._goal is None:
             return
-        if not self._told and np.abs(q - self._goal[0]).max() > JOINT_REST:
+        if at_s < self._arrived_s and np.abs(q - self._goal[0]).max() > JOINT_REST:
             self._there_since = None
             self._seen.clear()
         elif self._there_since is None or at_s < self._there_since:  # a clock that jumped back

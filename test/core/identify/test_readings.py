@@ -358,10 +358,22 @@ def test_servos_that_give_way_rest_where_the_driver_says_so() -> None:
     for told in (False, True):
         watch.on_command(goal, History.unknown(2))
         if told:
-            watch.on_arrival()
+            watch.on_arrival(1.0)
         watch.joints(hangs, 1.0)
         rest = watch.on_sighting(tip, np.zeros(3), 2.0)
         assert (rest is not None) == told
     watch.on_command(goal, History.unknown(2))
     watch.joints(hangs, 3.0)
     assert watch.on_sighting(tip, np.zeros(3), 4.0) is None
+
+
+def test_a_reading_of_the_way_that_comes_after_the_arrival_is_no_rest() -> None:
+    """Messages of different topics overtake each other on a busy machine."""
+    watch = RestWatch(settle_s=0.5, sightings=1)
+    goal, tip = np.zeros(2), np.array([0.4, 0.1, 0.3])
+    watch.on_command(goal, History.unknown(2))
+    watch.on_arrival(3.0)
+    for q, at_s in ((goal + 0.2, 2.0), (goal, 3.0)):
+        watch.joints(q, at_s)
+    assert watch.on_sighting(tip, np.zeros(3), 2.9) is None
+    assert watch.on_sighting(tip, np.zeros(3), 3.5) is not None
