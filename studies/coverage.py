@@ -30,6 +30,7 @@ from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import slots_of
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session
 from studies.commands import Figures, Show, arm_option, study_command, whole_number
@@ -94,8 +95,9 @@ def judge(
     if clean is not None:
         known = replace(known, noise=np.zeros((3, 3)))
         off = off + clean[rows.located] - seen.xyz
-    columns = equations(model, seen, posture(model, seen)).columns[:, :3]
-    carried = known.carry_to_tip(columns, [slot.identity for slot in fitted.slots])
+    slots = (*model.slots, *slots_of(model.arm, known.absent))
+    columns = equations(model, seen, posture(model, seen), slots).columns[:, :3]
+    carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
     return _judge(name, off, carried, known)
 
 
@@ -103,7 +105,8 @@ def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     """Hold touches against a fit that has not seen their places: tips against their mean."""
     known, touched = uncertainty(fitted), rows.labels["touch"]
     model = fitted.model
-    slots = [slot for slot in model.slots if isinstance(slot.owner, Effect)]
+    slots = [s for s in model.slots if isinstance(s.owner, Effect)]
+    slots += slots_of(model.arm, known.absent)
     names = [slot.identity for slot in slots]
     tip, columns = model.columns(posture(model, rows), slots)
     off, alone = about_the_mean(tip, touched)

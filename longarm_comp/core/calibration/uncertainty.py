@@ -13,18 +13,24 @@ model lacks looks as if the parameters changed with the joints.  The residual is
 such a Gaussian process; their shares are weighed by the evidence of the rows, with the part that
 the fit explains projected out (restricted likelihood; Patterson and Thompson 1971, Biometrika 58),
 and by repeats, however few.  Of the white part no more is the sensor's than it may have stated.
+
+Every long arm yields, and a fit whose rows do not show it has put it into the geometry.  So the
+covariance is that of the fitted parameters together with the compliances that were not fitted.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from longarm_comp.core.arm.context import CLOCK, ORDER, is_told
+from longarm_comp.core.calibration import linear
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.left_out import LeftOut
-from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.noise import (
     lag_correlation,
     repeat_scatter,
@@ -32,9 +38,10 @@ from longarm_comp.core.calibration.noise import (
     share_of_sensor,
 )
 from longarm_comp.core.data.commanded import moved_by_measuring, moved_with_time
+from longarm_comp.core.effects.catalogue import possible_compliances
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of, sizes
+from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.uncertainty import YIELDS, ModelUncertainty, factor_of, sizes
 
 FRAME = 2.0
 """Standard deviations of what the measuring side did, that a frame may be off by: the ends of a
@@ -77,24 +84,64 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         values = np.asarray(column, dtype=float)[kept]
         if is_told(name) and name not in (CLOCK, ORDER) and np.isfinite(values).any():
             circumstances[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
+    absent = possible_compliances(fit.model.arm, {term.key for term in fit.model.terms})
+    slots = (*fit.slots, *slots_of(fit.model.arm, absent))
     record = ModelUncertainty(
-        tuple(slot.identity for slot in fit.slots),
-        math.sqrt(alike) * factor_of(fit.covariance),
+        tuple(slot.identity for slot in slots),
+        factor_of(_covariance_with_compliances(fit, absent, alike)),
         structure,
         noise,
         largest_m=0.0,
         rows=int(kept.sum()),
         frame=frame,
         circumstances=circumstances,
+        absent=absent,
     )
     pointed = fit.pointed & kept
     if not pointed.any():
         return record
-    arm_side = [k for k, slot in enumerate(fit.slots) if isinstance(slot.owner, Effect)]
-    columns = fit.columns[pointed][:, :3, arm_side]
-    covariance = record.carry_to_tip(columns, [fit.slots[k].identity for k in arm_side])
+    arm_side = [k for k, slot in enumerate(slots) if isinstance(slot.owner, Effect)]
+    columns = _columns(fit, absent)[pointed][:, :3, arm_side]
+    covariance = record.carry_to_tip(columns, [slots[k].identity for k in arm_side])
     expected = sizes(covariance + record.structure)[0]
     return dataclasses.replace(record, largest_m=float(expected.max()))
+
+
+def _columns(fit: ModelFit, absent: Sequence[Effect]) -> np.ndarray:
+    """Return (N, d, p + k) the columns of a fit, then those of effects that it does not hold."""
+    further = FitColumns(fit).of(absent) / priors(slots_of(fit.model.arm, absent))
+    return np.concatenate([fit.columns, further], axis=-1)
+
+
+def _covariance_with_compliances(
+    fit: ModelFit, absent: Sequence[Effect], alike: float
+) -> np.ndarray:
+    """Return (p + k, p + k), how far the fitted parameters and k absent ones may be off together.
+
+    Beforehand every compliance may be as large as `YIELDS` says, also one that the fit held to a
+    little.  Where the rows ask for other values than the model's, the square of the difference is
+    in it.
+
+    Args:
+        absent: elastic effects that the fit does not hold.
+        alike: how many rows count as one; what is known of a fitted parameter counts as little.
+    """
+    arm, count = fit.model.arm, len(fit.slots)
+    slots = (*fit.slots, *slots_of(arm, absent))
+    usual = priors(slots_of(arm, [*fit.model.terms, *absent]))
+    elastic = np.array([s.owner.elastic for s in slots])
+    held = np.where(np.arange(len(slots)) < count, priors(slots), 0.0)
+    wider = elastic & (held < YIELDS * usual)
+    width = np.where(wider, YIELDS * usual, math.sqrt(alike) * held)
+    values = np.concatenate([fit.model.values, np.zeros(len(slots) - count)])
+    white = fit.whiten_columns(_columns(fit, absent) * width)
+    asked = white.T @ fit.whiten_columns(fit.residual[..., None])[:, 0] / alike - values / width
+    limits = [
+        (np.array([getattr(s.parameter, end) for s in slots]) - values) / width
+        for end in ("lower", "upper")
+    ]
+    found = linear.solve_products(white.T @ white / alike, np.where(wider, asked, 0.0), *limits)
+    return (found.covariance + np.outer(found.u, found.u)) * np.outer(width, width)
 
 
 ROWS = 200

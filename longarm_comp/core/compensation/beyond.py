@@ -17,12 +17,11 @@ from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
+from longarm_comp.core.model.uncertainty import YIELDS
 
 KNOWN_TO = 0.2
 """Share by which the physics of a change may be wrong: declared masses, and what yields under them,
 are right to a fifth."""
-YIELDS = 0.5
-"""How much every part of an arm may yield, in what a soft part does, where no row was asked."""
 _ROUNDING = 1e-6
 
 
@@ -121,6 +120,8 @@ def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.n
     effect, all elastic ones are added: a calibration puts the sag of its rows into its geometry.
     """
     held = {effect.key for effect in model.effects}
+    if model.uncertainty is not None:  # it knows them
+        held |= {effect.key for effect in model.uncertainty.absent}
     stiff = not any(effect.elastic for effect in model.effects)
     wanted = [
         t

@@ -89,9 +89,9 @@ def expected_miss(
         moved = model.columns(at, slots)[1].reshape(-1, 3, len(slots)) * widths
         covariance = moved @ np.swapaxes(moved, -1, -2)
         return ExpectedMiss(mean, covariance.reshape(*mean.shape, 3))
-    fitted = [s for s in model.slots if isinstance(s.owner, Effect) and s.identity in known.row]
-    columns = model.columns(at, fitted)[1].reshape(-1, 3, len(fitted))
-    carried = known.carry_to_tip(columns, [slot.identity for slot in fitted])
+    slots = model.uncertain_slots
+    columns = model.columns(at, slots)[1].reshape(-1, 3, len(slots))
+    carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
     carried = carried.reshape(*mean.shape, 3)
     if learned is None:
         return ExpectedMiss(mean, carried + known.structure + known.frame)

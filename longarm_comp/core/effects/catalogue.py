@@ -11,6 +11,7 @@ import dataclasses
 import inspect
 import re
 import sys
+from collections.abc import Container
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
@@ -108,6 +109,13 @@ def registered() -> dict[str, Kind]:
 def searched_effects() -> tuple[Kind, ...]:
     """Return the effects that a diagnosis tries."""
     return tuple(k for k in registered().values() if k.searched and not k.geometry)
+
+
+def possible_compliances(arm: Arm, held: Container[tuple[str, str]]) -> tuple[Effect, ...]:
+    """List every elastic effect of this package that an arm may have, but those of some keys."""
+    kinds = (k for k in searched_effects() if issubclass(k, Effect) and k.elastic and not origin(k))
+    every = (term for kind in kinds for term in kind.for_arm(arm))
+    return tuple(t for t in every if t.key not in held)
 
 
 def through_others(arm: Arm) -> list[Effect]:

@@ -84,6 +84,9 @@ class _StoredUncertainty(Declared):
     circumstances: dict[str, tuple[float, float]] = Field(
         default_factory=dict, description="lowest and highest of the session, by column"
     )
+    absent: list[_StoredTerm] = Field(
+        default_factory=list, description="effects that are not held; parameters after the others"
+    )
 
 
 class StoredModel(Declared):
@@ -181,7 +184,7 @@ def _store_uncertainty(model: Model) -> _StoredUncertainty | None:
         return None
     kept = [t for t in model.terms if not t.passing]
     in_file = sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
-    order = [slot.identity for slot in slots_of(model.arm, in_file)]
+    order = [slot.identity for slot in slots_of(model.arm, [*in_file, *known.absent])]
     factor = np.zeros((len(order), known.factor.shape[1]))
     for k, identity in enumerate(order):
         if identity in known.row:
@@ -194,6 +197,7 @@ def _store_uncertainty(model: Model) -> _StoredUncertainty | None:
         rows=known.rows,
         frame_m2=known.frame.tolist(),
         circumstances=dict(known.circumstances),
+        absent=[_StoredTerm(effect=t.name, where=t.where, form=t.placement) for t in known.absent],
     )
 
 
@@ -253,29 +257,11 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
     held: set[tuple[str, ...]] = set()
     for entry in (*stored.geometry, *stored.effects, *stored.camera):
         known_from = str(stored.provenance.get(f"{entry.effect}_from", ""))
-        kind = effect_class(entry.effect, where, known_from)
-        known = {f.name for f in dataclasses.fields(kind)}
-        for name in (*entry.form, *entry.parameters):
-            if name not in known:
-                allowed = ", ".join(sorted(known))
-                raise InputError(where, f"{entry.effect}.{name}", "unknown", allowed)
-        values = {name: stored_value.value for name, stored_value in entry.parameters.items()}
-        try:
-            term = kind(**entry.form, **values)
-        except TypeError as error:
-            raise InputError(where, entry.effect, entry.form, str(error)) from error
-        _check_placement(term, arm, where)
-        term.check(arm, where)
+        term = _restore_term(entry, arm, where, known_from)
         same = (term.name, *map(str, term.placement.items()))
         if same in held:
             raise InputError(where, f"{term.name}, {term.where}", "twice", "each effect once")
         held.add(same)
-        for p in term.parameters(arm):
-            field, value = f"{entry.effect}.{p.name}", getattr(term, p.name)
-            if p.name in values and entry.parameters[p.name].unit != p.unit:
-                raise InputError(where, field, entry.parameters[p.name].unit, p.unit)
-            if not p.lower <= value <= p.upper:
-                raise InputError(where, field, value, f"{p.lower}..{p.upper}")
         terms.append(term)
     if stored.arrivals and len(stored.arrivals) != arm.n:
         allowed = f"two numbers for each of {arm.n} joints, or none"
@@ -297,10 +283,38 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
     return dataclasses.replace(model, uncertainty=_restore_uncertainty(stored, model, where))
 
 
+def _restore_term(entry: _StoredTerm, arm: Arm, where: str, known_from: str = "") -> Effect | Bias:
+    """Return the effect or bias of an entry, whose place and values the arm must allow."""
+    kind = effect_class(entry.effect, where, known_from)
+    known = {f.name for f in dataclasses.fields(kind)}
+    for name in (*entry.form, *entry.parameters):
+        if name not in known:
+            allowed = ", ".join(sorted(known))
+            raise InputError(where, f"{entry.effect}.{name}", "unknown", allowed)
+    values = {name: stored.value for name, stored in entry.parameters.items()}
+    try:
+        term = kind(**entry.form, **values)
+    except TypeError as error:
+        raise InputError(where, entry.effect, entry.form, str(error)) from error
+    _check_placement(term, arm, where)
+    term.check(arm, where)
+    for p in term.parameters(arm):
+        field, value = f"{entry.effect}.{p.name}", getattr(term, p.name)
+        if p.name in values and entry.parameters[p.name].unit != p.unit:
+            raise InputError(where, field, entry.parameters[p.name].unit, p.unit)
+        if not p.lower <= value <= p.upper:
+            raise InputError(where, field, value, f"{p.lower}..{p.upper}")
+    return term
+
+
 def _restore_uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:
-    given, slots = stored.uncertainty, model.slots
+    given = stored.uncertainty
     if given is None:
         return None
+    absent = [_restore_term(entry, model.arm, where) for entry in given.absent]
+    if biases := [t.name for t in absent if isinstance(t, Bias)]:
+        raise InputError(where, "uncertainty.absent", biases, "effects of the arm")
+    slots = (*model.slots, *slots_of(model.arm, absent))
     if len(given.factor) != len(slots):
         allowed = f"{len(slots)}, one a parameter"
         raise InputError(where, "uncertainty.factor", f"{len(given.factor)} lines", allowed)
@@ -327,6 +341,7 @@ def _restore_uncertainty(stored: StoredModel, model: Model, where: str) -> Model
         given.rows,
         squares["frame_m2"],
         given.circumstances,
+        tuple(t for t in absent if isinstance(t, Effect)),
     )
 
 

@@ -19,8 +19,12 @@ from statistics import NormalDist
 
 import numpy as np
 
+from longarm_comp.core.effects.effect import Effect
+
 LEVEL = 0.9
 """Probability of the radius that a command states."""
+YIELDS = 0.5
+"""How much every part of an arm may yield, in what a soft part does, before any row is asked."""
 _NORMAL = NormalDist().inv_cdf(LEVEL)
 _log_gamma = np.vectorize(math.lgamma, otypes=[float])  # SciPy loads for half a second
 _Identity = tuple[object, ...]
@@ -31,7 +35,7 @@ class ModelUncertainty:
     """The record of what is not known of a fitted model.
 
     Attributes:
-        slots: identities of the fitted parameters (`Slot.identity`).
+        slots: identities of the fitted parameters (`Slot.identity`), then those of `absent`.
         factor: (p, r), the parameters' covariance is ``factor @ factor.T``.
         structure: (3, 3) m^2, what the arm does besides and no parameter explains.
         noise: (3, 3) m^2, of the measurement: in every measured row, and no error of the tip.
@@ -39,6 +43,7 @@ class ModelUncertainty:
         rows: number of fitted rows.
         frame: (3, 3) m^2, of where the frame of targets lies: what measures moved meanwhile.
         circumstances: lowest and highest payload, temperature and tilt of these, by column.
+        absent: effects that the arm may have and the model does not hold.
     """
 
     slots: tuple[_Identity, ...]
@@ -49,6 +54,7 @@ class ModelUncertainty:
     rows: int
     frame: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     circumstances: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    absent: tuple[Effect, ...] = ()
 
     @cached_property
     def row(self) -> dict[_Identity, int]:

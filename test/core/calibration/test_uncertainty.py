@@ -12,6 +12,7 @@ from hidden_arm import SIGMA, at, calibrated, session, tip
 from read_arm import ARM as HEAVY
 from small_arm import ARM
 
+import longarm_comp.core.calibration.uncertainty as uncertainties
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
@@ -108,10 +109,47 @@ def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
 def test_rows_that_count_as_one_leave_the_parameters_less_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    fitted = calibrated(session([ZEROS], n=60))
-    monkeypatch.setattr(LeftOut, "explain", lambda self, noise: (9.0, np.zeros((3, 3))))
-    factor = uncertainty(fitted).factor
-    np.testing.assert_allclose(factor @ factor.T, 9.0 * fitted.covariance, rtol=1e-6, atol=1e-18)
+    monkeypatch.setattr(uncertainties, "possible_compliances", lambda arm, held: ())
+    fitted, spread = calibrated(session([ZEROS], n=60)), []
+    for alike in (1.0, 9.0):
+        monkeypatch.setattr(LeftOut, "explain", lambda self, noise, n=alike: (n, np.zeros((3, 3))))
+        factor = uncertainty(fitted).factor
+        spread.append(np.linalg.norm(fitted.columns[:, :3] @ factor, axis=(1, 2)))
+    assert np.median(spread[1] / spread[0]) == pytest.approx(3.0, rel=0.1)
+
+
+LUFFS = (1, 2)  # 0-based joints of the heavy arm that its weight turns
+WEAK = tuple(4e-4 if j in LUFFS else 0.0 for j in range(HEAVY.n))
+
+
+@pytest.mark.parametrize("weak", [WEAK, (0.0,) * HEAVY.n], ids=["soft", "rigid"])
+def test_joints_that_went_together_do_not_tell_what_yields(
+    weak: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All rows on one line of the joint space: elsewhere the geometry may be sag."""
+    rng, span = np.random.default_rng(3), HEAVY.upper - HEAVY.lower
+    true = TrueArm(HEAVY, (JointCompliance(np.array(weak)),))
+    line = HEAVY.lower + (0.05 + 0.9 * rng.random((100, 1))) * span
+    wide = HEAVY.lower + rng.random((100, HEAVY.n)) * span
+    commands = HEAVY.lower + rng.random((100, HEAVY.n)) * span
+    times = []
+    for q in (line, wide):
+        seen = true.tip(q) + SIGMA * rng.standard_normal((100, 3))
+        *_, (_, fitted) = stages(declared_model(HEAVY), Session.record(q, seen + FAR))
+        tips = fitted.model.tip(commands, Context())
+        with monkeypatch.context() as patch:
+            patch.setattr(uncertainties, "possible_compliances", lambda arm, held: ())
+            fewer = with_uncertainty(fitted)
+        promised, without = (
+            expected_miss(model, commands, Context(), tips).sizes[1]
+            for model in (with_uncertainty(fitted), fewer)
+        )
+        off = fitted.model.measured(commands, Context()) - FAR - true.tip(commands)
+        assert (np.linalg.norm(off, axis=1) <= promised).mean() > 0.85
+        times.append(np.median(promised) / np.median(without))
+        assert fewer.uncertainty is not None
+        assert all(t.elastic for t in uncertainty(fitted).absent) and not fewer.uncertainty.absent
+    assert times[0] > 1.5 and times[1] < 1.3
 
 
 def test_noise_is_told_from_what_the_arm_does() -> None:
@@ -207,6 +245,7 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
         (lambda u: u["factor"].__setitem__(0, "AADAfw=="), "line 1"),  # NaN
         (lambda u: u["structure_m2"][0].__setitem__(0, -1.0), "structure_m2"),
         (lambda u: u.__setitem__("stretch", 1.0), "stretch"),  # of a version before
+        (lambda u: u["absent"].append({"effect": "camera_scale", "where": ""}), "of the arm"),
     ],
 )
 def test_a_damaged_record_is_refused(tmp_path: Path, change, said: str) -> None:
