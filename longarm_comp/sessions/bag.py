@@ -157,6 +157,7 @@ class Rows:
             xyz=readings.pop("position"),
             approach=np.array([row.history.approach for row in rows]),
             legs=np.array([row.history.legs for row in rows]),
+            last_way=np.array([row.history.last_way for row in rows]),
             told=np.array([row.sides for row in rows]),
             repeat_id=np.array([row.given.repeat_id for row in rows]),
             sigma=sigma,

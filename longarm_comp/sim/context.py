@@ -27,6 +27,9 @@ class TrueContext:
     wound: Array | None = None
     """How far each joint's gear train is wound up, (N, n) or (n,), -1 to +1: fully by motion
     downwards or upwards."""
+    way: Array | None = None
+    """How far each joint has come since it last stood or turned, (N, n) or (n,), rad or m: upwards
+    positive."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,7 @@ class State:
     t_s: Array
     behind: Array
     wound: Array
+    way: Array
 
     @classmethod
     def of(cls, arm: Arm, q: Array, context: TrueContext | None) -> State:
@@ -52,7 +56,7 @@ class State:
         }
         filled = {}
         for name, value in vars(context or TrueContext()).items():
-            shape = q.shape if name in ("approach", "behind", "wound") else q.shape[:1]
+            shape = q.shape if name in ("approach", "behind", "wound", "way") else q.shape[:1]
             filled[name] = _array(name, usual.get(name, 0.0) if value is None else value, shape)
         return cls(arm, q, **filled)
 

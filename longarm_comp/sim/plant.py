@@ -154,10 +154,12 @@ class Plant:
         """(4, 4) true tip in the base frame. It is published only for evaluation."""
         q, side = self.joints(), self._upwards(lambda motor: motor.approach)
         wound = self._upwards(lambda motor: motor.wound)
-        known = np.concatenate([q, side, wound, [self.temperature_c(t_s)]])
+        ticks = self.emulator.each(lambda motor: motor.way)
+        way = np.array([j.travel * ticks[j.servo_id] for j in self._servos])
+        known = np.concatenate([q, side, wound, way, [self.temperature_c(t_s)]])
         if self._last is None or np.abs(known - self._last[0]).max() > _SAME:
             context = TrueContext(
-                side, self.temperature_c(t_s), self.config.payload_kg, t_s, wound=wound
+                side, self.temperature_c(t_s), self.config.payload_kg, t_s, wound=wound, way=way
             )
             found = self._true.settled(q, context)
             self._last = known, found.pose[0]

@@ -30,6 +30,7 @@ from longarm_comp.core.effects.drive_errors import (
     JointGain,
     PrismaticPitch,
     ServoQuantisation,
+    UnfinishedMove,
 )
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
@@ -116,6 +117,7 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     ),
     "backlash": (lambda e: _each(TURNING, Backlash, width=2 * e.half, gate=e.gate / TORQUE), 0.3),
     "friction_hysteresis": (lambda e: _each(TURNING, FrictionHysteresis, width=2 * e.lag), 0.01),
+    "servo_lag": (lambda e: _each(ALL, UnfinishedMove, share=e.left), 0.06),
     "joint_compliance": (
         lambda e: _each(TURNING, JointCompliance, compliance=e.compliance),
         0.01,
@@ -164,7 +166,9 @@ def test_truth_and_model_agree_on(arm: Arm, name: str) -> None:
     columns = {"temperature_c": state.temperature_c, "t_s": state.t_s}
     for one in mix.arm_side:
         columns |= one.readings(state)
-    recorded = ModelContext(approach=tuple(state.approach.T), columns=columns)
+    recorded = ModelContext(
+        approach=tuple(state.approach.T), columns=columns, last_way=tuple(state.way.T)
+    )
     made = terms(effect)
     if mix.camera_side:
         model = Model(arm, (LinkDeflection(),), tuple(made))

@@ -40,6 +40,7 @@ LIBRARY = (
     ),
     *(
         "friction_memory",
+        "servo_lag",
         "base_settling",
         "thermal_growth",
         "thermal_softening",
@@ -162,6 +163,13 @@ def test_friction_stops_short_of_the_command() -> None:
     assert angle(lever(), effect, approach=np.array([1.0])) == pytest.approx(-0.01)
     assert angle(lever(), effect, approach=np.array([-1.0])) == pytest.approx(0.01)
     assert angle(lever(), effect) == pytest.approx(0.0)
+
+
+def test_a_servo_that_lags_has_a_share_of_its_way_to_go() -> None:
+    effect = drives.ServoLag(np.array([0.01]))
+    assert angle(lever(), effect, 0.3, way=np.array([0.5])) == pytest.approx(0.295)
+    assert angle(lever(), effect, 0.3, way=np.array([-0.2])) == pytest.approx(0.302)
+    assert angle(lever(), effect, 0.3) == pytest.approx(0.3)
 
 
 def test_a_servo_sags_and_rests_at_the_edge_of_its_deadband() -> None:

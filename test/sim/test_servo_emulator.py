@@ -232,6 +232,17 @@ def test_motor_rests_on_the_side_it_came_from_and_droops_under_load() -> None:
         assert motor.approach == -side
 
 
+def test_motor_knows_its_way_since_it_stood_or_turned() -> None:
+    motor = Motor(MotorSpec(lag_s=0.05), 100.0)
+    motor.torque_on = True
+    # A goal, the steps that it is given, and the way then
+    for goal, steps, way in ((400, 500, 300), (500, 500, 100), (500, 50, 100), (300, 500, -200)):
+        motor.goal = float(goal)
+        for _ in range(steps):
+            motor.advance(0.01)
+        assert motor.way == pytest.approx(way, abs=3.0)
+
+
 def test_motor_jammed_overloads_and_lets_go() -> None:
     motor = Motor(MotorSpec(overload_s=1.0), 0.0)
     motor.torque_on, motor.goal, motor.blocked = True, 1000.0, True

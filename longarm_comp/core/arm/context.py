@@ -38,7 +38,7 @@ def is_told(name: str) -> bool:
 
 LEGS = 7
 """Places for the legs of a joint's way; the last stays free for what may have been before."""
-WIDTH: Mapping[str, int] = {"approach": 1, "legs": LEGS}
+WIDTH: Mapping[str, int] = {"approach": 1, "legs": LEGS, "last_way": 1}
 """How many scalars a commanded joint the fields of its history in a `Context` hold."""
 PER_JOINT = tuple(WIDTH)
 
@@ -55,12 +55,15 @@ class Context:
         labels: text columns such as `group` and `marker`, one string or (N,) array of them.
         legs: per joint its last signed ways from turn to turn (rad, m), the latest first, as
             `history.onward` keeps them, n times `LEGS` scalars; 0 or empty where unknown.
+        last_way: per joint the signed way (rad, m) since it last stood or turned, n scalars; 0
+            where it did not move, or nobody knows.
     """
 
     approach: tuple[Scalar, ...] = ()
     columns: Mapping[str, Scalar] = field(default_factory=dict)
     labels: Mapping[str, object] = field(default_factory=dict)
     legs: tuple[Scalar, ...] = ()
+    last_way: tuple[Scalar, ...] = ()
 
     def has(self, name: str) -> bool:
         """Tell whether an input was recorded: a per-joint field or a column."""
@@ -139,7 +142,8 @@ class Context:
             return every
 
         fields: dict[str, Iterable[Any]] = {}
-        every = [*self.approach, *self.legs, *self.columns.values(), *self.labels.values()]
+        history = [value for name in PER_JOINT for value in getattr(self, name)]
+        every = [*history, *self.columns.values(), *self.labels.values()]
         if not any(map(_of_each, every)):
             return [self] * count
         for f in dataclasses.fields(self):

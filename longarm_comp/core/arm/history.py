@@ -2,7 +2,8 @@
 
 A joint's way is kept as its *legs*, from turn to turn, as far as friction and play of any size can
 remember them: a leg as long as the one before swallows the loop that it closes (the wiping-out
-rule of the Preisach model), so what is left alternates in sign and grows towards the past.
+rule of the Preisach model), so what is left alternates in sign and grows towards the past.  A leg
+may be several moves; the *last way* is of the last one alone.
 """
 
 from __future__ import annotations
@@ -45,6 +46,16 @@ def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[f
             side = 1.0 if way > 0 else -1.0
             legs = onward(legs, way)
     return side, legs
+
+
+def last_way(ways: Sequence[float]) -> float:
+    """Return the way of a joint since it stood or turned, after the ways (rad, m) of one motion."""
+    run = 0.0
+    for way in reversed(ways):
+        if run * way < 0.0:
+            break
+        run += way
+    return run
 
 
 def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -95,15 +106,18 @@ class History:
         approach: (n,) or (N, n) of -1, 0 (unknown), +1: the side each joint arrived from.
         legs: (n, LEGS) or (N, n, LEGS) signed ways from turn to turn (rad, m), the latest first,
             as `onward` keeps them; 0 where there is none or nobody knows.
+        last_way: (n,) or (N, n) signed way (rad, m) since the joint last stood or turned; 0 where
+            it did not move, or nobody knows.
     """
 
     approach: np.ndarray
     legs: np.ndarray
+    last_way: np.ndarray
 
     @classmethod
     def unknown(cls, n: int) -> History:
         """Return the history of an arm of n joints that nobody has watched."""
-        return cls(np.zeros(n), np.zeros((n, LEGS)))
+        return cls(np.zeros(n), np.zeros((n, LEGS)), np.zeros(n))
 
     def after(self, points: np.ndarray, start: np.ndarray | None) -> History:
         """Return the history after a move from rest to rest.
@@ -119,10 +133,13 @@ class History:
         for joint, held in enumerate(legs.tolist()):
             side, after = move_joint(float(sides[joint]), [leg for leg in held if leg], ways[joint])
             sides[joint], made[joint, : len(after)] = side, after
-        return History(sides, made)
+        return History(sides, made, np.array([last_way(each) for each in ways]))
 
     def along(self, points: np.ndarray, start: np.ndarray | None) -> History:
-        """Return `after` for each way-point (k, n) of one motion without a stop."""
+        """Return `after` for each way-point (k, n) of one motion without a stop.
+
+        Its way-points are close together: at each the last way is that from the one before.
+        """
         first = points[0] if start is None else start
         ways = np.diff(points, axis=0, prepend=first[None])
         legs = np.zeros_like(self.legs) if start is None else self.legs
@@ -130,13 +147,14 @@ class History:
         for joint, side in enumerate(self.approach.tolist()):
             held = [leg for leg in legs[joint].tolist() if leg]
             sides[:, joint], made[:, joint] = _walk(side, held, ways[:, joint])
-        return History(sides, made)
+        return History(sides, made, ways)
 
     def with_sides(self, sides: np.ndarray) -> History:
-        """Return the history with given sides (n,) of +-1, of unknown legs; 0: as it is."""
+        """Return the history with given sides (n,) of +-1, of unknown ways; 0: as it is."""
         mine = sides != 0
         legs = np.where(mine[:, None], 0.0, self.legs)
-        return History(np.where(mine, sides, self.approach), legs)
+        way = np.where(mine, 0.0, self.last_way)
+        return History(np.where(mine, sides, self.approach), legs, way)
 
     def agrees(self, other: History) -> bool:
         """Tell whether every joint came the same way, to 10 microradians or micrometres."""
@@ -146,7 +164,9 @@ class History:
     def common_with(self, other: History) -> History:
         """Return what both say; unknown, 0, for a joint that turned to opposite sides."""
         same = np.sign(self.approach) == np.sign(other.approach)
-        return History(np.where(same, self.approach, 0), np.where(same[:, None], self.legs, 0.0))
+        legs = np.where(same[:, None], self.legs, 0.0)
+        way = np.where(same, self.last_way, 0.0)
+        return History(np.where(same, self.approach, 0), legs, way)
 
     def fields(self) -> dict[str, Any]:
         """Return the per-joint fields of a `Context` at one posture or N, 0 where unknown."""
@@ -167,7 +187,7 @@ def recorded_history(
 
     A joint came by its run-up, else from the side that was told, else straight from the row
     before.  After a gap of the index, and in the first row, nothing is known of before; a joint
-    that did not move keeps its side.
+    that did not move keeps its side.  Rows of one stand (`first_of_stand`) share their last way.
 
     Args:
         q: (N, n) commanded joints in the order of recording.
@@ -183,21 +203,34 @@ def recorded_history(
         told = np.zeros_like(told)
     via = np.where(np.isnan(begun), q, begun)
     sides, legs = np.zeros(q.shape), np.zeros((*q.shape, LEGS))
-    gap = np.ones(len(q), dtype=bool)
-    gap[1:] = ~np.isin(np.diff(index), (0, 1))
+    last, gap = np.zeros(q.shape), np.isnan(straight_ways(q, index)[:, 0])
     for joint in range(q.shape[1]):
         before, side, now = 0.0, 0.0, list[float]()
         rows = zip(*(a[:, joint].tolist() for a in (q, via, told)), gap.tolist(), strict=True)
         for i, (here, turn, mark, unknown) in enumerate(rows):
-            if unknown:
-                side, now = move_joint(0.0, [], [here - turn])
-            else:
-                side, now = move_joint(side, now, [turn - before, here - turn])
+            ways = [here - turn] if unknown else [turn - before, here - turn]
+            side, now = move_joint(*((0.0, []) if unknown else (side, now)), ways)
             if mark:
-                side, now = mark, []
+                side, now, ways = mark, [], []
             before = here
             sides[i, joint], legs[i, joint, : len(now)] = side, now
-    return History(sides, legs)
+            last[i, joint] = last_way(ways)
+    return History(sides, legs, last[first_of_stand(q, index)])
+
+
+def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """(N, n) ways from the row before, rad and m; NaN in the first row and after a gap."""
+    ways = np.full(q.shape, np.nan)
+    known = np.isin(np.diff(index), (0, 1))
+    ways[1:][known] = np.diff(q, axis=0)[known]
+    return ways
+
+
+def first_of_stand(q: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """(N,) number of the first row of each row's stand: of one index, at one posture."""
+    moved = np.ones(len(q), dtype=bool)
+    moved[1:] = (np.diff(index) != 0) | (np.abs(np.diff(q, axis=0)) >= SAME_POSE).any(axis=1)
+    return np.maximum.accumulate(np.where(moved, np.arange(len(q)), 0))
 
 
 def sides_told(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:

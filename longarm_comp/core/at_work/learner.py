@@ -192,7 +192,7 @@ class Learner:
         legs[..., 0] = side * run_up_lengths(arm)
         there = dataclasses.replace(
             context,
-            **History(side, legs).fields(),
+            **History(side, legs, legs[..., 0]).fields(),
             columns={name: np.full(len(q), value) for name, value in context.columns.items()},
         )
         tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]

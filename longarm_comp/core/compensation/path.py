@@ -291,7 +291,7 @@ class _Way:
             passes=passes,
             correction_m=moved,
             turn_rad=turn,
-            history=History(came.approach[-1], came.legs[-1]),
+            history=History(came.approach[-1], came.legs[-1], came.last_way[-1]),
             notes=tuple(dict.fromkeys(filter(None, notes))),
         )
 

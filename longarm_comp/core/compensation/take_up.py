@@ -106,7 +106,7 @@ class TakeUp:
         then = before & at_once
         sides = np.where(then, sides[turned, each], sides)
         legs = np.where(then[..., None], came.legs[turned, each], came.legs)
-        return History(sides, legs)
+        return History(sides, legs, came.last_way)
 
     def turns(self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray) -> list[Turn]:
         """Find the turns of joints that stand at (k, n): there their sides (k, n) change."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import compress
 from typing import Any
 
@@ -95,11 +96,17 @@ def unknown_history(
         )
         for name in PER_JOINT
     }
+    spans = model.arm.upper - model.arm.lower
+
+    def past(joint: int) -> _Past:
+        held = {name: rows[:, joint] for name, rows in recorded.items()}
+        return _Past(**held, unsure=bool(unsure[joint]), span=float(spans[joint]))
+
     open_ = [
         (name, joint, extremes)
         for name, joints in read.items()
         for joint in joints
-        if (extremes := _FIELDS[name][1](recorded[name][:, joint], bool(unsure[joint]))) is not None
+        if (extremes := _FIELDS[name][1](past(joint))) is not None
     ]
     if not open_:
         return np.zeros((m, 3)), [""] * m
@@ -143,28 +150,61 @@ def uncertain_payload(
     ]
 
 
-def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:
-    """Give both sides (2, M, 1) where the side (M, 1) is not known, the side where it is."""
-    unknown = (side == 0.0) | unsure
-    return np.where(unknown, [[[1.0]], [[-1.0]]], side) if unknown.any() else None
+@dataclass(frozen=True)
+class _Past:
+    """What is told of a joint's history at M commands (`History`).
+
+    Attributes:
+        approach, last_way: (M, 1).
+        legs: (M, LEGS).
+        unsure: its side is told but not certain.
+        span: range of the joint, rad or m.
+    """
+
+    approach: np.ndarray
+    legs: np.ndarray
+    last_way: np.ndarray
+    unsure: bool
+    span: float
 
 
-def _any_way_before(legs: np.ndarray, unsure: bool) -> np.ndarray:
-    """Give the known legs (M, LEGS) after a long way up and after one down, (2, M, LEGS).
+def _either_side(past: _Past) -> np.ndarray | None:
+    """Give both sides (2, M, 1) where the side is not known, the side where it is."""
+    unknown = (past.approach == 0.0) | past.unsure
+    return np.where(unknown, [[[1.0]], [[-1.0]]], past.approach) if unknown.any() else None
+
+
+def _any_way_before(past: _Past) -> np.ndarray:
+    """Give the known legs after a long way up and after one down, (2, M, LEGS).
 
     Between the two lies every state that play of any radius can have.
     """
+    legs = past.legs
     first = np.argsort(legs == 0.0, axis=1, kind="stable")
-    after = np.zeros_like(legs) if unsure else np.take_along_axis(legs, first, axis=1)
+    after = np.zeros_like(legs) if past.unsure else np.take_along_axis(legs, first, axis=1)
     made = np.stack([after, after])
     made[:, np.arange(len(legs)), (after != 0.0).sum(axis=1)] = [[_FAR], [-_FAR]]
     return made
 
 
+def _any_rest_of_way(past: _Past) -> np.ndarray:
+    """Give the last way twice and not at all, (2, M, 1); where no way is known, half the joint's
+    range up and down.
+
+    Nobody tells how soon after its move a tip is used: what is left of the way may be more than it
+    was in the session, or nothing.  Ways all over the range have a standard deviation of 0.41 of
+    it.
+    """
+    half = 0.5 * past.span
+    known = np.stack([2.0 * past.last_way, np.zeros_like(past.last_way)])
+    return np.where(past.legs[:, :1] == 0.0, [[[half]], [[-half]]], known)
+
+
 _FAR = 1e6  # rad, m: farther than any play
-_FIELDS: Mapping[str, tuple[str, Callable[[np.ndarray, bool], np.ndarray | None]]] = {
+_FIELDS: Mapping[str, tuple[str, Callable[[_Past], np.ndarray | None]]] = {
     "approach": ("approach", _either_side),
     "legs": ("earlier moves", _any_way_before),
+    "last_way": ("time since the last move", _any_rest_of_way),
 }
 """By field of the history, its name for people, and the two extremes of what it may be at a joint;
 None: all are known."""

@@ -17,7 +17,14 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.context import INCLINATION, LEGS, Context
-from longarm_comp.core.arm.history import SAME_POSE, History, recorded_history, sides_told
+from longarm_comp.core.arm.history import (
+    SAME_POSE,
+    History,
+    first_of_stand,
+    recorded_history,
+    sides_told,
+    straight_ways,
+)
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
 from longarm_comp.core.errors import InputError
@@ -43,6 +50,8 @@ class Session(MeasuredRows):
         source: file or bag from which it was read, for messages.
         legs: (N, n, LEGS) signed ways of each joint from turn to turn, rad and m, the latest
             first (`core/arm/history.py`); 0 where unknown.
+        last_way: (N, n) signed way of each joint since it last stood or turned, rad and m; 0 where
+            it did not move, or nobody knows.
         told: (N, n) of +-1 if only the side of arrival was recorded, with a run-up of unknown
             length, else 0.
         readings: what else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of
@@ -66,6 +75,7 @@ class Session(MeasuredRows):
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
     source: str = "session"
     legs: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    last_way: np.ndarray = field(default_factory=lambda: np.zeros(0))
     told: np.ndarray = field(default_factory=lambda: np.zeros(0))
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
     sigmas: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -81,12 +91,14 @@ class Session(MeasuredRows):
         if xyz.shape == (n_rows, 3) and np.isinf(xyz).any():
             raise self.error("xyz", "not finite", "numbers in m, or NaN")
         legs = self.legs if len(self.legs) == n_rows else np.zeros((n_rows, n, LEGS))
+        last_way = self.last_way if len(self.last_way) == n_rows else np.zeros((n_rows, n))
         told = self.told if len(self.told) == n_rows else np.zeros((n_rows, n))
         self._set("index", self.index, np.int64, (n_rows,))
         self._set("q", q, float, (n_rows, n))
         self._set("xyz", xyz, float, (n_rows, 3))
         self._set("approach", self.approach, np.int8, (n_rows, n))
         self._set("legs", legs, float, (n_rows, n, LEGS))
+        self._set("last_way", last_way, float, (n_rows, n))
         self._set("told", told, np.int8, (n_rows, n))
         self._set("repeat_id", self.repeat_id, np.int64, (n_rows,))
         if self.sigma is not None:
@@ -151,6 +163,7 @@ class Session(MeasuredRows):
             repeat_id,
             source=source,
             legs=history.legs,
+            last_way=history.last_way,
             told=sides_told(q, approach, begun),
             touch_distances=tuple(touch_distances),
             **{name: value for name, value in further.items() if value is not None},
@@ -161,7 +174,7 @@ class Session(MeasuredRows):
         if not self.told.any():
             return self
         history = recorded_history(self.q, self.index, self.told, self.run_up, lengths)
-        return dataclasses.replace(self, legs=history.legs)
+        return dataclasses.replace(self, legs=history.legs, last_way=history.last_way)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -196,12 +209,12 @@ class Session(MeasuredRows):
     @cached_property
     def run_up(self) -> np.ndarray:
         """(N, n) where a joint turned last, rad and m; NaN: it came straight, or nobody knows."""
-        begun = np.where(self.told != 0, 0.0, self.legs[..., 0])
-        for i in np.flatnonzero(np.isin(np.diff(self.index), (0, 1))):
-            before = History(self.approach[i], self.legs[i])
-            straight = before.after(self.q[i + 1 : i + 2], self.q[i]).legs
-            begun[i + 1, np.abs(straight - self.legs[i + 1]).max(axis=1) < SAME_POSE] = 0.0
-        return np.where(begun == 0.0, np.nan, self.q - begun)
+        straight, leg = straight_ways(self.q, self.index), self.legs[..., 0]
+        known = ~np.isnan(straight)
+        way = np.where(known, self.last_way, leg)
+        came_straight = np.abs(way - np.where(known, straight, 0.0)) < SAME_POSE
+        again = first_of_stand(self.q, self.index) < np.arange(len(self))
+        return np.where(came_straight | again[:, None] | (self.told != 0), np.nan, self.q - way)
 
     @cached_property
     def arrivals(self) -> tuple[tuple[int, int], ...]:
@@ -251,7 +264,7 @@ class Session(MeasuredRows):
         The history of the joints is absent when no side of arrival is known in the whole session.
         """
         at: _Rows = slice(None) if rows is None else rows
-        history = History(self.approach[at].astype(float), self.legs[at])
+        history = History(self.approach[at].astype(float), self.legs[at], self.last_way[at])
         columns = {name: values[at] for name, values in self.columns.items()}
         if self.t_s is not None:
             columns["t_s"] = columns["t_s"] - self.begun_s
@@ -263,7 +276,7 @@ class Session(MeasuredRows):
 
     def take(self, rows: _Rows) -> Session:
         """Return some of the rows: a mask (N,), indices or a slice."""
-        arrays = ("index", "q", "xyz", "approach", "legs", "told", "repeat_id")
+        arrays = ("index", "q", "xyz", "approach", "legs", "last_way", "told", "repeat_id")
         taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}
         for kind in ("columns", "labels", "readings", "sigmas"):
             taken[kind] = {name: values[rows] for name, values in getattr(self, kind).items()}

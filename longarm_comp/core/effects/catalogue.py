@@ -34,6 +34,7 @@ from longarm_comp.core.effects.drive_errors import (
     JointGain,
     PrismaticPitch,
     ServoQuantisation,
+    UnfinishedMove,
 )
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.fields import FORM, PARAMETER, PLACE
@@ -87,7 +88,7 @@ _OURS: tuple[Kind, ...] = (
     *(LinkBending, SlidePlay, GuideCurvature, BaseCompliance, BaseSettling, MeasuredTilt),
     *(GravityDirection, Backlash, CylinderPlay, FrictionHysteresis, GearEccentricity, JointGain),
     *(JointCoupling, PrismaticPitch, ServoDroop, ServoDeadband, ServoQuantisation, ThermalGrowth),
-    *(ThermalSoftening, Creep),
+    *(ThermalSoftening, Creep, UnfinishedMove),
     *(CameraScale, CameraRadial, CameraDrift, Discovered, DiscoveredView),
 )
 BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}

@@ -132,6 +132,32 @@ class GuideCurvature(JointTerm):
         return {posture.frame(self.joint): (0.5 * q * y, -0.5 * q * x, 0.0, x, y, 0.0)}
 
 
+@dataclass(frozen=True)
+class UnfinishedMove(JointTerm):
+    """The joint stands short of its command by a share of its last way.
+
+    So it does where it is measured, or used, before it has arrived: a servo that lags closes its
+    distance by the same share in the same time.
+    """
+
+    name = "unfinished_move"
+    title = "joint that has not arrived"
+    types = ("revolute", "prismatic")
+    acts = "servo"
+    action = "Wait longer before measuring; raise the servo's gains."
+    actions: ClassVar = {"hydraulic": "Wait longer before measuring; check pump, valve and air."}
+    needs = ("approach",)
+
+    share: float = parameter("1", "share of the last way that is left", prior=3e-3, lower=0.0)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return ("last_way",)
+
+    def twists(self, posture: Posture) -> Twists:
+        return self.motion(posture, -self.share * self.last_way(posture))
+
+
 _STEPS_PER_TURN = (
     *(180, 200, 256, 300, 360, 400, 500, 512, 600, 720, 800, 900, 1000, 1024, 1080),
     *(1200, 1440, 1800, 2000, 2048, 3600, 4096),

@@ -92,6 +92,10 @@ class JointTerm(Effect):
         """Side that the joint arrived from, -1, 0 (unknown) or +1."""
         return self._history(posture, "approach")[0]
 
+    def last_way(self, posture: Posture) -> Scalar:
+        """Signed way (rad, m) since the joint last stood or turned; 0: none, or unknown."""
+        return self._history(posture, "last_way")[0]
+
     def wound(self, posture: Posture, radius: float) -> Scalar:
         """State of a play operator of some radius (rad, m), -1 to +1; the middle of what it can be.
 

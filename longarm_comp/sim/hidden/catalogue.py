@@ -116,6 +116,7 @@ HIDDEN: dict[str, _Maker] = {
         _turning(arm, rng, 2e-3, 6e-3)
     ),
     "friction_memory": lambda arm, rng: drives.FrictionMemory(_turning(arm, rng, 1e-3, 3e-3)),
+    "servo_lag": lambda arm, rng: drives.ServoLag(rng.uniform(1e-3, 5e-3, arm.n)),
     "joint_compliance": lambda arm, rng: loads.JointCompliance(_turning(arm, rng, 1e-3, 5e-3)),
     "bearing_tilt": lambda arm, rng: loads.BearingTilt(_turning(arm, rng, 5e-4, 2e-3)),
     "base_compliance": lambda arm, rng: loads.BaseCompliance(rng.uniform(5e-4, 1.5e-3, 2)),
@@ -191,10 +192,11 @@ def scale_to_size(
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> TrueContext:
-    """Random approach and winding, two hours, some warming."""
+    """Random approach, winding and ways, two hours, some warming."""
     return TrueContext(
         approach=np.repeat(_signs(rng, postures)[:, None], arm.n, axis=1),
         temperature_c=arm.reference_temperature_c + rng.uniform(0, 12, postures),
         t_s=rng.uniform(0, 7200, postures),
         wound=rng.spawn(1)[0].uniform(-1.0, 1.0, (postures, arm.n)),
+        way=rng.spawn(1)[0].uniform(-0.5, 0.5, (postures, arm.n)) * (arm.upper - arm.lower),
     )

@@ -106,6 +106,20 @@ class FrictionMemory(HiddenEffect):
 
 
 @dataclass(frozen=True)
+class ServoLag(HiddenEffect):
+    """Servos that are not waited for: of each way the share `left` (n,) is still to go."""
+
+    left: Array
+
+    def joints(self, q: Array, state: State) -> Array:
+        return q + self.before(q, state)
+
+    def before(self, torques: Array, state: State) -> Array:
+        start = state.q - state.way
+        return start + (1.0 - self.left) * state.way - state.q
+
+
+@dataclass(frozen=True)
 class _Resting(HiddenEffect):
     """The load lies on one side where |torque| > gate, else the approach decides."""
 

@@ -62,6 +62,7 @@ class Motor:
         self.blocked = False
         self.approach = 0
         self.wound = 0.0
+        self._stood = self.position
         self.alarms: set[str] = set()
         self._overloaded_s = 0.0
 
@@ -80,6 +81,11 @@ class Motor:
         """True if the horn turns faster than one tick in 20 ms."""
         return abs(self.velocity) > 50.0
 
+    @property
+    def way(self) -> float:
+        """How far the horn has come since it last stood or turned, ticks."""
+        return self.position - self._stood
+
     def switch(self, on: bool) -> None:
         """Torque on or off; it stays off while there is an alarm."""
         self.torque_on = on and not self.alarms
@@ -96,7 +102,10 @@ class Motor:
         start = self.position
         if self.torque_on and not self.blocked:
             self.turn(self._next_position(dt_s) - start)
+        before = self.velocity if self.moving else 0.0
         self.velocity = (self.position - start) / dt_s
+        if self.moving and before * self.velocity <= 0.0:
+            self._stood = start
         wound = self.wound + (self.position - start) / self.spec.wind_up_ticks
         self.wound = max(-1.0, min(1.0, wound))
         if self.goal != self._sent:

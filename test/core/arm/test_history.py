@@ -177,6 +177,36 @@ def test_a_run_up_is_two_legs_and_may_pass_its_target_first() -> None:
     np.testing.assert_allclose(found.legs[2, 0, :3], [-0.3, 2.3, 0.0], atol=1e-12)
 
 
+def test_the_last_way_is_of_the_last_move_alone_since_the_joint_turned() -> None:
+    """Legs run on from move to move; a run-up that the joint only passes is no turn."""
+    q = np.array([[0.0], [1.0], [1.6], [1.4], [2.0], [2.0], [2.5], [3.0]])
+    run_up = np.array([[np.nan]] * 4 + [[1.5], [np.nan], [2.7], [np.nan]])
+    index = np.array([0, 1, 2, 3, 4, 4, 5, 9])
+    session = Session.record(q, np.zeros((8, 3)), index=index, run_up=run_up)
+    np.testing.assert_allclose(session.legs[2, 0, 0], 1.6)
+    ways = [0.0, 1.0, 0.6, -0.2, 0.6, 0.6, -0.2, 0.0]
+    np.testing.assert_allclose(session.last_way.ravel(), ways, atol=1e-12)
+    np.testing.assert_allclose(session.take(slice(3, 6)).last_way.ravel(), ways[3:6], atol=1e-12)
+    assert np.isnan(session.run_up).ravel().tolist() == [True] * 6 + [False, True]
+
+
+def test_the_last_way_of_a_side_without_a_length_is_that_of_the_length_taken() -> None:
+    q = np.array([[0.0], [1.0], [0.4]])
+    session = Session.record(q, np.zeros((3, 3)), approach=np.array([np.nan, np.nan, 1.0]))
+    assert session.last_way.ravel().tolist() == [0.0, 1.0, 0.0]
+    np.testing.assert_allclose(session.with_run_ups(np.array([0.1])).last_way[2], [0.1])
+
+
+def test_the_last_way_after_a_motion_is_known_where_the_motion_is() -> None:
+    came = History.unknown(2).after(np.array([[0.5, 0.5], [0.8, 0.2], [0.8, 0.1]]), None)
+    np.testing.assert_allclose(came.last_way, [0.3, -0.4], atol=1e-12)
+    assert came.after(np.array([[0.9, 0.3]]), None).last_way.tolist() == [0.0, 0.0]
+    assert came.with_sides(np.array([1.0, 0.0])).last_way == pytest.approx([0.0, -0.4])
+    other = History(-came.approach, came.legs, came.last_way)
+    assert came.common_with(other).last_way.tolist() == [0.0, 0.0]
+    assert not came.agrees(History(came.approach, came.legs, came.last_way + 1e-3))
+
+
 def test_a_side_without_a_length_leaves_the_legs_unknown_until_a_length_is_taken() -> None:
     q = np.array([[0.0], [1.0], [0.4]])
     sides = np.array([np.nan, np.nan, 1.0])
@@ -207,6 +237,7 @@ def test_run_ups_are_written_and_read_back(tmp_path: Path, rng: np.random.Genera
     write_csv(session, tmp_path / "s.csv")
     back = read_csv(tmp_path / "s.csv", ARM)
     np.testing.assert_allclose(back.legs, session.legs, atol=1e-12)
+    np.testing.assert_allclose(back.last_way, session.last_way, atol=1e-12)
     for name in ("approach", "told", "q", "index"):
         np.testing.assert_array_equal(getattr(back, name), getattr(session, name))
     assert (session.told != 0).any() and np.isfinite(session.run_up).any()
@@ -224,6 +255,7 @@ def test_a_bag_carries_run_ups_and_sides_without_a_length(
     write_bag(session, tmp_path / "bag", ARM)
     back = read_bag(tmp_path / "bag", ARM)
     np.testing.assert_allclose(back.legs, session.legs, atol=1e-12)
+    np.testing.assert_allclose(back.last_way, session.last_way, atol=1e-12)
     np.testing.assert_array_equal(back.approach, session.approach)
     np.testing.assert_array_equal(back.told, session.told)
 
@@ -347,5 +379,6 @@ def test_along_a_path_every_way_point_has_the_history_of_a_move_there() -> None:
             now, at = now.after(point[None], at), point
             np.testing.assert_array_equal(found.approach[row], now.approach)
             np.testing.assert_allclose(found.legs[row], now.legs, atol=1e-5)
+            np.testing.assert_array_equal(found.last_way[row], now.last_way)
         unknown = history.along(path, None)
         np.testing.assert_array_equal(unknown.legs[0], 0.0)

@@ -202,7 +202,7 @@ def test_many_commands_are_judged_as_each_alone(learned: bool) -> None:
     model = fitted.plus(FrictionHysteresis(2, far=0.1, width=0.01, outer=0.01), TipPayload(0.1))
     model = dataclasses.replace(model, uncertainty=fitted.uncertainty)
     q, side = fresh(4, seed=3)
-    way = History(np.tile(side[:, None], ARM.n), np.zeros((4, ARM.n, LEGS)))
+    way = History(np.tile(side[:, None], ARM.n), np.zeros((4, ARM.n, LEGS)), np.zeros((4, ARM.n)))
     way.legs[2:, 1, 0] = 0.05, 1.0  # not known, little of it, all of it
     told = {SD: np.array([0.0, 0.05, 0.0, 0.1]), "payload_kg": np.array([0.1, 0.2, 0.3, 0.4])}
     context = Context(**way.fields(), columns=told)

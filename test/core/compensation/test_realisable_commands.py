@@ -224,7 +224,9 @@ def test_near_its_start_a_joint_may_turn_round_and_is_judged_so(model: Model) ->
     for k in range(8):
         start = played.arm.mid + 1e-3 * np.cos(np.arange(played.arm.n) + k)
         near = start + 8e-4 * np.sin(3 * np.arange(played.arm.n) + k)
-        history = History(np.ones(played.arm.n), np.zeros((played.arm.n, LEGS)))
+        history = History(
+            np.ones(played.arm.n), np.zeros((played.arm.n, LEGS)), np.zeros(played.arm.n)
+        )
         target = played.tip(near, context_of(history))
         arrival = compensate_move(
             played, None, target, start=start, history=history,

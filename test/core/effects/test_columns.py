@@ -30,7 +30,8 @@ def situation(arm: Arm) -> tuple[np.ndarray, Context]:
         for axis in "xy":
             columns[f"incl_{frame}_{axis}"] = rng.normal(0, 0.01, N)
     approach = tuple(rng.choice([-1.0, 0.0, 1.0], N) for _ in range(arm.n))
-    return q, Context(approach, columns)
+    ways = tuple(np.random.default_rng(5).uniform(-0.5, 0.5, (arm.n, N)))
+    return q, Context(approach, columns, last_way=ways)
 
 
 def instances(arm: Arm) -> list[Effect | Bias]:
