@@ -69,6 +69,7 @@ def test_the_whole_way_over_the_graph(ros_domain: int, tmp_path: Path) -> None:
         assert values[f"joint {number}"] == pytest.approx(real, rel=0.4)
 
 
+@pytest.mark.long
 def test_gears_at_three_joints_do_not_stand_for_a_hose() -> None:
     """Only several functions at once do better, and no exchange of one for one finds them."""
     arm, seed = la.Arm.load(EXAMPLES / "mujoco_arm.yaml"), 12

@@ -82,7 +82,10 @@ def ends_its_worker(number: int) -> int:
     return 10 * number
 
 
-def test_a_task_that_ends_its_workers_is_one_failure(two: distributed.LocalCluster) -> None:
+def test_a_task_that_ends_its_workers_is_one_failure(
+    two: distributed.LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(two.scheduler, "allowed_failures", 0)  # a new worker takes seconds
     tasks = [(n,) for n in range(8)]
     told = dict(
         cluster.spread(

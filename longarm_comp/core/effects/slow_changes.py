@@ -25,7 +25,7 @@ def change_so_far(context: Context, slowing: float) -> Scalar:
     """Return how far a change has gone by now, as a share of its first hour:
     ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, t in hours."""
     hours: Scalar = context.column(CLOCK, 0.0) / 3600.0
-    return (1.0 - np.exp(-slowing * hours)) / (1.0 - np.exp(-slowing)) if slowing else hours
+    return np.expm1(-slowing * hours) / np.expm1(-slowing) if slowing else hours
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, register, searched_effects
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect, form, moving_joints, parameter, place
+from longarm_comp.core.effects.slow_changes import change_so_far
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.sim.hidden import drives
@@ -199,3 +200,9 @@ def test_no_effect_is_named_outside_its_own_file(folder: str) -> None:
         tree = ast.parse(path.read_text("utf-8"))
         named = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)} & set(BUILT_IN)
         assert not named, f"{path.name} names {named}"
+
+
+@pytest.mark.parametrize("slowing", [5e-324, 1e-17, 1e-9])
+def test_a_change_that_hardly_slows_goes_on_at_its_rate(slowing: float) -> None:
+    clock = Context(columns={"t_s": np.array([0.0, 3600.0, 7200.0])})
+    np.testing.assert_allclose(change_so_far(clock, slowing), [0.0, 1.0, 2.0], rtol=1e-8)

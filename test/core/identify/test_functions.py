@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -232,30 +232,31 @@ def test_what_happens_once_is_told_with_its_pose(what: str) -> None:
     assert {name for c in known.causes for name in c.inputs} == {"t_s"}
 
 
-def test_a_clock_that_counts_from_1970_will_do() -> None:
-    """Of a named drift, of a function of the time, and of held-out rows after the session."""
+@pytest.mark.parametrize(
+    "of_time",
+    [
+        pytest.param(lambda hours: 2e-3 * hours, id="a named drift"),
+        pytest.param(lambda h: 1e-3 * (h > 0.8), id="a function", marks=pytest.mark.long),
+    ],
+)
+def test_a_clock_that_counts_from_1970_will_do(of_time: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Also of held-out rows after the session."""
     rows, late = session(n=120, seed=4), session(n=40, seed=9)
-    for of_time in (lambda hours: 2e-3 * hours, lambda hours: 1e-3 * (hours > 0.8)):
-        found = []
-        for first in (0.0, 1.7e9):
-            since = 60.0 * np.arange(160)
-            moved = np.concatenate([rows.xyz, late.xyz]) + of_time(since[:, None] / 3600) * [
-                1,
-                0,
-                2,
-            ]
-            parts = [
-                dataclasses.replace(
-                    of, xyz=moved[own], columns={"t_s": first + since[own]},
-                    begun_s=first + since[own][0],
-                )
-                for of, own in ((rows, slice(120)), (late, slice(120, 160)))
-            ]  # fmt: skip
-            assert camera_inputs(parts[0].xyz, parts[0]).by_name["t_s"].low == 0.0
-            found.append(diagnose(SMALL, parts[0], test=parts[1]))
-        here, there = ((f.verdict, f.proof.rows[f.written].mean) for f in found)
-        assert here[0] == there[0] != "noise" and here[1] == pytest.approx(there[1], rel=1e-3)
-        assert here[1] < 4e-4
+    since, found = 60.0 * np.arange(160), []
+    moved = np.concatenate([rows.xyz, late.xyz]) + of_time(since[:, None] / 3600) * [1, 0, 2]
+    for first in (0.0, 1.7e9):
+        parts = [
+            dataclasses.replace(
+                of, xyz=moved[own], columns={"t_s": first + since[own]},
+                begun_s=first + since[own][0],
+            )
+            for of, own in ((rows, slice(120)), (late, slice(120, 160)))
+        ]  # fmt: skip
+        assert camera_inputs(parts[0].xyz, parts[0]).by_name["t_s"].low == 0.0
+        found.append(diagnose(SMALL, parts[0], test=parts[1]))
+    here, there = ((f.verdict, f.proof.rows[f.written].mean) for f in found)
+    assert here[0] == there[0] != "noise" and here[1] == pytest.approx(there[1], rel=1e-3)
+    assert here[1] < 4e-4
 
 
 @pytest.mark.long

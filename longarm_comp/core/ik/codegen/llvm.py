@@ -22,7 +22,7 @@ from longarm_comp.core.ik.codegen.symbolic import Graph, Operand, Outputs, Progr
 from longarm_comp.core.ik.newton import Flow
 
 _INTRINSIC = ("fabs", "sqrt", "floor")
-_LIBRARY = {"tan": 1, "tanh": 1, "exp": 1, "log": 1, "pow": 2}
+_LIBRARY = {"tan": 1, "tanh": 1, "exp": 1, "expm1": 1, "log": 1, "pow": 2}
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARE = {"lt": "olt", "le": "ole"}
 _CHOICE = {"minimum": "olt", "maximum": "ogt"}

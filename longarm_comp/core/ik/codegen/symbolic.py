@@ -23,7 +23,7 @@ _FOLD: dict[str, Callable[..., float]] = {
     "mul": lambda a, b: a * b,
     "div": lambda a, b: a / b,
 }
-_ALIKE = ("tan", "tanh", "exp", "log", "sqrt", "floor", "minimum", "maximum")
+_ALIKE = ("tan", "tanh", "exp", "expm1", "log", "sqrt", "floor", "minimum", "maximum")
 _UFUNCS = {
     **{getattr(np, name): name for name in _ALIKE},
     np.add: "add",
