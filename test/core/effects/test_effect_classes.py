@@ -7,6 +7,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 from hidden_arm import at, session
 from places import ROOT
@@ -14,6 +15,7 @@ from small_arm import ARM
 
 import longarm_comp
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, register, searched_effects
