@@ -14,7 +14,7 @@ from longarm_comp.math.shaper import Shaper
 
 _WHERE = "joint trajectory"
 _MOST_POINTS = 1000
-"""Points of a trajectory at most: the driver does nothing else while it takes them, 25 us each."""
+"""Points after time 0 at most: the driver does nothing else while it takes them, 25 us each."""
 
 
 def check_trajectory(
@@ -24,7 +24,7 @@ def check_trajectory(
 
     They are in the order of ``config``; joints not named stay at ``start`` (n,).
     """
-    if len(trajectory.points) > _MOST_POINTS:
+    if len(trajectory.points) > _MOST_POINTS + (trajectory.points[0].time_from_start_s == 0.0):
         found = f"{len(trajectory.points)} points"
         raise InputError(_WHERE, "points", found, f"{_MOST_POINTS} at most, cubic in between")
     columns = _columns(trajectory.joint_names, tuple(config.joints))

@@ -335,6 +335,10 @@ def test_soft_limits_and_velocities_of_a_urdf_are_kept(shell: Shell) -> None:
     assert servos["lift"].max_velocity == 0.0123
     assert servos["slide"].max_velocity < 0.05  # as fast as its servo
     assert not [finding for finding in check_folder(folder) if finding.blocks]
+    links = ("--base", "base", "--tip", "l2")
+    assert shell("import-urdf", shell.folder / "slow.urdf", *links, "-o", "slow.yaml") == 0
+    assert "joint lift: taken are soft limits; the hard ones are 11.4592 to" in shell.err
+    assert "slide:" not in shell.err
 
 
 @pytest.mark.parametrize(
