@@ -106,11 +106,7 @@ class DemoSettings:
                 "order_max_age_s": PACE.look_s,
                 "state": str(self.out.absolute() / "state"),  # no other run's stop holds for it
             },
-            "simulated_arm": {
-                "hidden": self.hidden,
-                "seed": self.seed,
-                "frame_rate_hz": 15.0,
-            },
+            "simulated_arm": {"hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 15.0},
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": PACE.look_s},
         }
         return BringUp(

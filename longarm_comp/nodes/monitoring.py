@@ -15,11 +15,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place, turned_covariance
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor, Verdict
-from longarm_comp.core.compensation.expected import (
-    TipByReadings,
-    expected_miss,
-    tip_by_readings,
-)
+from longarm_comp.core.compensation.expected import TipByReadings, expected_miss, tip_by_readings
 from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model

@@ -115,10 +115,7 @@ class TargetInlet:
         return True
 
     def _on_compensate(
-        self,
-        message: Compensate.Request,
-        reply: Callable[[Compensate.Response], None],
-        sent: float,
+        self, message: Compensate.Request, reply: Callable[[Compensate.Response], None], sent: float
     ) -> None:
         target = self.new_target(
             message.target, message.position_only, message.execute, message.seed, sent

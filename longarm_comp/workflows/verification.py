@@ -79,11 +79,7 @@ def verification(
     gain = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
     # Of 5000 drawings, an end of the interval moves by 1 % of its width
     drawn = bootstrap(
-        (gain,),
-        np.mean,
-        n_resamples=5000,
-        method="percentile",
-        rng=np.random.default_rng(seed),
+        (gain,), np.mean, n_resamples=5000, method="percentile", rng=np.random.default_rng(seed)
     ).confidence_interval
     runs = dict(zip(names, (before, after), strict=True))
     return Verification(runs, float(gain.mean()), (float(drawn.low), float(drawn.high)))

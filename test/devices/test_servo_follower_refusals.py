@@ -43,8 +43,7 @@ def _points(*rows: tuple[float, tuple[float, ...]], **kwargs: Any) -> JointTraje
         (_points((1.0, (0.1, 0.01)), (1.0, (0.2, 0.01))), "points[1].time_from_start"),
         (
             JointTrajectory(
-                ("turn",),
-                (TrajectoryPoint(1.0, (0.1,), (0.0,)), TrajectoryPoint(2.0, (0.1,))),
+                ("turn",), (TrajectoryPoint(1.0, (0.1,), (0.0,)), TrajectoryPoint(2.0, (0.1,)))
             ),
             "at every point or at none",
         ),

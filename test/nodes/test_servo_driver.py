@@ -78,12 +78,7 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
 def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
     rig.stage.spin(lambda: rig.refused() >= 0)  # it has told how many
     before, already = rig.rests(), rig.refused()
-    bad = (
-        {"elbow": 0.1},
-        {"shoulder": 2.0},
-        {"shoulder": float("nan")},
-        {"boom": -0.01},
-    )
+    bad = ({"elbow": 0.1}, {"shoulder": 2.0}, {"shoulder": float("nan")}, {"boom": -0.01})
     for goal in bad:
         rig.send("bad", **goal)
     empty = JointTrajectory(joint_names=["boom"], points=[JointTrajectoryPoint()])

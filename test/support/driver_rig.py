@@ -51,10 +51,7 @@ class Rig:
         self.file.write_text(CONFIG.replace("PORT", str(self.link)))
         self.arm = read_arm(self.file)
         self.emulator = ServoEmulator(
-            self.arm.protocol,
-            self.arm.start_ticks(),
-            MotorSpec(stiff_ticks=30.0),
-            link=self.link,
+            self.arm.protocol, self.arm.start_ticks(), MotorSpec(stiff_ticks=30.0), link=self.link
         )
         self.emulator.start()
         self.states = stage.collect(graph.JOINT_STATES)

@@ -117,11 +117,7 @@ def compensate_move(
 
 
 def _choose_sides(
-    model: Model,
-    start: np.ndarray | None,
-    q: np.ndarray,
-    joints: list[int],
-    context: Context,
+    model: Model, start: np.ndarray | None, q: np.ndarray, joints: list[int], context: Context
 ) -> np.ndarray:
     """Choose sides (n,) for the joints whose side matters; 0 for the others."""
     wanted, sure = np.zeros((2, model.arm.n))

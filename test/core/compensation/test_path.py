@@ -17,17 +17,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import compensate
-from longarm_comp.core.compensation.path import (
-    CompensatedPath,
-    PathRefused,
-    compensate_path,
-)
-from longarm_comp.core.compensation.planned_path import (
-    MotionLimits,
-    PlannedPath,
-    fastest,
-    retime,
-)
+from longarm_comp.core.compensation.path import CompensatedPath, PathRefused, compensate_path
+from longarm_comp.core.compensation.planned_path import MotionLimits, PlannedPath, fastest, retime
 from longarm_comp.core.compensation.result import Method, Prediction, Status
 from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
@@ -185,10 +176,7 @@ def test_a_path_that_begins_against_its_play_takes_it_up_first_and_gently(arm: A
 def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model: Model) -> None:
     plan = plan_of(arm, 7)
     found = follow(model, plan)
-    answers, history = (
-        found.each(model, Method.DEFLECTION, plan.targets),
-        History.unknown(arm.n),
-    )
+    answers, history = (found.each(model, Method.DEFLECTION, plan.targets), History.unknown(arm.n))
     for row in range(1, 7):
         before, now = found.timed.joints[row - 1 : row + 1]
         history = history.after(now[None], before)
