@@ -41,7 +41,11 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
     leaders = {mimic["joint"]: robot.joints[mimic["joint"]] for mimic in mimics.values() if mimic}
     beside = {name: joint for name, joint in leaders.items() if name not in moving}
     robot.check_ranges(j for name, j in (beside | moving).items() if not mimics.get(name))
-    geared = {m["joint"] for name, m in mimics.items() if m and _is_geared(moving[name], m)}
+    geared = {  # joints whose followers stand elsewhere after a whole turn of theirs
+        m["joint"]
+        for name, m in mimics.items()
+        if m and (MOVING[moving[name].type] != "revolute" or m["multiplier"] % 1 != 0)
+    }
     rows = [
         _row(joint, number, None, name in geared) | {"moves": False}
         for number, (name, joint) in enumerate(beside.items(), 1)
@@ -157,11 +161,6 @@ def _row(
     if row["type"] == "revolute":
         return {**row, "limits_deg": [round(math.degrees(v), 9) + 0.0 for v in joint.limits]}
     return {**row, "limits_m": list(joint.limits)}
-
-
-def _is_geared(joint: UrdfJoint, mimic: dict[str, Any]) -> bool:
-    """Whether a joint stands elsewhere after a whole turn of the one that it mimics."""
-    return MOVING[joint.type] != "revolute" or mimic["multiplier"] % 1 != 0
 
 
 def _carried_masses(

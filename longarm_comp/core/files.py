@@ -140,7 +140,9 @@ def _partial_beside(target: Path) -> tuple[int, Path]:
         target.parent.mkdir(parents=True, exist_ok=True)
         for left in target.parent.iterdir():
             if left.name.startswith(begin) and left.suffix == target.suffix:
-                _remove_unless_locked(left)
+                with suppress(OSError), left.open("rb") as file:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    left.unlink()
         while True:
             handle, name = tempfile.mkstemp(dir=target.parent, prefix=begin, suffix=target.suffix)
             fcntl.flock(handle, fcntl.LOCK_EX)
@@ -149,12 +151,6 @@ def _partial_beside(target: Path) -> tuple[int, Path]:
             os.close(handle)
     except OSError as error:
         raise _not_writable(target, error) from error
-
-
-def _remove_unless_locked(left: Path) -> None:
-    with suppress(OSError), left.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        left.unlink()
 
 
 def _publish(partial: Path, target: Path) -> None:

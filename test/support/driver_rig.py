@@ -110,11 +110,12 @@ class Rig:
         self.stage.spin(still)
         return stood
 
-    def send(self, name: str = "", stamp: Time | None = None, **goal: float) -> str:
+    def send(
+        self, name: str = "", stamp: Time | None = None, lasts_s: int = 0, **goal: float
+    ) -> str:
         """Send a trajectory that this test calls so; the id by which the driver tells of it."""
-        point = JointTrajectoryPoint(
-            positions=list(goal.values()), time_from_start=Duration(nanosec=200_000_000)
-        )
+        lasts = Duration(sec=lasts_s, nanosec=200_000_000)
+        point = JointTrajectoryPoint(positions=list(goal.values()), time_from_start=lasts)
         self.stage.connected(self.trajectories)
         sent = JointTrajectory(joint_names=list(goal), points=[point])
         sent.header.stamp = self.stamps.next() if stamp is None else stamp

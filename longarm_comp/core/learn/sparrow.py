@@ -71,7 +71,9 @@ class Rules:
         return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
 
     def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
-        return leader + diagonal_step(rng, position, leader)
+        sign = torch.where(uniform(rng, position, *position.shape) < 0.5, -1.0, 1.0)
+        # ``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension
+        return leader + ((position - leader) * sign).mean(dim=2, keepdim=True)
 
     def starve(
         self, rng: torch.Generator, position: Tensor, rank: Tensor, worst: Tensor, horizon: int
@@ -89,12 +91,6 @@ class Rules:
         step = k * (position - worst[..., :-1]).abs()
         away = position + torch.where(gap < 0, step / gap, 0.0)
         return torch.where(fitness > best[..., -1:], towards, away)
-
-
-def diagonal_step(rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
-    """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
-    sign = torch.where(uniform(rng, position, *position.shape) < 0.5, -1.0, 1.0)
-    return ((position - leader) * sign).mean(dim=2, keepdim=True)
 
 
 @dataclass(frozen=True)
