@@ -7,7 +7,6 @@ Inputs are regular files or folders, and numbers are finite.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from typing import Any
 import click
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import file_hash
 
 _LOOKED_AT = 4096
 """Bytes at either end in which the marks of every kind of file stand."""
@@ -91,8 +91,7 @@ def session(path: Path) -> bool:
     """
     mapping = path.with_suffix(".mapping.yaml")
     if mapping.is_file() and path.is_file():
-        told = b"session_sha256: " + hashlib.sha256(path.read_bytes()).hexdigest().encode()
-        return told in mapping.read_bytes()
+        return f"session_sha256: {file_hash(path)}".encode() in mapping.read_bytes()
     return table("q1", "repeat_id")(path)
 
 

@@ -30,8 +30,8 @@ class _Card:
         sizes: its parameters; `more` of them are not among these.
         reading: what the effect says of itself.
         sure: in a word or two; `because`: the figures behind it.
-        duty: one of `DUTIES`, and `because_of` what decides it.
-        action: at the arm; `software`: what a command does about it.
+        duty: one of `DUTIES`; `advice`: what decides it, and what to do at the arm.
+        software: what a command does about it.
         improves: held-out error without and with it; `figure`: which figure of the error that is.
     """
 
@@ -43,8 +43,7 @@ class _Card:
     because: str
     doubts: tuple[str, ...]
     duty: str
-    because_of: str
-    action: str
+    advice: str
     software: str
     improves: str
     names: str = ""
@@ -65,20 +64,17 @@ def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
 
 
-def advice(card: _Card) -> str:
-    """Say what to do about it, in a sentence or two."""
-    if card.duty == DUTIES[1]:
-        return f"{card.because_of} Then: {card.action}"
-    return f"{card.because_of} {card.action}" if card.duty == DUTIES[0] else card.because_of
-
-
-def _duty(gain_mm: float, first: str, report: record.DiagnosisReport) -> tuple[str, str]:
-    """Choose what to do about a cause, and why; ``first``: what must be known before, or ""."""
+def _duty(
+    gain_mm: float, first: str, action: str, report: record.DiagnosisReport
+) -> tuple[str, str]:
+    """Choose duty and advice for a cause; ``first``: what must be known before, or ""."""
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):
         least = "the noise" if noise > WORTH_MM else f"{WORTH_MM:g} mm"
         return DUTIES[2], f"It is worth {millimetres(max(gain_mm, 0.0))}, less than {least}."
-    return (DUTIES[1], first) if first else (DUTIES[0], f"It is worth {millimetres(gain_mm)}.")
+    if first:
+        return DUTIES[1], f"{first} Then: {action}"
+    return DUTIES[0], f"It is worth {millimetres(gain_mm)}. {action}"
 
 
 def _first(finding: Finding, report: record.DiagnosisReport) -> str:
@@ -100,7 +96,8 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
         said += f" Places that explain it as well: {join_names(others)}."
     held = "Within the range of the data the new model.yaml compensates it."
     gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
-    duty, why = _duty(gain, "you find something there that acts like this.", report)
+    first = "you find something there that acts like this."
+    duty, advice = _duty(gain, first, found.action, report)
     return _Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         where=found.frame,
@@ -111,8 +108,7 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
         because=said,
         doubts=tuple(found.doubts),
         duty=duty,
-        because_of=why,
-        action=found.action,
+        advice=advice,
         software=held if found.compensated else "Commands leave it out.",
         improves=change(found.held_out_rms_mm),
         figure="RMS error without → with all that was found without a name",
@@ -122,7 +118,7 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
 def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
     title, where = finding.title or finding.name.replace("_", " "), _places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
-    duty, why = _duty(before - after, _first(finding, report), report)
+    duty, advice = _duty(before - after, _first(finding, report), finding.action, report)
     sizes = []
     for p in finding.parameters[:MOST_SIZES]:
         times, unit = for_people(p.unit)
@@ -170,8 +166,7 @@ def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
         because=". ".join(because) + ".",
         doubts=finding.doubts,
         duty=duty,
-        because_of=why,
-        action=finding.action,
+        advice=advice,
         software=software,
         improves=improves,
     )
