@@ -87,8 +87,7 @@ class ServoWatch:
         return fresh, findings
 
     def standing(self, now: float) -> list[JointFault]:
-        """Return the faults that do not depend on a command: silence, and what the last read-back
-        shows."""
+        """Return the faults that depend on no command: silence, and those of the last read-back."""
         findings: list[JointFault] = []
         for name, seen in self._seen.items():
             findings += self._silence(name, seen, now)

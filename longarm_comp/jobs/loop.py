@@ -104,8 +104,7 @@ class LoopSettings:
         return self.out / (what if k == 1 else f"{name}_{k}{dot}{ending}")
 
     def facts(self) -> dict[str, Any]:
-        """Return the settings that an interrupted loop must keep; the folder and ``rounds`` may
-        change."""
+        """Return what an interrupted loop must keep; the folder and ``rounds`` may change."""
         return {k: v for k, v in asdict(self).items() if k not in ("out", "rounds")}
 
 

@@ -1,5 +1,4 @@
-"""`error_predictor`: answers with the learned error at given joints, or refuses outside its
-domain."""
+"""`error_predictor`: answers with the learned error at joints, or refuses outside its domain."""
 
 from __future__ import annotations
 

@@ -58,8 +58,7 @@ class ReadingsTeller:
         state.node.every("readings.period_s", self._tick)
 
     def _tick(self) -> None:
-        """Queue the computation if the arm rests; at most one waits, so that targets are not
-        delayed."""
+        """Queue the computation if the arm rests; one waits at most: no target is delayed."""
         now = self._state.standing
         q, before = None if now is None else now[1], self._before
         self._before = q
@@ -202,8 +201,7 @@ class TipMonitor:
         return learned
 
     def _promised_sigma(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
-        """Return the standard deviation (3,) m that is expected at joints: a parameter or the
-        model's."""
+        """Return the standard deviation (3,) m expected at joints: a parameter or the model's."""
         if self._sigma_m:
             return np.full(3, self._sigma_m)
         promised = expected_miss(model, q, context, model.tip(q, context)).covariance

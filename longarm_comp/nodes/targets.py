@@ -131,8 +131,7 @@ class TargetInlet:
             respond(refused)
 
     def execute(self, target: TargetRequest) -> Future | None:
-        """Queue a target to compute and send; return its future `Answer`; None where too many
-        wait."""
+        """Queue a target to compute and send; return its future `Answer`; None if too many wait."""
         return self._worker.ask(partial(self._serve, target))
 
     def _serve(

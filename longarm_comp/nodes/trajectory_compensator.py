@@ -227,8 +227,7 @@ class _TrajectoryCompensator(ArmNode):
         return min(most, late / lasts) if late > 0.0 < lasts else most
 
     def _plan(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
-        """Make a path of all joints from a trajectory; joints that it does not name stay at
-        ``start``."""
+        """Make a path of all joints from a trajectory; those not named stay at ``start``."""
         names = self._arm.joint_names
         at = [names.index(name) for name in asked.joint_names]
         fast = all(len(point.velocities) == len(at) for point in asked.points)

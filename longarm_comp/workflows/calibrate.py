@@ -113,8 +113,7 @@ class Calibration:
 
     @property
     def placed(self) -> bool:
-        """True where the rows placed the nominal arm first, because they show it at another
-        place."""
+        """True where the rows placed the nominal arm first: they show it elsewhere."""
         return any(isinstance(e, BasePose) for e in self.rungs[0].model.effects)
 
     @property

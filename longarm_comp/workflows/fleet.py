@@ -39,8 +39,7 @@ _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 @dataclass(frozen=True)
 class _Member:
-    """One arm of a fleet: its name, its arm.yaml, its newest session, and the model in use, if
-    any."""
+    """An arm of a fleet: its name, its arm.yaml, its newest session, and any model in use."""
 
     name: str
     arm: Path
@@ -212,8 +211,7 @@ def _table(path: Path) -> object:
 
 
 def _read_known(path: Path) -> dict[str, Diagnosed]:
-    """Read the arms of a fleet.json by name; none where the file is missing or of another
-    version."""
+    """Read the arms of a fleet.json by name; none if it is missing or of another version."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["arms"]
         return {arm.name: arm for arm in _ROWS.validate_python(rows)}

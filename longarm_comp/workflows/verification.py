@@ -86,8 +86,7 @@ def verification(
 
 
 def error_row(name: str, error: np.ndarray) -> dict[str, Any]:
-    """Make a table's row of (N, 3) tip - target, m, in mm; ``mean_x_mm`` and so on are signed
-    means."""
+    """Make a table's row of (N, 3) tip - target, m, in mm; ``mean_x_mm`` is signed."""
     figures = Errors.of(error)
     told = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
     means = zip("xyz", error.mean(axis=0), strict=True)

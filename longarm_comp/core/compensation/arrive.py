@@ -23,8 +23,7 @@ from longarm_comp.core.model.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A compensated target, the move that it holds for, and the circumstances and history
-    assumed."""
+    """A compensated target, its move, and the circumstances and history assumed."""
 
     outcome: Compensation
     move: Move

@@ -190,8 +190,7 @@ class _Way:
         return physics_of(self.model, self.options.method)
 
     def solve(self, seed: np.ndarray | None) -> CompensatedPath:
-        """Find the joints; repeat until the learned error and the play are those at the joints
-        found."""
+        """Find the joints; repeat until learned error and play are those at the joints found."""
         options, learned = self.options, self.predictor is not None
         take, seeds = TakeUp(self.physics, self.limits.turn_m), self._seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
@@ -305,8 +304,7 @@ class _Way:
         return context
 
     def _seeds(self, seed: np.ndarray | None) -> np.ndarray:
-        """Return joints (k, n) to start from: as planned, or each from those of the way-point
-        before."""
+        """Return joints (k, n) to start from: as planned, or each from those found before."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._standing(np.clip(plan.joints, *arm.bounds))
@@ -356,8 +354,7 @@ class _Way:
         return self._standing(found.q), turn
 
     def _refuse(self, row: int, found: ik.Solution) -> None:
-        """Refuse a way-point that was not reached, or only in an orientation that is too far
-        off."""
+        """Refuse a way-point that was not reached, or whose orientation is too far off."""
         if not found.ok:
             here = ik.position_of(self.plan.targets[row])
             why = guess_unit(here, *reach(self.physics)) or describe_miss("target", found)

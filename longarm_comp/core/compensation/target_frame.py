@@ -151,8 +151,7 @@ def base_of_graph(model: Model) -> Placement:
 
 
 def _motion_of_all_rows(model: Model) -> np.ndarray:
-    """Return the motion (4, 4) from the measurements' frame to the model's, by which all rows
-    moved."""
+    """Return the motion (4, 4) from the measurements' frame to the model's, common to all rows."""
     made = np.eye(4)
     made[:3, 3] = np.negative(model.frame_shift)
     return made

@@ -246,8 +246,7 @@ def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) 
 
 
 def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
-    """Inputs (2000, d) over the training region: random joints in their box, with the context of
-    some training sample."""
+    """Inputs (2000, d) over the training region: random joints, and some sample's context."""
     joints = int(encoding.moved.sum())
     probe = x[rng.integers(0, len(x), 2000)]
     low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)

@@ -64,8 +64,7 @@ class Rules:
     def discover(
         self, rng: torch.Generator, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
     ) -> Tensor:
-        """Move the discoverers: towards the origin, or along the diagonal where `alarmed` (M, 1,
-        1)."""
+        """Move the discoverers: to the origin, or along the diagonal if `alarmed` (M, 1, 1)."""
         alpha = 1.0 - uniform(rng, position, *position.shape[:2])  # (0, 1]
         calm = position * torch.exp(-rank / (alpha * horizon))[..., None]
         return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
