@@ -173,7 +173,7 @@ def guard_outputs(command: click.Command, name: str) -> click.Command:
             word = option.opts[0]
             for made in (path, *option.beside(path)):
                 for other in read:
-                    if _same(made, other):
+                    if _is_same_file(made, other):
                         said = f"{made} is the input {other}"
                         raise InputError(name, word, said, "another file, or --force")
             if path.exists() and not option.kind(path):
@@ -194,7 +194,7 @@ def _parts(value: Any, kind: type) -> Iterator[Any]:
             yield from _parts(part, kind)
 
 
-def _same(one: Path, other: Path) -> bool:
+def _is_same_file(one: Path, other: Path) -> bool:
     """Compare two files, links followed; they need not exist."""
     try:
         return one.samefile(other)

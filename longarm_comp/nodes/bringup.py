@@ -261,7 +261,7 @@ class BringUp:
             "kinematics": arm | servos | model | trimmed | shaped,
             "error_predictor": arm | model | _path("predictor", self.predictor),
             "servo_driver": (
-                arm | shaping | port | stored | (_PATIENT | _apart() if self.sim else {})
+                arm | shaping | port | stored | (_PATIENT | _own_state() if self.sim else {})
             ),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
             PATHS: arm | model,
@@ -336,7 +336,7 @@ class BringUp:
         return made
 
 
-def _apart() -> dict[str, str]:
+def _own_state() -> dict[str, str]:
     """Return a folder for a simulated arm's stops, so that a reset there ends no real one."""
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     return {"state": str(state_folder() / "simulated" / domain)}

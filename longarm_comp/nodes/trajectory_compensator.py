@@ -204,7 +204,7 @@ class _TrajectoryCompensator(ArmNode):
             compensate = partial(
                 compensate_path,
                 loaded.stands.promising(loaded.model),
-                plan=self._plan(request.trajectory, start).seen_from(loaded.stands.motion),
+                plan=self._plan_of(request.trajectory, start).seen_from(loaded.stands.motion),
                 start=start,
                 history=history,
                 limits=replace(self._limits, max_longer=self._longer(request)),
@@ -226,7 +226,7 @@ class _TrajectoryCompensator(ArmNode):
         most = self._limits.max_longer
         return min(most, late / lasts) if late > 0.0 < lasts else most
 
-    def _plan(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
+    def _plan_of(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
         """Make a path of all joints from a trajectory; those not named stay at ``start``."""
         names = self._arm.joint_names
         at = [names.index(name) for name in asked.joint_names]

@@ -55,7 +55,7 @@ class _Card:
 def cards(report: record.DiagnosisReport) -> list[_Card]:
     """Make a card of each finding, then of each cause without a name that is in the model."""
     unnamed = [_unnamed_card(found, report) for found in report.discovered if found.kept]
-    return [_card(finding, report) for finding in report.findings] + unnamed
+    return [_card_of(finding, report) for finding in report.findings] + unnamed
 
 
 def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
@@ -64,7 +64,7 @@ def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
 
 
-def _duty(
+def _choose_duty(
     gain_mm: float, first: str, action: str, report: record.DiagnosisReport
 ) -> tuple[str, str]:
     """Choose duty and advice for a cause; ``first``: what must be known before, or ""."""
@@ -77,7 +77,7 @@ def _duty(
     return DUTIES[0], f"It is worth {millimetres(gain_mm)}. {action}"
 
 
-def _first(finding: Finding, report: record.DiagnosisReport) -> str:
+def _say_first(finding: Finding, report: record.DiagnosisReport) -> str:
     """Say what would decide a doubt; empty where there is none."""
     if len(finding.names) > 1:
         poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
@@ -97,13 +97,13 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
     held = "Within the range of the data the new model.yaml compensates it."
     gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
     first = "you find something there that acts like this."
-    duty, advice = _duty(gain, first, found.action, report)
+    duty, advice = _choose_duty(gain, first, found.action, report)
     return _Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         where=found.frame,
         reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
         tip=_tip(found.tip_mm.rms, found.tip_mm.max),
-        sure=_word(found.probability)
+        sure=_say_sure(found.probability)
         + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
         doubts=tuple(found.doubts),
@@ -115,10 +115,10 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
     )
 
 
-def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
-    title, where = finding.title or finding.name.replace("_", " "), _places(finding.where)
+def _card_of(finding: Finding, report: record.DiagnosisReport) -> _Card:
+    title, where = finding.title or finding.name.replace("_", " "), _join_places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
-    duty, advice = _duty(before - after, _first(finding, report), finding.action, report)
+    duty, advice = _choose_duty(before - after, _say_first(finding, report), finding.action, report)
     sizes = []
     for p in finding.parameters[:MOST_SIZES]:
         times, unit = for_people(p.unit)
@@ -135,8 +135,8 @@ def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
         because.append(f"Next best: {name}, odds of {odds(margin)} for the name")
     if finding.unnamed:
         because.append(f"It may be a cause without a name: {finding.unnamed}")
-    sure = _word(finding.probability)
-    named = _word(finding.probability * finding.set_probability.get(finding.name, 1.0))
+    sure = _say_sure(finding.probability)
+    named = _say_sure(finding.probability * finding.set_probability.get(finding.name, 1.0))
     if finding.name_open:
         sure += "; the name is open"
     else:
@@ -172,7 +172,7 @@ def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
     )
 
 
-def _places(where: Sequence[str]) -> str:
+def _join_places(where: Sequence[str]) -> str:
     """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
     split = [place.rsplit(" ", 1) for place in where]
     kinds = {parts[0] for parts in split}
@@ -193,7 +193,7 @@ def _with_doubts(doubts: Sequence[str]) -> str:
     return ", with a doubt" if len(doubts) == 1 else ", with doubts"
 
 
-def _word(probability: float) -> str:
+def _say_sure(probability: float) -> str:
     if probability >= CERTAIN:
         return "certain"
     return "likely" if probability >= CREDIBLE else "not sure"

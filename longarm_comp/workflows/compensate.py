@@ -123,7 +123,7 @@ class Commands(Sequence[Compensation]):
         None: not known, or of a target that failed.
         """
         rows = zip(self.numbers, self.arrivals, self.placements, strict=True)
-        return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
+        return [_line_of(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
         """Write commands.csv, or another format with ``write``, with why a target failed."""
@@ -334,7 +334,7 @@ def _usable_context(told: Context, model: Model, where: str) -> Context:
     return told.as_left(model.ended_s)
 
 
-def _line(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
+def _line_of(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
     found, move = arrival.outcome, arrival.move
     ideal = found.ideal if found.realisable is None else found.realisable.ideal
     sigma = float(np.max(found.sigma))

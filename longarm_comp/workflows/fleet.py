@@ -174,7 +174,7 @@ def fleet(
     if dask is not None:  # workers may be in another folder
         folder, output = folder.resolve(), output.resolve()
     found = members(folder)
-    tables = [_table(member.arm) for member in found]
+    tables = [_read_table(member.arm) for member in found]
     options = (__version__, network, seed)
     made: dict[str, Diagnosed] = {}
     for member in found:
@@ -202,7 +202,7 @@ def fleet(
     return told
 
 
-def _table(path: Path) -> object:
+def _read_table(path: Path) -> object:
     """Return the DH table, which arms of one kind share; the path of a file that is refused."""
     try:
         return table(Arm.load(path))

@@ -92,7 +92,7 @@ def train(
             progress(networks, len(sizes) * starts + _FOLDS)
 
     fits = learner.likeliest(sizes, starts, tell)[:ensemble]
-    out = _folds(q, np.random.default_rng([seed, _FOLDS]))
+    out = _draw_folds(q, np.random.default_rng([seed, _FOLDS]))
     without = learner.fits(fits[0].units, ~out)
     tell(len(sizes) * starts + _FOLDS)
     shape = NetworkShape(x.shape[1], max(each.units for each in fits), 3)
@@ -221,7 +221,7 @@ class _Learner:
         return sorted(fits, key=lambda each: -each.evidence)
 
 
-def _folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _draw_folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
     """(F, N) masks of the rows left out together; repeats of a pose stay together."""
     _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
     pose = pose.ravel()
