@@ -15,12 +15,13 @@ from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     EmitEvent,
+    LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
 )
 from launch.event_handlers import OnProcessExit, OnShutdown
-from launch.events.process import SignalProcess
+from launch.events.process import ShutdownProcess, SignalProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -58,12 +59,16 @@ def true(text):
     return text.lower() in ("true", "1")
 
 
-def end_on_bad_input(event, context):
-    """End the launch with a driver whose input is wrong; with another node the driver holds the
-    arm."""
-    driver = event.process_name.startswith("servo_driver")
-    wrong = driver and event.returncode == InputError.exit_code
-    return [Shutdown(reason=event.process_name)] if wrong else None
+def end_on_bad_input(event, made):
+    """Start no node again whose input is wrong. With the driver all end; the others go on without
+    another node, as the driver holds the arm."""
+    if event.action not in made or event.returncode != InputError.exit_code:
+        return None
+    if event.process_name.startswith("servo_driver"):
+        return [Shutdown(reason=event.process_name)]
+    text = f"{event.process_name}: bad input; it is not started again; the other nodes go on"
+    only = ShutdownProcess(process_matcher=lambda action: action is event.action)
+    return [LogInfo(msg=text), EmitEvent(event=only)]
 
 
 def interrupt(made):
@@ -116,8 +121,9 @@ def nodes(context):
         made.append(
             Node(package="rviz2", executable="rviz2", namespace=graph.namespace, arguments=view)
         )
-    handlers = OnProcessExit(on_exit=end_on_bad_input), OnShutdown(on_shutdown=[interrupt(made)])
-    return [*made, *map(RegisterEventHandler, handlers)]
+    ended = OnProcessExit(on_exit=lambda event, context: end_on_bad_input(event, made))
+    handlers = ended, OnShutdown(on_shutdown=[interrupt(made)])
+    return [*map(RegisterEventHandler, handlers), *made]
 
 
 def generate_launch_description():

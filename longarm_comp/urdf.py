@@ -41,7 +41,11 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
     leaders = {mimic["joint"]: robot.joints[mimic["joint"]] for mimic in mimics.values() if mimic}
     beside = {name: joint for name, joint in leaders.items() if name not in moving}
     robot.check_ranges(j for name, j in (beside | moving).items() if not mimics.get(name))
-    geared = {m["joint"] for name, m in mimics.items() if m and _is_geared(moving[name], m)}
+    geared = {  # joints whose followers stand elsewhere after a whole turn of theirs
+        m["joint"]
+        for name, m in mimics.items()
+        if m and (MOVING[moving[name].type] != "revolute" or m["multiplier"] % 1 != 0)
+    }
     rows = [
         _row(joint, number, None, name in geared) | {"moves": False}
         for number, (name, joint) in enumerate(beside.items(), 1)
@@ -63,8 +67,12 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
             frame, at = len(rows), align.T
         else:
             at = at @ joint.at(resting(joint))
-        if frame:
-            masses += _carried_masses(robot, joint.child, following, at, frame)
+        for name, place in robot.below(joint.child, following, at) if frame else ():
+            mass, centre = robot.links[name]
+            if mass > 0:
+                position = [_tidy(v) for v in (place @ np.append(centre, 1.0))[:3]]
+                held = {"name": name, "frame": frame, "position_m": position, "mass_kg": mass}
+                masses.append(held)
     pose = _pose(at)
     return {
         "name": robot.name,
@@ -157,25 +165,6 @@ def _row(
     if row["type"] == "revolute":
         return {**row, "limits_deg": [round(math.degrees(v), 9) + 0.0 for v in joint.limits]}
     return {**row, "limits_m": list(joint.limits)}
-
-
-def _is_geared(joint: UrdfJoint, mimic: dict[str, Any]) -> bool:
-    """Whether a joint stands elsewhere after a whole turn of the one that it mimics."""
-    return MOVING[joint.type] != "revolute" or mimic["multiplier"] % 1 != 0
-
-
-def _carried_masses(
-    robot: UrdfRobot, link: str, following: UrdfJoint | None, at: np.ndarray, frame: int
-) -> list[dict[str, Any]]:
-    """Point masses of a link and of all that hangs on it beside the chain."""
-    made = []
-    for name, place in robot.below(link, following, at):
-        mass, centre = robot.links[name]
-        if mass > 0:
-            position = [_tidy(v) for v in (place @ np.append(centre, 1.0))[:3]]
-            held = {"name": name, "frame": frame, "position_m": position, "mass_kg": mass}
-            made.append(held)
-    return made
 
 
 def _pose(matrix: np.ndarray) -> dict[str, list[float]]:

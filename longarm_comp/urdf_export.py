@@ -40,7 +40,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     placed, last, inner = _rows(geometry, context)
     bodies = _bodies(geometry, context, inner)
     root = ET.Element("robot", {"name": arm.name})
-    root.append(ET.Comment(_remark(model)))
+    root.append(ET.Comment(_write_remark(model)))
     ET.SubElement(root, "link", {"name": BASE_LINK})
     parent = BASE_LINK
     for row in placed:
@@ -48,7 +48,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
         node = ET.SubElement(root, "link", {"name": link_name(joint)})
         held = [m for m in arm.point_masses if m.frame == joint.id and not m.position_columns]
         points = [(m.mass_kg, inner[joint.id] @ np.append(m.position_m, 1.0)) for m in held]
-        _inertial(node, [(m, p[:3]) for m, p in (*points, *bodies.get(joint.id, ())) if m > 0])
+        _add_inertial(node, [(m, p[:3]) for m, p in (*points, *bodies.get(joint.id, ())) if m > 0])
         _joint(root, arm, row, parent if joint.moves else BASE_LINK)
         parent = link_name(joint) if joint.moves else parent
     ET.SubElement(root, "link", {"name": TIP})
@@ -111,7 +111,7 @@ def _rows(model: Model, context: Context) -> tuple[list[Placed], np.ndarray, dic
             before = inner[joint.id] = np.eye(4)
             continue
         slides = joint.type == "prismatic"
-        axis, point = _screw(turn, moved, slides)
+        axis, point = _find_screw(turn, moved, slides)
         shift = np.eye(4)
         shift[:3, 3] = point
         back = -values[0, k] * axis
@@ -167,7 +167,7 @@ def _within(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
     return made
 
 
-def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np.ndarray]:
+def _find_screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np.ndarray]:
     """Unit axis and a point on it of the motion that a row made, both in its frame."""
     if slides:
         return turn[:3, 3] / moved, np.zeros(3)
@@ -216,7 +216,7 @@ def _ends(node: ET.Element, origin: np.ndarray, parent: str, child: str) -> None
     ET.SubElement(node, "child", {"link": child})
 
 
-def _inertial(node: ET.Element, points: Sequence[tuple[float, np.ndarray]]) -> None:
+def _add_inertial(node: ET.Element, points: Sequence[tuple[float, np.ndarray]]) -> None:
     """Write point masses (kg, (3,) m) as one inertia about their common centre."""
     if not points:
         return
@@ -243,7 +243,7 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
     return " ".join(repr(float(v)) for v in values)
 
 
-def _remark(model: Model) -> str:
+def _write_remark(model: Model) -> str:
     left = sorted({e.name for e in model.effects if not e.geometry})
     zeros = ", ".join(f"{joint} {value:.9g} {unit}" for joint, value, unit in zero_offsets(model))
     origins = "Calibrated" if any(e.geometry for e in model.effects) else "Declared"

@@ -254,7 +254,7 @@ class UrdfRobot:
             if lower > upper:
                 raise self.error(f"joint {name} limit", [lower, upper], "lower <= upper")
             limits = lower, upper
-        hard, limits = limits, self._softened(node, limits) if kind != "continuous" else limits
+        hard, limits = limits, self._soften_limits(node, limits) if kind != "continuous" else limits
         (velocity,) = self._numbers(node, "limit", "velocity", "0", most=math.inf).tolist()
         if velocity < 0:
             allowed = "velocity, 0 (not told) or more"
@@ -278,7 +278,7 @@ class UrdfRobot:
         top = velocity or math.inf
         return UrdfJoint(name, kind, parent, child, origin, axis, limits, follows, hard, top)
 
-    def _softened(
+    def _soften_limits(
         self, node: ET.Element, limits: tuple[float, float] | None
     ) -> tuple[float, float] | None:
         """Return the part of hard limits that lies within the soft ones, where they are given.

@@ -171,10 +171,4 @@ def _outside(design: Design, turn: int) -> Menu:
     return (((name,), "usual") for name in OUTSIDE_EVERY_LIBRARY)
 
 
-_MENUS = {
-    "none": _none,
-    "single": _single,
-    "pair": _pair,
-    "removed": _single,
-    "outside": _outside,
-}
+_MENUS = {"none": _none, "single": _single, "pair": _pair, "removed": _single, "outside": _outside}

@@ -26,9 +26,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.calibrate import Errors, declared_model, geometry
 from longarm_comp.core.calibration.candidates import library
-from longarm_comp.core.compensation.compensate import (
-    Method,
-)
+from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.data.plan import grid, paper_grid, random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.posterior.explain import explain_session

@@ -119,11 +119,7 @@ def lines(arms: list[Touched]) -> list[dict[str, Any]]:
     groups = [(a.arm, [a]) for a in arms] + [("all", arms)]
     for name, held in groups:
         together = Touched(name, sum(a.rows for a in held), sum((a.places for a in held), ()))
-        row: dict[str, Any] = {
-            "arm": name,
-            "rows": together.rows,
-            "places": len(together.places),
-        }
+        row: dict[str, Any] = {"arm": name, "rows": together.rows, "places": len(together.places)}
         row |= {f"{model}_mm": round(together.mean_mm(model), 4) for model in MODELS}
         for model in MODELS:
             means = np.array([1e3 * p.spread[model].mean() for p in together.places])

@@ -88,7 +88,7 @@ def _describe_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
         stiff = f"EI {bending}, GJ {torsion:.3g} N m^2"
         text = f"{_section(beam)}; {stiff}; {1e3 * beam.mass_kg:.4g} g"
         if isinstance(beam.section, Rect):
-            text += _standing(fell[across], float(np.linalg.norm(fell)))
+            text += _describe_standing(fell[across], float(np.linalg.norm(fell)))
         yield declared(f"arm.yaml: links.{beam.name}", text)
     sag = 1e3 * float(np.linalg.norm(model.tip(at) - rigid.tip(at)))
     joints = []
@@ -116,7 +116,7 @@ def _section(beam: Beam) -> str:
     return f"{1e3 * section.width_m:.4g} wide x {1e3 * section.height_m:.4g} high mm, {wall}"
 
 
-def _standing(fell: np.ndarray, gravity: float) -> str:
+def _describe_standing(fell: np.ndarray, gravity: float) -> str:
     """Say which side is up; `fell`: gravity along width and height."""
     if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
         return "; the beam is vertical here, so no side is up"

@@ -29,7 +29,7 @@ MATERIALS = {
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
 
 
-def _limits(text: Any) -> tuple[float, float]:
+def _parse_limits(text: Any) -> tuple[float, float]:
     found = re.fullmatch(rf"(-?){_NUMBER}\.\.(-?){_NUMBER}", str(text))
     signs = found.groups() if found else ("", "1", "", "0")
     low, high = float("".join(signs[:2])), float("".join(signs[2:]))
@@ -38,7 +38,7 @@ def _limits(text: Any) -> tuple[float, float]:
     return low, high
 
 
-def _tube(text: Any) -> tuple[float, float]:
+def _parse_tube(text: Any) -> tuple[float, float]:
     """Outer and inner diameter, m."""
     found = re.fullmatch(rf"{_NUMBER}(?:/{_NUMBER})?", str(text))
     outer, inner = (float(v or 0) for v in found.groups()) if found else (0.0, 1.0)
@@ -47,7 +47,7 @@ def _tube(text: Any) -> tuple[float, float]:
     return outer / 1e3, inner / 1e3
 
 
-def _mimic(text: Any) -> tuple[str, float] | None:
+def _parse_mimic(text: Any) -> tuple[str, float] | None:
     leader, star, factor = str(text or "").partition("*")
     try:
         return (leader, float(factor) if star else 1.0) if leader else None
@@ -55,9 +55,9 @@ def _mimic(text: Any) -> tuple[str, float] | None:
         raise ValueError("NAME or NAME*FACTOR") from None
 
 
-Limits = Annotated[tuple[float, float], BeforeValidator(_limits)]
-Tube = Annotated[tuple[float, float], BeforeValidator(_tube)]
-Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
+Limits = Annotated[tuple[float, float], BeforeValidator(_parse_limits)]
+Tube = Annotated[tuple[float, float], BeforeValidator(_parse_tube)]
+Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_parse_mimic)]
 
 
 class _Row(Closed):

@@ -128,11 +128,11 @@ def write_head(
     entry = {**facts, "session": session, "before": old}
     # The last in place is the record: until then the same session may be given again
     made = {FILE: _with_entry(folder, BRIDGE, "stereo hand-eye", entry)}
-    made[BRIDGE] = _edit(folder / BRIDGE, values)
+    made[BRIDGE] = _edit_values(folder / BRIDGE, values)
     if (folder / SIMULATED).is_file():
         axis = [round(float(v), 9) for v in pose[:3, 2]]
         camera = {"camera.position": xyz, "camera.axis": axis}
-        made[SIMULATED] = _edit(folder / SIMULATED, camera)
+        made[SIMULATED] = _edit_values(folder / SIMULATED, camera)
     write_texts({folder / name: text for name, text in made.items()})
     return [name for name in made if name != FILE]
 
@@ -153,7 +153,7 @@ def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:
     return [round(float(v), 7) for v in pose[:3, 3]], [round(float(v), 12) for v in turn]
 
 
-def _edit(file: Path, values: Mapping[str, Sequence[float]]) -> str:
+def _edit_values(file: Path, values: Mapping[str, Sequence[float]]) -> str:
     """Return the text of a parameter file with other values."""
     parameters = {tuple(k.split(".")): v for k, v in values.items()}
     return edit_text(read_text(file), parameters, file)

@@ -21,12 +21,7 @@ _DAY = outputs.with_marks(b"<!doctype html>", b"A day of work")
 @options.namespace
 @options.as_json
 def record(
-    output: Path,
-    images: bool,
-    duration: float | None,
-    resume: bool,
-    segment: float,
-    namespace: str,
+    output: Path, images: bool, duration: float | None, resume: bool, segment: float, namespace: str
 ) -> None:
     """Record an arm's topics as a rosbag2 (mcap), until Ctrl-C.
 

@@ -42,7 +42,7 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
       longarm diagnose arm.yaml bag --model model.yaml -o diagnosis
       longarm diagnose arm.yaml samples.csv -o diagnosis --kind-of others/*.yaml
     """
-    from longarm_comp.report.cards import advice, to_do
+    from longarm_comp.report.cards import to_do
     from longarm_comp.workflows.diagnose import diagnose_files
 
     with progress("diagnose") as show:
@@ -62,7 +62,7 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     for duty, held in to_do(report.for_people()).items():
         for card in held:
             size = "; ".join(filter(None, (card.tip, card.sure, f"{card.figure} {card.improves}")))
-            say(f"{duty.lower()}: {card.title} ({size}): {advice(card)} {card.software}")
+            say(f"{duty.lower()}: {card.title} ({size}): {card.advice} {card.software}")
     say(f"{report.verdict}: {report.summary}")
     note(found.diagnosis.set_aside.describe(found.diagnosis.fit.session))
     note(f"report in {output / 'report.html'}, model in {output / 'model.yaml'}")

@@ -169,4 +169,7 @@ def import_urdf(urdf: Path, base: str, tip: str, output: Path) -> None:
     data = read.import_urdf(urdf, base, tip)
     text, arm = arm_file(data, f"From {urdf.name}, {base} to {tip}.", {}, seen=False)
     write_text(output, text)
+    for joint in read.read_drives(urdf, data).values():
+        if joint.hard != joint.limits:
+            note(f"joint {joint.name}: taken are {read.describe_drive(joint)}")
     note(f"{arm.n} joints ({', '.join(arm.joint_names)}) in {output}")

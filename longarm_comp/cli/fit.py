@@ -77,10 +77,10 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
         [
             {
                 "": place.where,
-                "x y z, m": _three(place.xyz_m, 4),
-                "1 sigma, mm": _three(place.sd_mm, 2),
-                "roll pitch yaw, deg": _three(place.rpy_deg, 3),
-                "1 sigma about x y z, deg": _three(place.sd_deg, 3),
+                "x y z, m": _round_three(place.xyz_m, 4),
+                "1 sigma, mm": _round_three(place.sd_mm, 2),
+                "roll pitch yaw, deg": _round_three(place.rpy_deg, 3),
+                "1 sigma about x y z, deg": _round_three(place.sd_deg, 3),
             }
             for place in calibration.places
         ],
@@ -96,7 +96,7 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
         )
 
 
-def _three(values: Sequence[float], digits: int) -> str:
+def _round_three(values: Sequence[float], digits: int) -> str:
     return " ".join(f"{value + 0.0:.{digits}f}" for value in values)
 
 

@@ -97,15 +97,9 @@ def command(
         ]
     size = "size_rad_m" if heard is not None and heard.of_joints else "size_mm"
     scale = 1e3 if size == "size_mm" else 1.0
+    names = ("hz", "hz_sd", "damping", "damping_sd")
     told = [
-        {
-            "hz": w.hz,
-            "hz_sd": w.hz_sd,
-            "damping": w.damping,
-            "damping_sd": w.damping_sd,
-            size: (scale * w.size).tolist(),
-        }
-        for w in seen
+        {name: getattr(w, name) for name in names} | {size: (scale * w.size).tolist()} for w in seen
     ]
     print_json({"damping": chosen, "rows": rows, "seen": told})
     if not rows:

@@ -7,7 +7,6 @@ Inputs are regular files or folders, and numbers are finite.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from typing import Any
 import click
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import file_hash
 
 _LOOKED_AT = 4096
 """Bytes at either end in which the marks of every kind of file stand."""
@@ -91,8 +91,7 @@ def session(path: Path) -> bool:
     """
     mapping = path.with_suffix(".mapping.yaml")
     if mapping.is_file() and path.is_file():
-        told = b"session_sha256: " + hashlib.sha256(path.read_bytes()).hexdigest().encode()
-        return told in mapping.read_bytes()
+        return f"session_sha256: {file_hash(path)}".encode() in mapping.read_bytes()
     return table("q1", "repeat_id")(path)
 
 
@@ -174,7 +173,7 @@ def guard_outputs(command: click.Command, name: str) -> click.Command:
             word = option.opts[0]
             for made in (path, *option.beside(path)):
                 for other in read:
-                    if _same(made, other):
+                    if _is_same_file(made, other):
                         said = f"{made} is the input {other}"
                         raise InputError(name, word, said, "another file, or --force")
             if path.exists() and not option.kind(path):
@@ -195,7 +194,7 @@ def _parts(value: Any, kind: type) -> Iterator[Any]:
             yield from _parts(part, kind)
 
 
-def _same(one: Path, other: Path) -> bool:
+def _is_same_file(one: Path, other: Path) -> bool:
     """Compare two files, links followed; they need not exist."""
     try:
         return one.samefile(other)

@@ -83,9 +83,7 @@ COMMANDS = (
     Entry("record", "bag:record", "Record an arm's topics as a rosbag2."),
     Entry("day-report", "bag:day_report", "Make a page of a recorded day: errors, what changed."),
     Entry(
-        "effects",
-        "diagnose:effects",
-        "Print the library of effects: parameters, priors, inputs.",
+        "effects", "diagnose:effects", "Print the library of effects: parameters, priors, inputs."
     ),
     Entry("servo scan", "servo:scan", "List the servos on a bus: id, model, ids used twice."),
     Entry("servo set-id", "servo:set_id", "Give the only connected servo its id."),

@@ -49,7 +49,7 @@ def scan(port: str | None, **line: Any) -> None:
 
     found = _find_servos("servo scan", port, **line)
     print_json(asdict(found))
-    _show(found)
+    _show_servos(found)
     left = SetupJournal(found.port)
     if ids_left := sorted(left.read(found.protocol)):
         note(
@@ -83,7 +83,7 @@ def _find_servos(
         default = there[0][0] if len(there) == 1 else known
         port = str(ask(command, "--port", "serial port", "a serial port", default=default))
     with progress("scan") as tell:
-        found = scan_line(port, protocol, baud, _ids(ids), timeout, tell, expected)
+        found = scan_line(port, protocol, baud, _parse_ids(ids), timeout, tell, expected)
     if found is None:
         raise JobError(
             f"no servo answers on {port}: is the bus powered, are data and ground connected, is it "
@@ -95,7 +95,7 @@ def _find_servos(
     return found
 
 
-def _show(found: Scan) -> None:
+def _show_servos(found: Scan) -> None:
     """Print the servos found; raise `JobError` where two answer with the same id."""
     rows = []
     for s in found.servos:
@@ -107,7 +107,7 @@ def _show(found: Scan) -> None:
     print_table(title, ("id", "model", "firmware", ""), rows)
     for s in found.servos:
         if not s.model and not s.clash:
-            note(f"next: {_unknown(s, found.protocol)}")
+            note(f"next: {_describe_unknown(s, found.protocol)}")
     if found.clashes:
         raise JobError(
             "answers are damaged or doubled: connect these servos one at a time and give each its "
@@ -116,7 +116,7 @@ def _show(found: Scan) -> None:
         )
 
 
-def _unknown(servo: FoundServo, protocol: str) -> str:
+def _describe_unknown(servo: FoundServo, protocol: str) -> str:
     from longarm_comp.devices.servo_bus.registry import protocols
 
     known = ", ".join(model.name for model in protocols()[protocol].models)
@@ -126,7 +126,7 @@ def _unknown(servo: FoundServo, protocol: str) -> str:
     )
 
 
-def _ids(text: str) -> Sequence[int]:
+def _parse_ids(text: str) -> Sequence[int]:
     ids: list[int] = []
     for part in text.split(","):
         found = re.fullmatch(r"\s*(\d{1,3})(?:-(\d{1,3}))?\s*", part)
@@ -254,7 +254,7 @@ def setup(
     found = _find_servos(_COMMAND, port, known=bus.port, expected=known, **line)
     stops = Path(read_parameters(file).get("state") or state_folder())
     refuse_under_stop(stops, {found.port, bus.port}, folder / "arm.yaml")
-    _show(found)
+    _show_servos(found)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
     servo_bus = open_bus(
@@ -348,7 +348,7 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
                 found=list(on_bus),
             )
         if not servo.model:
-            raise JobError(f"{name}: {_unknown(servo, found.protocol)}")
+            raise JobError(f"{name}: {_describe_unknown(servo, found.protocol)}")
         if servo.model != joint.model:
             note(f"{name}: servo {servo.servo_id} is a {servo.model}, and the file will say so")
         joints[name] = joint.having(model=servo.model)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import os
 import stat
 import tempfile
@@ -17,6 +18,17 @@ from longarm_comp.core.errors import InputError, JobError
 MOST_UNPACKED = 256_000_000
 """Bytes of an archive: a sheet of 250,000 rows of 20 cells, more than any predictor."""
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
+
+def file_hash(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a file, or of a folder's files in the order of their names."""
+    whole, digest = Path(path), hashlib.sha256()
+    for part in sorted(whole.rglob("*")) if whole.is_dir() else [whole]:
+        if part.is_file():
+            with part.open("rb") as file:
+                while piece := file.read(1 << 20):
+                    digest.update(piece)
+    return digest.hexdigest()
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
@@ -140,7 +152,9 @@ def _partial_beside(target: Path) -> tuple[int, Path]:
         target.parent.mkdir(parents=True, exist_ok=True)
         for left in target.parent.iterdir():
             if left.name.startswith(begin) and left.suffix == target.suffix:
-                _remove_unless_locked(left)
+                with suppress(OSError), left.open("rb") as file:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    left.unlink()
         while True:
             handle, name = tempfile.mkstemp(dir=target.parent, prefix=begin, suffix=target.suffix)
             fcntl.flock(handle, fcntl.LOCK_EX)
@@ -151,26 +165,14 @@ def _partial_beside(target: Path) -> tuple[int, Path]:
         raise _not_writable(target, error) from error
 
 
-def _remove_unless_locked(left: Path) -> None:
-    with suppress(OSError), left.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        left.unlink()
-
-
 def _publish(partial: Path, target: Path) -> None:
     """Give the file the permissions that an ordinary new file would have, then move it in place."""
     try:
-        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
-        partial.chmod(mode)
+        os.umask(umask := os.umask(0))
+        partial.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~umask)
         os.replace(partial, target)
     except OSError as error:
         raise _not_writable(target, error) from error
-
-
-def _umask() -> int:
-    umask = os.umask(0)
-    os.umask(umask)
-    return umask
 
 
 def _not_writable(target: Path, error: OSError) -> InputError:

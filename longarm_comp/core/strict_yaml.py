@@ -126,10 +126,10 @@ def _check(root: yaml.Node) -> None:
         seen.add(id(node))
         if isinstance(node, yaml.ScalarNode):
             _check_number(node, path or "document")
-        ahead += reversed(list(_inside(node, path)))
+        ahead += reversed(list(_is_inside(node, path)))
 
 
-def _inside(node: yaml.Node, path: str) -> Iterator[tuple[yaml.Node, str]]:
+def _is_inside(node: yaml.Node, path: str) -> Iterator[tuple[yaml.Node, str]]:
     if isinstance(node, yaml.SequenceNode):
         for k, value in enumerate(node.value):
             yield value, f"{path}.{k}".lstrip(".")

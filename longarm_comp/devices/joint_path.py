@@ -14,7 +14,7 @@ from longarm_comp.math.shaper import Shaper
 
 _WHERE = "joint trajectory"
 _MOST_POINTS = 1000
-"""Points of a trajectory at most: the driver does nothing else while it takes them, 25 us each."""
+"""Points after time 0 at most: the driver does nothing else while it takes them, 25 us each."""
 
 
 def check_trajectory(
@@ -24,27 +24,27 @@ def check_trajectory(
 
     They are in the order of ``config``; joints not named stay at ``start`` (n,).
     """
-    if len(trajectory.points) > _MOST_POINTS:
+    if len(trajectory.points) > _MOST_POINTS + (trajectory.points[0].time_from_start_s == 0.0):
         found = f"{len(trajectory.points)} points"
         raise InputError(_WHERE, "points", found, f"{_MOST_POINTS} at most, cubic in between")
-    columns = _columns(trajectory.joint_names, tuple(config.joints))
+    columns = _find_columns(trajectory.joint_names, tuple(config.joints))
     with_velocities = [p for p in trajectory.points if p.velocities]
     if with_velocities and len(with_velocities) != len(trajectory.points):
         found = f"{len(with_velocities)} of {len(trajectory.points)} points"
         raise InputError(_WHERE, "velocities", found, "at every point or at none")
-    times = _times(trajectory)
+    times = _check_times(trajectory)
     positions = np.tile(start, (len(times), 1))
     velocities = np.zeros_like(positions)
-    positions[:, columns] = _rows(trajectory, "positions")
+    positions[:, columns] = _check_rows(trajectory, "positions")
     if with_velocities:
-        velocities[:, columns] = _rows(trajectory, "velocities")
+        velocities[:, columns] = _check_rows(trajectory, "velocities")
     for column, (name, joint) in zip(positions.T, config.joints.items(), strict=True):
         for k in (int(column.argmin()), int(column.argmax())):
             joint.check_inside(float(column[k]), _WHERE, f"points[{k}].positions of {name}")
     return times, positions, velocities if with_velocities else None
 
 
-def _columns(names: tuple[str, ...], known: tuple[str, ...]) -> list[int]:
+def _find_columns(names: tuple[str, ...], known: tuple[str, ...]) -> list[int]:
     for k, name in enumerate(names):
         if name not in known:
             raise InputError(_WHERE, f"joint_names[{k}]", name, "one of " + ", ".join(known))
@@ -55,7 +55,7 @@ def _columns(names: tuple[str, ...], known: tuple[str, ...]) -> list[int]:
     return [known.index(name) for name in names]
 
 
-def _times(trajectory: JointTrajectory) -> Array:
+def _check_times(trajectory: JointTrajectory) -> Array:
     times = np.array([point.time_from_start_s for point in trajectory.points], dtype=float)
     for k, time in enumerate(times.tolist()):
         field = f"points[{k}].time_from_start"
@@ -68,7 +68,7 @@ def _times(trajectory: JointTrajectory) -> Array:
     return times
 
 
-def _rows(trajectory: JointTrajectory, field: str) -> Array:
+def _check_rows(trajectory: JointTrajectory, field: str) -> Array:
     names, rows = trajectory.joint_names, [getattr(point, field) for point in trajectory.points]
     for k, values in enumerate(rows):
         if len(values) != len(names):

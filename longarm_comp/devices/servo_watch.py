@@ -72,10 +72,10 @@ class ServoWatch:
         for name, joint in self._config.joints.items():
             seen = self._seen[name]
             state = states.get(joint.servo_id)
-            if state is None or self._doubtful(seen, joint, state, now, goals is not None):
+            if state is None or self._is_doubtful(seen, joint, state, now, goals is not None):
                 fresh = False
             else:
-                before, seen.ill = seen.ill, tuple(self._health(name, joint, state))
+                before, seen.ill = seen.ill, tuple(self._find_ill(name, joint, state))
                 if seen.ill and not before:
                     fresh = False
                 else:
@@ -83,15 +83,14 @@ class ServoWatch:
                     findings += seen.ill
             goal = None if goals is None else goals.get(joint.servo_id)
             findings += self._obedience(name, joint, seen, goal, now)
-            findings += self._silence(name, seen, now)
+            findings += self._find_silent(name, seen, now)
         return fresh, findings
 
     def standing(self, now: float) -> list[JointFault]:
-        """Return the faults that do not depend on a command: silence, and what the last read-back
-        shows."""
+        """Return the faults that depend on no command: silence, and those of the last read-back."""
         findings: list[JointFault] = []
         for name, seen in self._seen.items():
-            findings += self._silence(name, seen, now)
+            findings += self._find_silent(name, seen, now)
             findings += seen.ill
         return findings
 
@@ -109,7 +108,7 @@ class ServoWatch:
         for seen in self._seen.values():
             seen.off_since = seen.lost_since = None
 
-    def _doubtful(
+    def _is_doubtful(
         self, seen: _Seen, joint: JointConfig, state: ServoState, now: float, commanded: bool
     ) -> bool:
         """Return whether the joint would have had to move faster than it can to be there.
@@ -125,13 +124,13 @@ class ServoWatch:
             return False
         return commanded or said is None or abs(state.position_ticks - said) > jump
 
-    def _silence(self, name: str, seen: _Seen, now: float) -> Iterator[JointFault]:
+    def _find_silent(self, name: str, seen: _Seen, now: float) -> Iterator[JointFault]:
         since = seen.at if seen.state is not None else self._started
         if since is not None and now - since > self._config.follower.silence_s:
             message = f"no trusted reading for {now - since:.2f} s"
             yield JointFault(ServoTrouble.SILENT, name, message)
 
-    def _health(self, name: str, joint: JointConfig, state: ServoState) -> Iterator[JointFault]:
+    def _find_ill(self, name: str, joint: JointConfig, state: ServoState) -> Iterator[JointFault]:
         if state.error_flags:
             alarm = f"the servo reports {state.error_flags.words}"
             yield JointFault(ServoTrouble.ALARM, name, alarm)

@@ -76,8 +76,7 @@ class StopLatch:
             self._owing = True
 
     def keep(self) -> None:
-        """Write what is not written, or not there any more. Where that fails, `trouble` says why:
-        call it again."""
+        """Write what is not written, or gone. `trouble` says why that fails: call it again."""
         try:
             if not self._owing and self._is_whole():
                 return

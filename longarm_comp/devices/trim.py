@@ -50,8 +50,7 @@ class Trim:
             self.offset = np.zeros(len(self._joints))
 
     def correction_now(self, dt: float) -> Array:
-        """Return the (n,) corrections after `dt` (s); they change no faster than a joint may
-        move."""
+        """Return the (n,) corrections after `dt` (s); they change no faster than joints may."""
         step = np.clip(self.offset - self._applied, -self._rate * dt, self._rate * dt)
         self._applied = self._applied + step
         return self._applied

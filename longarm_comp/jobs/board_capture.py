@@ -27,11 +27,7 @@ _PATIENCE_S = 600.0
 
 
 def capture(
-    client: GraphClient,
-    board: Target,
-    tell: Callable[[str], None],
-    *,
-    save: Path | None = None,
+    client: GraphClient, board: Target, tell: Callable[[str], None], *, save: Path | None = None
 ) -> tuple[list[BoardView], tuple[int, int]]:
     """Take a view whenever the board rests somewhere new, until nothing is missing.
 

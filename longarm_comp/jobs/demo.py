@@ -45,8 +45,7 @@ _PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 
 
 
 def table_row(trial: Trial) -> dict[str, Any]:
-    """Make a table's row: errors that the cameras measured, the true errors, and those of the
-    paper."""
+    """Make a table's row: errors by the cameras, the true errors, and those of the paper."""
     seen = Errors.of(trial.error)
     told = ("mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
     mean, variance = _PAPER.get(trial.name, (None, None))
@@ -106,11 +105,7 @@ class DemoSettings:
                 "order_max_age_s": PACE.look_s,
                 "state": str(self.out.absolute() / "state"),  # no other run's stop holds for it
             },
-            "simulated_arm": {
-                "hidden": self.hidden,
-                "seed": self.seed,
-                "frame_rate_hz": 15.0,
-            },
+            "simulated_arm": {"hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 15.0},
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": PACE.look_s},
         }
         return BringUp(

@@ -160,8 +160,7 @@ class GraphClient:
             self.node.destroy_client(made)
 
     def parameters(self, node: str, *names: str, within_s: float = _ANSWER_S) -> list[Any]:
-        """Read a node's parameters, in the order of the names; None where the node has no such
-        one."""
+        """Read a node's parameters, in the order of the names; None for one that it lacks."""
         asked = GetParameters.Request(names=list(names))
         answer = self.ask(node, _GET, asked, within_s)
         return [parameter_value_to_python(value) for value in answer.values]

@@ -104,12 +104,12 @@ class LoopSettings:
         return self.out / (what if k == 1 else f"{name}_{k}{dot}{ending}")
 
     def facts(self) -> dict[str, Any]:
-        """Return the settings that an interrupted loop must keep; the folder and ``rounds`` may
-        change."""
+        """Return what an interrupted loop must keep; the folder and ``rounds`` may change."""
         return {k: v for k, v in asdict(self).items() if k not in ("out", "rounds")}
 
 
 _TRIAL = ("target", "seen", "true", "status")
+_CHANGE = ("what", "where", "kind", "tip_mm")
 
 
 class Journal:
@@ -188,7 +188,7 @@ class Loop:
         if files.model.resolve().parent == self._settings.path("diagnosis", 1).resolve():
             raise InputError(files.model, "model", "in the loop's folder", "another folder")
         method = method_at_work(client)
-        self._done("bring_up")
+        self._time_step("bring_up")
         learned = files.predictor is not None and files.predictor.is_file()
         now = method if learned else Method.DEFLECTION
 
@@ -207,26 +207,26 @@ class Loop:
         ]
         rounds: list[dict[str, Any]] = []
         for k in range(1, self._settings.rounds + 1):
-            rounds.append(self._round(k, files, targets, method, trials))
+            rounds.append(self._run_round(k, files, targets, method, trials))
             if not rounds[-1]["again"]:
                 break
-        return trials, self._write(files, chosen["refused"], trials, rounds)
+        return trials, self._write_result(files, chosen["refused"], trials, rounds)
 
     def _drive(self, name: str, targets: np.ndarray, method: Method) -> Trial:
         run = partial(self._runner.run, name, targets, method, self._say)
         trial = self._journal.trial(f"run: {name}", run)
-        self._done(name)
+        self._time_step(name)
         return trial
 
-    def _round(
+    def _run_round(
         self, k: int, files: FilesAtWork, targets: np.ndarray, method: Method, trials: list[Trial]
     ) -> dict[str, Any]:
         """One turn of the cycle, number k from 1; its runs are added to the trials."""
         names = self._settings.names
         collected = self._journal.once(f"collected {k}", partial(self._collect, k))
-        self._done(f"collect_{k}")
+        self._time_step(f"collect_{k}")
         found = self._journal.once(f"diagnosed {k}", partial(self._diagnose, k, files))
-        self._done(f"diagnose_{k}")
+        self._time_step(f"diagnose_{k}")
         folder = self._settings.path("diagnosis", k)
         report = read_report(folder)
 
@@ -249,7 +249,7 @@ class Loop:
         if f"applied {k}" not in self._journal and not self._agree(report):
             return {**made, "why": "not applied: there was no answer yes"}
         applied = self._journal.once(f"applied {k}", partial(self._apply, k, files))
-        self._done(f"train_{k}")
+        self._time_step(f"train_{k}")
         before = trials[-1]
         trials.append(self._drive(names.found.format(k=k), targets, Method.DEFLECTION))
         if applied["predictor"] is not None:
@@ -320,22 +320,16 @@ class Loop:
             "network_refused": done.refused,
             "undo": done.undo,
             "changes": [
-                {
-                    "text": str(c),
-                    "what": c.what,
-                    "where": c.where,
-                    "kind": c.kind,
-                    "tip_mm": c.tip_mm,
-                }
+                {"text": str(c)} | {name: getattr(c, name) for name in _CHANGE}
                 for c in done.changes
             ],
         }
 
-    def _done(self, step: str) -> None:
+    def _time_step(self, step: str) -> None:
         now = time.monotonic()
         self._seconds[step], self._begun = now - self._begun, now
 
-    def _write(
+    def _write_result(
         self,
         files: FilesAtWork,
         refused: list[dict[str, Any]],

@@ -126,8 +126,7 @@ class ArmState:
 
     @property
     def standing(self) -> tuple[Model, np.ndarray, Context] | None:
-        """The model in use, the readings (n,) and the present circumstances; None while not
-        known."""
+        """The model in use, the readings (n,) and the circumstances; None while not known."""
         q, context = self.joints, self.known_context()
         return None if q is None or context is None else (self.files.loaded.model, q, context)
 

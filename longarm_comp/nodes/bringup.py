@@ -198,8 +198,7 @@ class BringUp:
         return tuple(n for n in every if n not in (*self.without, *unasked))
 
     def file(self, node: str) -> Path:
-        """Return a node's parameter file: from ``config`` or the arm's folder, else the
-        package's."""
+        """Return a node's parameter file: of ``config`` or the arm's folder, else the package."""
         name = f"{node}.yaml"
         own = (self.config or self.arm.absolute().parent) / name
         return own if own.is_file() else folder("config") / name
@@ -244,8 +243,7 @@ class BringUp:
         return replace(self, config=scratch)
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
-        """Return the parameters that override the file; ``bus``: link to the simulated servo
-        bus."""
+        """Return the parameters that override the file; ``bus``: link to the simulated bus."""
         arm, model = _path("arm", self.arm), _path("model", self.model)
         if not self.driver and node in ("kinematics", PATHS):
             return arm | model | {"acknowledged": False} | dict(self.set.get(node, {}))
@@ -263,7 +261,7 @@ class BringUp:
             "kinematics": arm | servos | model | trimmed | shaped,
             "error_predictor": arm | model | _path("predictor", self.predictor),
             "servo_driver": (
-                arm | shaping | port | stored | (_PATIENT | _apart() if self.sim else {})
+                arm | shaping | port | stored | (_PATIENT | _own_state() if self.sim else {})
             ),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
             PATHS: arm | model,
@@ -309,8 +307,7 @@ class BringUp:
         }
 
     def files(self, node: str, bus: str, scratch: Path) -> list[Path]:
-        """Return the parameter files of a node: its own, then one in ``scratch`` that overrides
-        it."""
+        """Return a node's parameter files: its own, then one in ``scratch`` that overrides it."""
         values = {f"/**/{node}": {"ros__parameters": self.parameters(node, bus)}}
         write_text(scratch / f"{node}.given.yaml", yaml.safe_dump(values))
         return [self.file(node), scratch / f"{node}.given.yaml"]
@@ -326,8 +323,7 @@ class BringUp:
         return [word for path in loads for word in (EFFECTS, str(path.absolute()))]
 
     def commands(self, scratch: Path) -> dict[str, list[str]]:
-        """Return program and arguments of every node, by its name; ``scratch``: folder for
-        files."""
+        """Return program and arguments of every node, by name; ``scratch``: folder for files."""
         bus = str(scratch / "servo_bus")
         space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []
         made = {}
@@ -340,9 +336,8 @@ class BringUp:
         return made
 
 
-def _apart() -> dict[str, str]:
-    """Return a folder of its own for a simulated arm's stops, so that a reset there ends no real
-    one."""
+def _own_state() -> dict[str, str]:
+    """Return a folder for a simulated arm's stops, so that a reset there ends no real one."""
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     return {"state": str(state_folder() / "simulated" / domain)}
 

@@ -17,8 +17,7 @@ def stamp_ns(stamp: Time) -> int:
 
 
 def sent_s(source_ns: int) -> float:
-    """Return the monotonic time (s) at which a message was sent, by the middleware's time of
-    sending."""
+    """Return the monotonic time (s) at which the middleware sent a message."""
     return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)
 
 

@@ -68,8 +68,7 @@ class Compensator:
         return loaded.file_hash, loaded.learned, *asked, known
 
     def rehearse(self) -> None:
-        """Compute a target that nobody asked for, so that everything is compiled for the next
-        one."""
+        """Compute a target that nobody asked for: it compiles everything for the next one."""
         mid = self._files.arm.mid
         seed = joints_message(self._files.arm, mid)
         frame = Header(frame_id=self._base_frame)

@@ -1,5 +1,4 @@
-"""`error_predictor`: answers with the learned error at given joints, or refuses outside its
-domain."""
+"""`error_predictor`: answers with the learned error at joints, or refuses outside its domain."""
 
 from __future__ import annotations
 
@@ -14,13 +13,14 @@ from std_msgs.msg import Header
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import LongarmError
+from longarm_comp.core.files import file_hash
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
-from longarm_comp.nodes.model_files import ModelFiles, file_hash
+from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode, program
 from longarm_comp.nodes.params import Param
 from longarm_interfaces.srv import PredictError

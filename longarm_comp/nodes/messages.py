@@ -77,8 +77,7 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
 
 
 def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
-    """Return efforts (n,) in the order of the arm, N m and N; NaN where none or an impossible
-    one."""
+    """Return efforts (n,) in the order of the arm, N m and N; NaN where missing or impossible."""
     if len(message.effort) != len(message.name):
         return np.full(arm.n, np.nan)
     at = dict(zip(message.name, message.effort, strict=True))
@@ -173,8 +172,7 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
 
 
 def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
-    """Return the row that the sensor is mounted on, and the columns of its tilt (rad) as in
-    sessions."""
+    """Return the row that the sensor is mounted on, and the session's columns of its tilt (rad)."""
     if message.orientation_covariance[0] < 0:
         where = "orientation_covariance[0]"
         raise InputError("inclination", where, "-1: no orientation", "a sensor that gives one")
@@ -219,8 +217,7 @@ def check_sighting(tip: np.ndarray, variance: np.ndarray) -> None:
 def tip_message(
     tip: np.ndarray, covariance: np.ndarray, stamp: Time, frame: str
 ) -> PoseWithCovarianceStamped:
-    """Make a message of a tip (3,), m, with the covariance (6, 6) of its pose; `sighting_of` reads
-    it."""
+    """Make a message of a tip (3,), m, with its pose's covariance (6, 6), for `sighting_of`."""
     message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=frame))
     x, y, z = tip.tolist()
     message.pose.pose.position = Point(x=x, y=y, z=z)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ from longarm_comp.core.arm.context import NEVER_TOLD
 from longarm_comp.core.compensation.target_frame import Placement, base_of_graph
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.files import file_hash
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -85,7 +85,3 @@ class ModelFiles:
             return Report(WARN, said + wrong, facts)
         left_out = f"; left out {', '.join(self._left_out)} {NEVER_TOLD}" if self._left_out else ""
         return Report(OK, f"calibrated model loaded{left_out}", facts)
-
-
-def file_hash(path: str | Path) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()

@@ -15,11 +15,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place, turned_covariance
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor, Verdict
-from longarm_comp.core.compensation.expected import (
-    TipByReadings,
-    expected_miss,
-    tip_by_readings,
-)
+from longarm_comp.core.compensation.expected import TipByReadings, expected_miss, tip_by_readings
 from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -62,8 +58,7 @@ class ReadingsTeller:
         state.node.every("readings.period_s", self._tick)
 
     def _tick(self) -> None:
-        """Queue the computation if the arm rests; at most one waits, so that targets are not
-        delayed."""
+        """Queue the computation if the arm rests; one waits at most: no target is delayed."""
         now = self._state.standing
         q, before = None if now is None else now[1], self._before
         self._before = q
@@ -207,8 +202,7 @@ class TipMonitor:
         return learned
 
     def _promised_sigma(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
-        """Return the standard deviation (3,) m that is expected at joints: a parameter or the
-        model's."""
+        """Return the standard deviation (3,) m expected at joints: a parameter or the model's."""
         if self._sigma_m:
             return np.full(3, self._sigma_m)
         promised = expected_miss(model, q, context, model.tip(q, context)).covariance

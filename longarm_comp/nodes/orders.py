@@ -43,8 +43,7 @@ def order_id(message: JointTrajectory) -> str:
 
 
 class Stamps:
-    """The stamps of a node's orders: now; while its clock stands, each 1 ns after the one
-    before."""
+    """The stamps of a node's orders: now; while its clock stands, 1 ns after the one before."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self._read, self._last = clock, 0, 0

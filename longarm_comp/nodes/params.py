@@ -1,5 +1,4 @@
-"""Parameters of a node: declared with description and range, and checked; unknown ones are
-refused."""
+"""Parameters of a node: declared with description and range; unknown ones are refused."""
 
 from __future__ import annotations
 

@@ -76,12 +76,7 @@ class Weigher:
         self._wrist = Wrist(row, force, self._sigma)
 
     def _weigh(
-        self,
-        model: Model,
-        q: np.ndarray,
-        context: Context,
-        effort: np.ndarray,
-        wrist: Wrist | None,
+        self, model: Model, q: np.ndarray, context: Context, effort: np.ndarray, wrist: Wrist | None
     ) -> None:
         told = self._state.readings.fresh("payload", time.monotonic(), self._max_age_s)
         kg = told.get("payload_kg")

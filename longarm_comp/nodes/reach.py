@@ -1,5 +1,4 @@
-"""The action `reach`: takes a target, gives feedback while the arm moves, and tells where the tip
-came to rest."""
+"""The action `reach`: takes a target, gives feedback on the way, and tells where the tip rests."""
 
 from __future__ import annotations
 

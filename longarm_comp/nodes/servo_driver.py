@@ -98,7 +98,7 @@ def reporting_faults(transition: Transition) -> Transition:
     return tell
 
 
-def _refusing(change: Change) -> Change:
+def _refuse_missing(change: Change) -> Change:
     """Wrap a service so that it refuses a transition that the state does not have.
 
     rclpy raises there and answers nothing, so the client would wait for ever.
@@ -119,7 +119,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
         changes = self._service_change_state
-        changes.callback = _refusing(changes.callback)
+        changes.callback = _refuse_missing(changes.callback)
         p = self.p
         given = declare_sections(self, SECTIONS)
         self._config = ServoConfig.parse(given, "parameters of servo_driver")

@@ -115,10 +115,7 @@ class TargetInlet:
         return True
 
     def _on_compensate(
-        self,
-        message: Compensate.Request,
-        reply: Callable[[Compensate.Response], None],
-        sent: float,
+        self, message: Compensate.Request, reply: Callable[[Compensate.Response], None], sent: float
     ) -> None:
         target = self.new_target(
             message.target, message.position_only, message.execute, message.seed, sent
@@ -134,8 +131,7 @@ class TargetInlet:
             respond(refused)
 
     def execute(self, target: TargetRequest) -> Future | None:
-        """Queue a target to compute and send; return its future `Answer`; None where too many
-        wait."""
+        """Queue a target to compute and send; return its future `Answer`; None if too many wait."""
         return self._worker.ask(partial(self._serve, target))
 
     def _serve(

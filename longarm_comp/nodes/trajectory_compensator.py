@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from copy import copy
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,17 +21,15 @@ from rclpy.executors import SingleThreadedExecutor
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.online import StaleContext
-from longarm_comp.core.compensation.path import (
-    MAX_LONGER,
-    MAX_TURN_RAD,
-    CompensatedPath,
-    PathRefused,
-    compensate_path,
+from longarm_comp.core.compensation.path import CompensatedPath, PathRefused, compensate_path
+from longarm_comp.core.compensation.planned_path import (
+    MotionLimits,
+    PathLimits,
+    PlannedPath,
+    as_planned,
 )
-from longarm_comp.core.compensation.planned_path import MotionLimits, PlannedPath, as_planned
 from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
@@ -61,13 +60,25 @@ PARAMS = (
     Param("position_only", False, "plans leave the orientation free"),
     Param(
         "max_turn_rad",
-        MAX_TURN_RAD,
+        PathLimits.max_turn_rad,
         "the orientation may be off by so much, where joints cannot hold it",
         0.0,
         4.0,
     ),
-    Param("turn_m", VISIBLE_M, "largest error of the tip where a joint with play turns", 0.0, 0.1),
-    Param("max_longer", MAX_LONGER, "share of time that play may add to a path; 0: none", 0.0, 9.0),
+    Param(
+        "turn_m",
+        PathLimits.turn_m,
+        "largest error of the tip where a joint with play turns",
+        0.0,
+        0.1,
+    ),
+    Param(
+        "max_longer",
+        PathLimits.max_longer,
+        "share of time that play may add to a path; 0: none",
+        0.0,
+        9.0,
+    ),
     Param("order_max_age_s", 2.0, "goals older than this are refused", 0.01, 60.0),
     Param("planned_period_s", 0.1, "time between two joint states for the planner", 0.01, 60.0),
     PERIOD,
@@ -100,8 +111,8 @@ class _TrajectoryCompensator(ArmNode):
         self.health.parts |= {"paths": self._report, "model": self._files.report}
         self._worker.start()
 
-    def _limits_of(self, p: Mapping[str, Any]) -> MotionLimits:
-        """Return the limits by joint. They are required for a controller that is not ours."""
+    def _limits_of(self, p: Mapping[str, Any]) -> PathLimits:
+        """Return the limits. Those by joint are required for a controller that is not ours."""
         found = []
         for name in ("max_velocity", "max_acceleration"):
             given = p[name] * self._arm.n if len(p[name]) == 1 else p[name]
@@ -111,7 +122,8 @@ class _TrajectoryCompensator(ArmNode):
             if not p["acknowledged"] and not all(given):
                 raise InputError(where(self), name, p[name], f"{allowed}, above 0")
             found.append(np.array([value or np.inf for value in given]))
-        return MotionLimits(*found)
+        names = ("max_correction_m", "max_turn_rad", "turn_m", "max_longer", "position_only")
+        return PathLimits(MotionLimits(*found), **{name: p[name] for name in names})
 
     async def _serve(self, goal: Any) -> Any:
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
@@ -192,16 +204,11 @@ class _TrajectoryCompensator(ArmNode):
             compensate = partial(
                 compensate_path,
                 loaded.stands.promising(loaded.model),
-                plan=self._plan(request.trajectory, start).seen_from(loaded.stands.motion),
+                plan=self._plan_of(request.trajectory, start).seen_from(loaded.stands.motion),
                 start=start,
                 history=history,
-                limits=self._limits,
+                limits=replace(self._limits, max_longer=self._longer(request)),
                 context_at=partial(self._state.context, model=physics),
-                max_correction_m=self.p["max_correction_m"],
-                turn_m=self.p["turn_m"],
-                position_only=self.p["position_only"],
-                max_turn_rad=self.p["max_turn_rad"],
-                max_longer=self._longer(request),
                 options=CompensationOptions(self._method),
             )
             with ik.compile_at_once():
@@ -216,12 +223,11 @@ class _TrajectoryCompensator(ArmNode):
         """Return the share by which a path may take longer: within the goal's time tolerance."""
         late = seconds(request.goal_time_tolerance)
         lasts = seconds(request.trajectory.points[-1].time_from_start)
-        most: float = self.p["max_longer"]
+        most = self._limits.max_longer
         return min(most, late / lasts) if late > 0.0 < lasts else most
 
-    def _plan(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
-        """Make a path of all joints from a trajectory; joints that it does not name stay at
-        ``start``."""
+    def _plan_of(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
+        """Make a path of all joints from a trajectory; those not named stay at ``start``."""
         names = self._arm.joint_names
         at = [names.index(name) for name in asked.joint_names]
         fast = all(len(point.velocities) == len(at) for point in asked.points)

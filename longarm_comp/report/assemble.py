@@ -51,7 +51,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
         ),
         set_aside=record.ReportSetAside.model_validate(diagnosis.set_aside.record),
         next_poses=[q.tolist() for q in (*splitting, *diagnosis.next_q)],
-        outliers=_outliers(diagnosis),
+        outliers=_list_outliers(diagnosis),
         discovered=[_describe_cause(cause, diagnosis) for cause in diagnosis.causes],
         none_of_these=diagnosis.none_of_these,
         written=record.Written(
@@ -67,7 +67,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             for f in diagnosis.search.doubtful
         ],
         called=diagnosis.arm.called,
-        provenance=_provenance(diagnosis.seed, data_sha256, proof.folds),
+        provenance=_provenance_of(diagnosis.seed, data_sha256, proof.folds),
     )
 
 
@@ -84,11 +84,11 @@ def refused_report(error: InputError, seed: int, data_sha256: str) -> record.Dia
         held_out=record.HeldOut(n=0, rows=[]),
         next_poses=[],
         outliers=[],
-        provenance=_provenance(seed, data_sha256, 0),
+        provenance=_provenance_of(seed, data_sha256, 0),
     )
 
 
-def _provenance(seed: int, data_sha256: str, folds: int) -> record.ReportProvenance:
+def _provenance_of(seed: int, data_sha256: str, folds: int) -> record.ReportProvenance:
     return record.ReportProvenance(
         seed=seed,
         data_sha256=data_sha256,
@@ -165,7 +165,7 @@ def _left_out_by_commands(diagnosis: Diagnosis) -> list[str]:
     return [*own, *(f"{said} in {n} of {len(folds)} folds" for said, n in other.items())]
 
 
-def _outliers(diagnosis: Diagnosis) -> list[record.Outlier]:
+def _list_outliers(diagnosis: Diagnosis) -> list[record.Outlier]:
     fit, rows = diagnosis.fit, list[record.Outlier]()
     points = fit.session.labels.get("point", np.full(len(fit.session), ""))
     noise = fit.uneven(fit.session)[:, None] * fit.sigma

@@ -30,8 +30,8 @@ class _Card:
         sizes: its parameters; `more` of them are not among these.
         reading: what the effect says of itself.
         sure: in a word or two; `because`: the figures behind it.
-        duty: one of `DUTIES`, and `because_of` what decides it.
-        action: at the arm; `software`: what a command does about it.
+        duty: one of `DUTIES`; `advice`: what decides it, and what to do at the arm.
+        software: what a command does about it.
         improves: held-out error without and with it; `figure`: which figure of the error that is.
     """
 
@@ -43,8 +43,7 @@ class _Card:
     because: str
     doubts: tuple[str, ...]
     duty: str
-    because_of: str
-    action: str
+    advice: str
     software: str
     improves: str
     names: str = ""
@@ -56,7 +55,7 @@ class _Card:
 def cards(report: record.DiagnosisReport) -> list[_Card]:
     """Make a card of each finding, then of each cause without a name that is in the model."""
     unnamed = [_unnamed_card(found, report) for found in report.discovered if found.kept]
-    return [_card(finding, report) for finding in report.findings] + unnamed
+    return [_card_of(finding, report) for finding in report.findings] + unnamed
 
 
 def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
@@ -65,23 +64,20 @@ def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
 
 
-def advice(card: _Card) -> str:
-    """Say what to do about it, in a sentence or two."""
-    if card.duty == DUTIES[1]:
-        return f"{card.because_of} Then: {card.action}"
-    return f"{card.because_of} {card.action}" if card.duty == DUTIES[0] else card.because_of
-
-
-def _duty(gain_mm: float, first: str, report: record.DiagnosisReport) -> tuple[str, str]:
-    """Choose what to do about a cause, and why; ``first``: what must be known before, or ""."""
+def _choose_duty(
+    gain_mm: float, first: str, action: str, report: record.DiagnosisReport
+) -> tuple[str, str]:
+    """Choose duty and advice for a cause; ``first``: what must be known before, or ""."""
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):
         least = "the noise" if noise > WORTH_MM else f"{WORTH_MM:g} mm"
         return DUTIES[2], f"It is worth {millimetres(max(gain_mm, 0.0))}, less than {least}."
-    return (DUTIES[1], first) if first else (DUTIES[0], f"It is worth {millimetres(gain_mm)}.")
+    if first:
+        return DUTIES[1], f"{first} Then: {action}"
+    return DUTIES[0], f"It is worth {millimetres(gain_mm)}. {action}"
 
 
-def _first(finding: Finding, report: record.DiagnosisReport) -> str:
+def _say_first(finding: Finding, report: record.DiagnosisReport) -> str:
     """Say what would decide a doubt; empty where there is none."""
     if len(finding.names) > 1:
         poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
@@ -100,29 +96,29 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
         said += f" Places that explain it as well: {join_names(others)}."
     held = "Within the range of the data the new model.yaml compensates it."
     gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
-    duty, why = _duty(gain, "you find something there that acts like this.", report)
+    first = "you find something there that acts like this."
+    duty, advice = _choose_duty(gain, first, found.action, report)
     return _Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         where=found.frame,
         reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
         tip=_tip(found.tip_mm.rms, found.tip_mm.max),
-        sure=_word(found.probability)
+        sure=_say_sure(found.probability)
         + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
         doubts=tuple(found.doubts),
         duty=duty,
-        because_of=why,
-        action=found.action,
+        advice=advice,
         software=held if found.compensated else "Commands leave it out.",
         improves=change(found.held_out_rms_mm),
         figure="RMS error without → with all that was found without a name",
     )
 
 
-def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
-    title, where = finding.title or finding.name.replace("_", " "), _places(finding.where)
+def _card_of(finding: Finding, report: record.DiagnosisReport) -> _Card:
+    title, where = finding.title or finding.name.replace("_", " "), _join_places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
-    duty, why = _duty(before - after, _first(finding, report), report)
+    duty, advice = _choose_duty(before - after, _say_first(finding, report), finding.action, report)
     sizes = []
     for p in finding.parameters[:MOST_SIZES]:
         times, unit = for_people(p.unit)
@@ -139,8 +135,8 @@ def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
         because.append(f"Next best: {name}, odds of {odds(margin)} for the name")
     if finding.unnamed:
         because.append(f"It may be a cause without a name: {finding.unnamed}")
-    sure = _word(finding.probability)
-    named = _word(finding.probability * finding.set_probability.get(finding.name, 1.0))
+    sure = _say_sure(finding.probability)
+    named = _say_sure(finding.probability * finding.set_probability.get(finding.name, 1.0))
     if finding.name_open:
         sure += "; the name is open"
     else:
@@ -170,14 +166,13 @@ def _card(finding: Finding, report: record.DiagnosisReport) -> _Card:
         because=". ".join(because) + ".",
         doubts=finding.doubts,
         duty=duty,
-        because_of=why,
-        action=finding.action,
+        advice=advice,
         software=software,
         improves=improves,
     )
 
 
-def _places(where: Sequence[str]) -> str:
+def _join_places(where: Sequence[str]) -> str:
     """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
     split = [place.rsplit(" ", 1) for place in where]
     kinds = {parts[0] for parts in split}
@@ -198,7 +193,7 @@ def _with_doubts(doubts: Sequence[str]) -> str:
     return ", with a doubt" if len(doubts) == 1 else ", with doubts"
 
 
-def _word(probability: float) -> str:
+def _say_sure(probability: float) -> str:
     if probability >= CERTAIN:
         return "certain"
     return "likely" if probability >= CREDIBLE else "not sure"

@@ -114,7 +114,7 @@ def detail(diagnosis: Diagnosis, facts: Mapping[str, str]) -> Detail:
     return Detail(
         title=f"{diagnosis.arm.name}: {facts.get('session', 'session')}",
         held_out=rows,
-        guilty=_guilty(diagnosis, rows),
+        guilty=_find_guilty(diagnosis, rows),
         correlation=_correlation(diagnosis),
         detectable=_detectable(diagnosis),
         splits=tuple(_split(diagnosis, s) for s in diagnosis.split_by),
@@ -142,7 +142,7 @@ def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     return SeenRows(held.index, seen, diagnosis.proof.errors, tuple(inputs), arms)
 
 
-def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
+def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
     """Inputs that the findings explain, then those that the structure left depends on."""
     commanded = list(diagnosis.arm.commanded)
     names: list[str] = []

@@ -84,8 +84,7 @@ def excess(rms_mm: float, floor: _NoiseFloor | None) -> float:
 
 
 def normal_length(share: ArrayLike) -> np.ndarray:
-    """Return the length that a share of all vectors (x, y, z) of unit normal components stays
-    below."""
+    """Return the length below which a share of all vectors of unit normal components stays."""
     return np.asarray(np.sqrt(2.0 * gammaincinv(1.5, share)))
 
 

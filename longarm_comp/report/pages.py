@@ -164,14 +164,14 @@ def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
         lambda: _errors_of_arms(arms),
         name=name,
         arms=arms,
-        kinds=_kinds(arms),
+        kinds=_list_kinds(arms),
         drifted=[arm for arm in arms if arm["drifted"]],
         failed=[arm for arm in arms if arm["verdict"] == "failed"],
         compared=sum(arm["in_use_mm"] is not None for arm in arms),
     )
 
 
-def _kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _list_kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """A kind of several arms each: its arms, and what is found at half of them."""
     made = []
     for kind in dict.fromkeys(arm["kind"] for arm in arms):

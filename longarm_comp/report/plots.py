@@ -115,9 +115,7 @@ def place(found: Marked) -> Figure:
         )
     room = 0.14 * max(float((high - low).max()), 1e-3)
     axes.set(
-        xlim=(low[0] - room, high[0] + room),
-        ylim=(low[1] - room, high[1] + room),
-        aspect="equal",
+        xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room), aspect="equal"
     )
     axes.axis("off")
     drawn.subplots_adjust(left=0, right=1, bottom=0, top=1)

@@ -46,8 +46,7 @@ def to_three_places(value: float | None) -> str:
 
 
 def odds(log_bayes_factor: float) -> str:
-    """Write a Bayes factor as odds, ``20 : 1``; very large ones only as "more than" a power of
-    ten."""
+    """Write a Bayes factor as odds, ``20 : 1``; large ones as "more than" a power of ten."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"

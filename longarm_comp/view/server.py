@@ -97,18 +97,18 @@ class Gate:
         def answer(connection: ServerConnection, request: Request) -> Response | None:
             port = connection.local_address[1]
             hosts = [f"{name}:{port}" for name in _NAMES]
-            why = self._stranger(request.headers, hosts)
+            why = self._find_stranger(request.headers, hosts)
             if why:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             where = urlsplit(request.path)
-            if where.path == "/" and self._redeem(*parse_qs(where.query).get("code", [])):
+            if where.path == "/" and self._redeem_code(*parse_qs(where.query).get("code", [])):
                 return self._welcome(port)
-            if not self._is_token(*_cookies(request.headers, _cookie(port))):
+            if not self._is_token(*_read_cookies(request.headers, _cookie(port))):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             page = START if where.path == _START else self.plain(where.path)
             if page is not None and not where.query:
-                return _html(page, hosts)
+                return _html_page(page, hosts)
             if where.query:  # the viewer would connect to the server that ?websocket= names
                 return connection.respond(HTTPStatus.NOT_FOUND, "longarm view: no such page\n")
             response = serve(connection, request)
@@ -118,7 +118,7 @@ class Gate:
 
         return answer
 
-    def _stranger(self, headers: Headers, hosts: list[str]) -> str:
+    def _find_stranger(self, headers: Headers, hosts: list[str]) -> str:
         """Say why a request is not from this page; empty if it is."""
         asked, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(asked) != 1 or asked[0] not in hosts:
@@ -129,7 +129,7 @@ class Gate:
             return "a WebSocket needs an Origin"
         return ""
 
-    def _redeem(self, *given: str) -> bool:
+    def _redeem_code(self, *given: str) -> bool:
         """Use a code of a link up, and return whether it was one that was not used before."""
         try:
             self._codes.remove(*given)
@@ -154,7 +154,7 @@ class Gate:
         return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
 
 
-def _html(page: str, hosts: list[str]) -> Response:
+def _html_page(page: str, hosts: list[str]) -> Response:
     """A page, or after the press of a button the way back to it."""
     body = page.encode()
     kind = {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))}
@@ -170,7 +170,7 @@ def _cookie(port: int) -> str:
     return f"longarm_view_{port}"
 
 
-def _cookies(headers: Headers, name: str) -> list[str]:
+def _read_cookies(headers: Headers, name: str) -> list[str]:
     """Values of a cookie. Other servers of this machine may have set others, of any form."""
     given = [part.strip() for line in headers.get_all("Cookie") for part in line.split(";")]
     return [value for key, _, value in (part.partition("=") for part in given) if key == name]

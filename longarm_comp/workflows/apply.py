@@ -157,8 +157,7 @@ def apply(
 
 
 def take_back(diagnosis: Path, model: Path) -> None:
-    """Undo a diagnosis that is at work, because the job that put it to work was interrupted
-    later."""
+    """Undo a diagnosis at work, because the job that put it there was interrupted."""
     made = diagnosis / inputs.MODEL
     if model.is_file() and made.is_file() and model.read_bytes() == made.read_bytes():
         undo(model)
@@ -336,8 +335,7 @@ def finish(model: Path, predictor: Path) -> bool:
 
 
 def _keep(predictor: Path) -> Path | None:
-    """Copy the predictor at work to a file named after its model; None where there is no
-    predictor."""
+    """Copy the predictor at work to a file named after its model; None without one."""
     if not predictor.is_file():
         return None
     aside = _kept_as(predictor, _trained_with(predictor) or inputs.file_hash(predictor))
@@ -350,8 +348,7 @@ def _kept_as(predictor: Path, of: str) -> Path:
 
 
 def _trained_with(path: Path) -> str | None:
-    """Return the SHA-256 of the model that a predictor was trained with; None for any other
-    file."""
+    """Return the SHA-256 of the model that a predictor was trained with; None for another file."""
     try:
         settings = predictor_file.load(path).provenance.settings
     except InputError:

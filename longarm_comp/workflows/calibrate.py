@@ -52,17 +52,11 @@ def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, s
         names.append(str(path))
         origins.append(f"{path.name} {inputs.file_hash(path)[:12]}")
         for kind in KINDS:
-            sigma = stored.provenance.get(_noise_key(kind))
+            sigma = stored.provenance.get(f"noise_{kind}")  # m or rad
             if isinstance(sigma, float) and sigma > 0:
                 noise.setdefault(kind, []).append(sigma)
     usual = {kind: float(np.median(held)) for kind, held in noise.items()}
     return KindOfArm.of(arm, models, names, usual), ", ".join(origins)
-
-
-def _noise_key(kind: str) -> str:
-    """Return the key of the noise of a kind of measurement (m or rad) in model.yaml's
-    provenance."""
-    return f"noise_{kind}"
 
 
 @dataclass(frozen=True)
@@ -119,8 +113,7 @@ class Calibration:
 
     @property
     def placed(self) -> bool:
-        """True where the rows placed the nominal arm first, because they show it at another
-        place."""
+        """True where the rows placed the nominal arm first: they show it elsewhere."""
         return any(isinstance(e, BasePose) for e in self.rungs[0].model.effects)
 
     @property
@@ -188,7 +181,7 @@ class Calibration:
             "longarm_comp": __version__,
         }
         provenance |= {"kind_of": self.kind_of} if self.kind_of else {}
-        provenance |= {_noise_key(kind): sigma for kind, sigma in self._noise.items()}
+        provenance |= {f"noise_{kind}": sigma for kind, sigma in self._noise.items()}
         save_model(path, store(self.model, self.fit.standard_errors, provenance=provenance))
         return Path(path)
 

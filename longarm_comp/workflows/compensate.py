@@ -123,11 +123,10 @@ class Commands(Sequence[Compensation]):
         None: not known, or of a target that failed.
         """
         rows = zip(self.numbers, self.arrivals, self.placements, strict=True)
-        return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
+        return [_line_of(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
-        """Write commands.csv, or another format with ``write``; failed targets have their
-        reason."""
+        """Write commands.csv, or another format with ``write``, with why a target failed."""
         lines = self.lines()
         write(path, list(lines[0]), [list(line.values()) for line in lines])
         return Path(path)
@@ -329,14 +328,13 @@ def goals_of(
 
 
 def _usable_context(told: Context, model: Model, where: str) -> Context:
-    """Keep those circumstances that a command may use; raise InputError where the arm cannot have
-    them."""
+    """Keep the circumstances that a command may use; refuse those that the arm cannot have."""
     for name, values in told.columns.items():
         check_circumstance(model.arm, name, values, where)
     return told.as_left(model.ended_s)
 
 
-def _line(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
+def _line_of(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
     found, move = arrival.outcome, arrival.move
     ideal = found.ideal if found.realisable is None else found.realisable.ideal
     sigma = float(np.max(found.sigma))

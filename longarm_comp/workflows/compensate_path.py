@@ -13,9 +13,13 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.arm.moves import Move
 from longarm_comp.core.compensation.arrive import Arrival
-from longarm_comp.core.compensation.path import MAX_LONGER, MAX_TURN_RAD
 from longarm_comp.core.compensation.path import compensate_path as solve_path
-from longarm_comp.core.compensation.planned_path import CubicPath, MotionLimits, PlannedPath
+from longarm_comp.core.compensation.planned_path import (
+    CubicPath,
+    MotionLimits,
+    PathLimits,
+    PlannedPath,
+)
 from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
@@ -64,8 +68,8 @@ def compensate_path(
     max_velocity: ArrayLike | None = None,
     max_acceleration: ArrayLike | None = None,
     max_correction_m: float = np.inf,
-    max_turn_rad: float = MAX_TURN_RAD,
-    max_longer: float = MAX_LONGER,
+    max_turn_rad: float = PathLimits.max_turn_rad,
+    max_longer: float = PathLimits.max_longer,
     seed: ArrayLike | None = None,
     position_only: bool = False,
     locked: Sequence[int | str] = (),
@@ -103,8 +107,11 @@ def compensate_path(
         times = path.columns.get("t_s")
     n = model.arm.n
     carried = np.array([p.carried(goal) for p, goal in zip(placements, goals, strict=True)])
-    limits = MotionLimits(
+    motion = MotionLimits(
         _each(max_velocity, n, "max_velocity"), _each(max_acceleration, n, "max_acceleration")
+    )
+    limits = PathLimits(
+        motion, max_correction_m, max_turn_rad, max_longer=max_longer, position_only=position_only
     )
     start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
     first = start if seed is None else np.asarray(seed, float)
@@ -120,10 +127,6 @@ def compensate_path(
         seed=first,
         context_at=lambda arrived: points.after(told, arrived),
         limits=limits,
-        max_correction_m=max_correction_m,
-        max_turn_rad=max_turn_rad,
-        max_longer=max_longer,
-        position_only=position_only,
         options=CompensationOptions(chosen, locked, **settling),
     )
     joints = found.timed.joints

@@ -39,8 +39,7 @@ _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 @dataclass(frozen=True)
 class _Member:
-    """One arm of a fleet: its name, its arm.yaml, its newest session, and the model in use, if
-    any."""
+    """An arm of a fleet: its name, its arm.yaml, its newest session, and any model in use."""
 
     name: str
     arm: Path
@@ -175,7 +174,7 @@ def fleet(
     if dask is not None:  # workers may be in another folder
         folder, output = folder.resolve(), output.resolve()
     found = members(folder)
-    tables = [_table(member.arm) for member in found]
+    tables = [_read_table(member.arm) for member in found]
     options = (__version__, network, seed)
     made: dict[str, Diagnosed] = {}
     for member in found:
@@ -203,7 +202,7 @@ def fleet(
     return told
 
 
-def _table(path: Path) -> object:
+def _read_table(path: Path) -> object:
     """Return the DH table, which arms of one kind share; the path of a file that is refused."""
     try:
         return table(Arm.load(path))
@@ -212,8 +211,7 @@ def _table(path: Path) -> object:
 
 
 def _read_known(path: Path) -> dict[str, Diagnosed]:
-    """Read the arms of a fleet.json by name; none where the file is missing or of another
-    version."""
+    """Read the arms of a fleet.json by name; none if it is missing or of another version."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["arms"]
         return {arm.name: arm for arm in _ROWS.validate_python(rows)}

@@ -9,7 +9,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +16,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission import FEW_POSES, admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import file_hash
 from longarm_comp.core.identify.run_ups import as_fitted
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -202,17 +202,6 @@ def check_predictor(predictor: Predictor, model: Model, where: object) -> None:
     if trained_with is not None and trained_with != _digest(model):
         found = str(trained_with)[:12]
         raise InputError(where, f"predictor.{DIGEST}", found, "the model that it was trained with")
-
-
-def file_hash(path: FilePath) -> str:
-    """Return the SHA-256 of a file, or of a folder's files in the order of their names."""
-    whole, digest = Path(path), hashlib.sha256()
-    for part in sorted(whole.rglob("*")) if whole.is_dir() else [whole]:
-        if part.is_file():
-            with part.open("rb") as file:
-                for piece in iter(partial(file.read, 1 << 20), b""):
-                    digest.update(piece)
-    return digest.hexdigest()
 
 
 def _digest(model: Model) -> str:

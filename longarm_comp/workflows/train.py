@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
-    """Return joints (M, n), residual of a model (M, 3) in m, and circumstances of the M located
-    rows."""
+    """Return joints (M, n), residual (M, 3) in m, and circumstances of the M located rows."""
     seen = session.take(session.located)
     if not len(seen):
         allowed = "rows with all three, to learn from"
@@ -62,8 +61,7 @@ class TrainedPredictor(Predictor):
         return f"{self.samples} samples: {self.gain}"
 
     def save(self, path: given.FilePath) -> None:
-        """Write the predictor, completely or not at all: as npz, or safetensors for another
-        network."""
+        """Write the predictor whole or not at all: as npz; another network as safetensors."""
         if not self.gain.helps:
             raise JobError(f"not written: {self.gain}; compensate with the physics alone")
         predictor_file.save(self, path)

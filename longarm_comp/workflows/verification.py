@@ -79,19 +79,14 @@ def verification(
     gain = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
     # Of 5000 drawings, an end of the interval moves by 1 % of its width
     drawn = bootstrap(
-        (gain,),
-        np.mean,
-        n_resamples=5000,
-        method="percentile",
-        rng=np.random.default_rng(seed),
+        (gain,), np.mean, n_resamples=5000, method="percentile", rng=np.random.default_rng(seed)
     ).confidence_interval
     runs = dict(zip(names, (before, after), strict=True))
     return Verification(runs, float(gain.mean()), (float(drawn.low), float(drawn.high)))
 
 
 def error_row(name: str, error: np.ndarray) -> dict[str, Any]:
-    """Make a table's row of (N, 3) tip - target, m, in mm; ``mean_x_mm`` and so on are signed
-    means."""
+    """Make a table's row of (N, 3) tip - target, m, in mm; ``mean_x_mm`` is signed."""
     figures = Errors.of(error)
     told = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
     means = zip("xyz", error.mean(axis=0), strict=True)

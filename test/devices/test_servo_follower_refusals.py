@@ -43,8 +43,7 @@ def _points(*rows: tuple[float, tuple[float, ...]], **kwargs: Any) -> JointTraje
         (_points((1.0, (0.1, 0.01)), (1.0, (0.2, 0.01))), "points[1].time_from_start"),
         (
             JointTrajectory(
-                ("turn",),
-                (TrajectoryPoint(1.0, (0.1,), (0.0,)), TrajectoryPoint(2.0, (0.1,))),
+                ("turn",), (TrajectoryPoint(1.0, (0.1,), (0.0,)), TrajectoryPoint(2.0, (0.1,)))
             ),
             "at every point or at none",
         ),
@@ -60,6 +59,7 @@ def _points(*rows: tuple[float, tuple[float, ...]], **kwargs: Any) -> JointTraje
             "turn on the way",
         ),
         (_points(*((0.01 * k, (0.1, 0.01)) for k in range(1, 1002))), "1000 at most"),
+        (_points(*((0.01 * k, (0.1, 0.01)) for k in range(1002))), "1000 at most"),
     ],
 )
 def test_a_bad_trajectory_is_refused_with_a_reason_and_changes_nothing(
@@ -72,6 +72,12 @@ def test_a_bad_trajectory_is_refused_with_a_reason_and_changes_nothing(
     assert said in str(caught.value)
     rig.run(3.0)
     assert rig.column("turn")[-1] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_thousand_points_are_taken_with_and_without_the_start(rig: Rig, first: int) -> None:
+    """`trajectory_compensator` adds the start to a plan that begins after it."""
+    rig.follower.accept(_points(*((0.1 * k, (0.1, 0.01)) for k in range(first, 1001))), rig.now)
 
 
 @pytest.mark.parametrize("end", [0, 1])

@@ -85,9 +85,7 @@ def test_a_row_is_what_the_joints_read_after_they_came_to_rest() -> None:
     assert READINGS > 1
 
 
-def test_readings_that_waited_to_be_heard_are_passed_over(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_readings_that_waited_to_be_heard_are_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody listens while a calibration is computed; what was queued then is of the last pose."""
     monkeypatch.setattr("longarm_comp.jobs.touch.READINGS", JOINT_STATES.depth // 2)
     queued: list[object] = []

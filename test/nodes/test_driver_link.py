@@ -40,13 +40,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory, arm: Arm) -> Iterator[Bench]
     with own_graph(folder), bench() as made:
         options = {"arm": ARM, "model": folder / "model.yaml", "method": "deflection"}
         made.start(
-            "kinematics",
-            {
-                **options,
-                "run_up": False,
-                "acknowledged": True,
-                "acknowledge_s": 0.3,
-            },
+            "kinematics", {**options, "run_up": False, "acknowledged": True, "acknowledge_s": 0.3}
         )
         yield made
 

@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.files import file_hash
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.others import load_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
@@ -30,7 +31,6 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message
-from longarm_comp.nodes.model_files import file_hash
 from longarm_interfaces.srv import Compensate, PredictError
 
 BIAS = np.array([0.002, -0.001, 0.004])

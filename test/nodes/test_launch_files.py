@@ -207,15 +207,23 @@ def test_a_launch_starts_every_node_with_what_it_takes(monkeypatch: pytest.Monke
         assert node == "stereo_bridge" or parameters[1]["arm"] == arm
 
 
-def test_bad_input_of_the_driver_ends_a_launch_and_nothing_else_does(
+def test_only_the_driver_ends_a_launch_and_no_node_starts_again_with_bad_input(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
-    ended = [("servo_driver-3", code, code == 2) for code in (2, 0, 1, -9)]
-    for name, code, ends in (*ended, ("kinematics-4", 2, False)):
-        event = types.SimpleNamespace(returncode=code, process_name=name)
-        done = module.end_on_bad_input(event, None)
-        assert done == ([module.Shutdown.return_value] if ends else None)
+
+    def after(name: str, code: int, action: str = "mine") -> object:
+        event = types.SimpleNamespace(returncode=code, process_name=name, action=action)
+        return module.end_on_bad_input(event, ["mine", "too"])
+
+    for code in (0, 1, -9):
+        assert after("servo_driver-3", code) is None and after("kinematics-4", code) is None
+    assert after("servo_driver-3", 2) == [module.Shutdown.return_value]
+    assert after("kinematics-4", 2, "of another arm") is None  # whose own handler says it
+    assert after("kinematics-4", 2) == [module.LogInfo.return_value, module.EmitEvent.return_value]
+    (said,), (ended,) = module.LogInfo.call_args_list, module.ShutdownProcess.call_args_list
+    assert "kinematics-4" in said.kwargs["msg"] and "not started again" in said.kwargs["msg"]
+    assert ended.kwargs["process_matcher"]("mine") and not ended.kwargs["process_matcher"]("too")
 
 
 @pytest.mark.parametrize("name", ["longarm.rviz", "two_arms.rviz"])

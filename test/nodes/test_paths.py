@@ -28,6 +28,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.planned_path import PathLimits
 from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -134,7 +135,7 @@ def test_a_goal_is_no_later_than_its_time_tolerance_and_the_parameter_allow() ->
         goal = TYPE.Goal(
             trajectory=JointTrajectory(points=[end]), goal_time_tolerance=duration(late_s)
         )
-        node: Any = SimpleNamespace(p={"max_longer": given})
+        node: Any = SimpleNamespace(_limits=PathLimits(max_longer=given))
         assert trajectory_compensator._TrajectoryCompensator._longer(node, goal) == share
 
 

@@ -29,10 +29,18 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import Health
-from longarm_comp.nodes.orders import order_id
 from longarm_comp.nodes.params import ROS_OWN
 from longarm_comp.nodes.servo_driver import reporting_faults
 from longarm_interfaces.msg import DriverState, Motion
+
+
+def refusal(rig: Rig, *words: str) -> str:
+    """What a driver says that ends for bad input."""
+    second = rig.stage.python(["-m", "longarm_comp.nodes.servo_driver", "--ros-args", *words])
+    assert second.wait(timeout=300) == 2
+    said = rig.stage.output(second)
+    assert "Traceback" not in said
+    return said
 
 
 def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
@@ -43,13 +51,10 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
     (point,) = accepted.points  # of every joint, also of the one that it does not name
     assert point.positions == pytest.approx([0.4, accepted.start.position[1]])
     rig.goes(boom=0.05)
-    last = rig.stage.spin(
-        lambda: (
-            rig.states
-            and np.allclose(rig.states[-1].position, [0.4, 0.05], atol=1e-3)
-            and rig.states[-1]
-        )
+    rig.stage.spin(
+        lambda: rig.states and np.allclose(rig.states[-1].position, [0.4, 0.05], atol=1e-3)
     )
+    last = rig.states[-1]
     assert list(last.name) == ["shoulder", "boom"]
     assert abs(last.effort[0]) <= 8.0 and math.isnan(last.effort[1])  # full effort: not told
 
@@ -78,12 +83,7 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
 def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
     rig.stage.spin(lambda: rig.refused() >= 0)  # it has told how many
     before, already = rig.rests(), rig.refused()
-    bad = (
-        {"elbow": 0.1},
-        {"shoulder": 2.0},
-        {"shoulder": float("nan")},
-        {"boom": -0.01},
-    )
+    bad = ({"elbow": 0.1}, {"shoulder": 2.0}, {"shoulder": float("nan")}, {"boom": -0.01})
     for goal in bad:
         rig.send("bad", **goal)
     empty = JointTrajectory(joint_names=["boom"], points=[JointTrajectoryPoint()])
@@ -111,20 +111,15 @@ def test_orders_that_are_old_withdrawn_or_unstamped_move_nothing(rig: Rig) -> No
     withdrawals = graph.WITHDRAWN.publisher(rig.stage.node)
     rig.stage.connected(withdrawals)
     soon = rig.stamps.next()
-    asked = JointTrajectory(joint_names=["shoulder"], points=[JointTrajectoryPoint()])
-    asked.points[0].positions, asked.points[0].time_from_start.sec = [0.9], 20
-    asked.header.stamp = soon
-    rig.trajectories.publish(asked)
-    name = order_id(asked)
+    name = rig.send("asked", soon, 20, shoulder=0.9)
     rig.stage.spin(lambda: rig.events(name) == [Motion.ACCEPTED])
     withdrawals.publish(String(data="of somebody else"))
     withdrawals.publish(String(data=name))  # it is on its way
     rig.becomes(name, Motion.ACCEPTED, Motion.REPLACED)
     rig.becomes(f"{name} withdrawn", Motion.ACCEPTED, Motion.REACHED)
-    rig.trajectories.publish(asked)  # it comes too late
-    assert (
-        "withdrawn" in rig.becomes(name, Motion.ACCEPTED, Motion.REPLACED, Motion.REFUSED).message
-    )
+    assert rig.send("late", soon, 20, shoulder=0.9) == name
+    told = rig.becomes(name, Motion.ACCEPTED, Motion.REPLACED, Motion.REFUSED)
+    assert "withdrawn" in told.message
     assert rig.joints() == pytest.approx(before, abs=0.1)
     rig.goes(shoulder=0.0)
 
@@ -146,13 +141,10 @@ def test_a_driver_that_was_away_moves_nothing_that_came_meanwhile(rig: Rig) -> N
     assert "s old" in rig.becomes("meanwhile", Motion.REFUSED).message
     assert rig.joints()["shoulder"] == pytest.approx(0.0, abs=1e-3)
     rig.is_idle()
-    way = JointTrajectory(joint_names=["shoulder"], points=[JointTrajectoryPoint()])
-    way.points[0].positions, way.points[0].time_from_start.sec = [0.9], 20
-    way.header.stamp = rig.stamps.next()
-    rig.trajectories.publish(way)
+    way = rig.send("way", None, 20, shoulder=0.9)
     rig.stage.spin(lambda: rig.joints()["shoulder"] > 0.05)
     stopped()
-    told = rig.becomes(order_id(way), Motion.ACCEPTED, Motion.BROKEN_OFF)
+    told = rig.becomes(way, Motion.ACCEPTED, Motion.BROKEN_OFF)
     assert "was away" in told.message
     assert rig.joints()["shoulder"] < 0.3
     rig.is_in(DriverState.READY)
@@ -318,14 +310,8 @@ def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Pat
     ]  # fmt: skip
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text(rig.file.read_text().replace("gear_ratio", "gear_ration"))
-    second = rig.stage.python(
-        ["-m", "longarm_comp.nodes.servo_driver", "--ros-args", "--params-file", str(wrong)]
-    )
-    assert second.wait(timeout=300) == 2
-    said = rig.stage.output(second)
-    assert "gear_ration" in said
-    assert "gear_ratio" in said
-    assert "Traceback" not in said
+    said = refusal(rig, "--params-file", str(wrong))
+    assert "gear_ration" in said and "allowed" in said
 
 
 @pytest.mark.parametrize(
@@ -350,16 +336,8 @@ def test_servos_that_contradict_the_arm_are_refused(
     ]
     text = {"name": "arm", "convention": "mdh_craig", "tip": {"frame": 2}, "joints": joints}
     arm.write_text(yaml.safe_dump(text))
-    second = rig.stage.python(
-        [
-            *("-m", "longarm_comp.nodes.servo_driver", "--ros-args"),
-            *("--params-file", str(rig.file), "-p", f"arm:={arm}"),
-        ]
-    )
-    assert second.wait(timeout=300) == 2
-    said = rig.stage.output(second)
+    said = refusal(rig, "--params-file", str(rig.file), "-p", f"arm:={arm}")
     assert words in said and str(arm) in said
-    assert "Traceback" not in said
 
 
 def test_shaped_moves_arrive_and_shaping_needs_an_arm(rig: Rig, tmp_path: Path) -> None:

@@ -32,10 +32,7 @@ from longarm_comp.share import folder
 from longarm_interfaces.msg import DriverState, Motion
 
 DEMO = folder("config") / "arm_demo.yaml"
-STOPS = {
-    "estop": (graph.ESTOP, DriverState.ESTOP),
-    "hold": (graph.HOLD, DriverState.HOLDING),
-}
+STOPS = {"estop": (graph.ESTOP, DriverState.ESTOP), "hold": (graph.HOLD, DriverState.HOLDING)}
 
 
 @pytest.fixture

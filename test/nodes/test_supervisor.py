@@ -45,8 +45,7 @@ class Said(list[str]):
 
 
 @pytest.mark.parametrize(
-    ("program", "respawn", "how"),
-    [(BAD_INPUT, True, "exit code 2"), (DIES, False, "SIGABRT")],
+    ("program", "respawn", "how"), [(BAD_INPUT, True, "exit code 2"), (DIES, False, "SIGABRT")]
 )
 def test_the_driver_goes_on_without_a_node_that_cannot_be_restarted(
     program: str, respawn: bool, how: str

@@ -77,14 +77,7 @@ def read_and_written(context: click.Context) -> tuple[list[Path], list[Path]]:
         value = context.params.get(parameter.name or "")
         given = value if isinstance(value, tuple) else (value,)
         asked = context.get_parameter_source(parameter.name or "")
-        new = parameter.name in (
-            "output",
-            "out",
-            "picture",
-            "log",
-            "save",
-            "frames",
-        )
+        new = parameter.name in ("output", "out", "picture", "log", "save", "frames")
         for path in given:
             if isinstance(path, Path) and asked is not click.core.ParameterSource.DEFAULT:
                 (writes if new else reads).append(path)
@@ -161,8 +154,7 @@ BOOM = """<robot name="boom">
   <joint name="nose" type="fixed"><parent link="jib"/><child link="head"/>
     <origin xyz=".7 0 .02"/></joint>
 </robot>""".format(
-    i='<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>',
-    e='effort="100" velocity=".5"',
+    i='<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>', e='effort="100" velocity=".5"'
 )
 
 

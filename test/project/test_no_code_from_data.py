@@ -72,10 +72,7 @@ def test_a_parameter_file_beside_the_arm(trap: Path, node: str, option: str, pla
     config = at / place if place else None
     graph = BringUp(arm=arm, sim=True, paths=True, config=config)
     said = rf"{node}\.yaml: {option}: .*--{option} FILE of a command"
-    with (
-        pytest.raises(InputError, match=said),
-        running(graph),
-    ):
+    with pytest.raises(InputError, match=said), running(graph):
         pass
     assert not executed(trap)
 

@@ -175,7 +175,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         assert len(made) == 1 + kept
         assert ("two causes without a name were" in said) == kept and "none was added" not in said
     (card,) = made
-    assert card.title == "Cause without a name, joint 5" and card.action == cause.action
+    assert card.title == "Cause without a name, joint 5" and card.advice.endswith(cause.action)
     assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
     assert card.sure == "likely; the place is open" and "joint 6, force y" in card.because
     assert "few positions" in open_questions(found, Detail())[0][1][0]
@@ -288,7 +288,7 @@ def test_structure_that_is_left_is_in_the_excess(told: list[Told]) -> None:
 def test_cards_say_what_their_numbers_say(told: list[Told]) -> None:
     for report, page in told:
         for finding, card in zip(report.findings, named(report), strict=True):
-            assert card.action and card.title and card.improves in page.words()
+            assert finding.action and card.title and card.improves in page.words()
             assert finding.commanded_mm is not None and finding.tip_mm is not None
             assert numbers(card.improves)[:2] == pytest.approx(finding.commanded_mm, abs=6e-3)
             assert ("no gain for commands" in card.improves) == (
@@ -313,10 +313,10 @@ def test_what_is_to_do_follows_from_the_numbers(told: list[Told]) -> None:
             worth = gain >= max(0.5, noise)
             wanted = ("Do only if" if doubt else "Do") if worth else "Leave alone"
             assert card.duty == wanted and card in listed[wanted]
-            assert (finding.action in cards.advice(card)) == worth
-            assert cards.advice(card) in page.words()
+            assert (finding.action in card.advice) == worth
+            assert card.advice in page.words()
             if wanted != "Do only if":
-                assert numbers(card.because_of)[0] == pytest.approx(max(gain, 0.0), abs=6e-3)
+                assert numbers(card.advice)[0] == pytest.approx(max(gain, 0.0), abs=6e-3)
 
 
 @SIMULATED

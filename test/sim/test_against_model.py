@@ -83,10 +83,7 @@ TORQUE = typical_loads(Arm.load(DEMO_ARM)).torque
 
 SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     "joint_zero": (lambda e: _each(ALL, JointZero, offset=e.offset), 0.06),
-    "base_pose": (
-        lambda e: [BasePose("", *e.delta.tolist())],
-        0.06,
-    ),
+    "base_pose": (lambda e: [BasePose("", *e.delta.tolist())], 0.06),
     "gravity_direction": (
         lambda e: [GravityDirection(about_x=float(e.tilt[0]), about_y=float(e.tilt[1]))],
         1.0,  # 0.2 rad of tilt, first order in the model
@@ -118,10 +115,7 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     "backlash": (lambda e: _each(TURNING, Backlash, width=2 * e.half, gate=e.gate / TORQUE), 0.3),
     "friction_hysteresis": (lambda e: _each(TURNING, FrictionHysteresis, width=2 * e.lag), 0.01),
     "servo_lag": (lambda e: _each(ALL, UnfinishedMove, share=e.left), 0.06),
-    "joint_compliance": (
-        lambda e: _each(TURNING, JointCompliance, compliance=e.compliance),
-        0.01,
-    ),
+    "joint_compliance": (lambda e: _each(TURNING, JointCompliance, compliance=e.compliance), 0.01),
     "bearing_tilt": (
         lambda e: _each(ALL, BearingTilt, about_x=e.compliance, about_y=e.compliance),
         0.01,

@@ -124,11 +124,7 @@ def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.long
 def test_training_to_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(
-        ssa_training.LADDERS,
-        "mlp",
-        (("2 hidden", ssa_training._mlp(2)),),
-    )
+    monkeypatch.setitem(ssa_training.LADDERS, "mlp", (("2 hidden", ssa_training._mlp(2)),))
     row = finite(ssa_training.time_to_error("mlp", 60, target_mm=3.0, repeats=1))
     assert row["rms_mm"] <= 3.0
     assert row["peer_rms_mm"] <= 3.0

@@ -51,10 +51,7 @@ class Rig:
         self.file.write_text(CONFIG.replace("PORT", str(self.link)))
         self.arm = read_arm(self.file)
         self.emulator = ServoEmulator(
-            self.arm.protocol,
-            self.arm.start_ticks(),
-            MotorSpec(stiff_ticks=30.0),
-            link=self.link,
+            self.arm.protocol, self.arm.start_ticks(), MotorSpec(stiff_ticks=30.0), link=self.link
         )
         self.emulator.start()
         self.states = stage.collect(graph.JOINT_STATES)
@@ -113,11 +110,12 @@ class Rig:
         self.stage.spin(still)
         return stood
 
-    def send(self, name: str = "", stamp: Time | None = None, **goal: float) -> str:
+    def send(
+        self, name: str = "", stamp: Time | None = None, lasts_s: int = 0, **goal: float
+    ) -> str:
         """Send a trajectory that this test calls so; the id by which the driver tells of it."""
-        point = JointTrajectoryPoint(
-            positions=list(goal.values()), time_from_start=Duration(nanosec=200_000_000)
-        )
+        lasts = Duration(sec=lasts_s, nanosec=200_000_000)
+        point = JointTrajectoryPoint(positions=list(goal.values()), time_from_start=lasts)
         self.stage.connected(self.trajectories)
         sent = JointTrajectory(joint_names=list(goal), points=[point])
         sent.header.stamp = self.stamps.next() if stamp is None else stamp

@@ -8,14 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.report.detail import (
-    Detail,
-    Input,
-    Marked,
-    PageTable,
-    SeenRows,
-    SetSplit,
-)
+from longarm_comp.report.detail import Detail, Input, Marked, PageTable, SeenRows, SetSplit
 
 Diagnosis = tuple[dict[str, Any], Detail]
 
@@ -301,11 +294,7 @@ def a_set(rng: np.random.Generator) -> Diagnosis:
         "findings": [finding | {"set": members}],
         "next_poses": poses,
     }
-    split = SetSplit(
-        tuple(members),
-        12.4,
-        len(poses),
-    )
+    split = SetSplit(tuple(members), 12.4, len(poses))
     return report, _with(detail, splits=(split,))
 
 

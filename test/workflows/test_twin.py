@@ -128,10 +128,7 @@ def test_one_joint_compliance(data_dir: Path) -> None:
     """The ladder ends at the noise where the missing effect is declared, and not before."""
     twin = Twin.load(data_dir, "one_joint_compliance_300")
     rungs = ladder(
-        twin.arm,
-        twin.samples,
-        twin.test,
-        [("joint_compliance", JointCompliance.for_arm(twin.arm))],
+        twin.arm, twin.samples, twin.test, [("joint_compliance", JointCompliance.for_arm(twin.arm))]
     )
     left = {
         rung.name: 1e3

@@ -82,8 +82,7 @@ class Parameters:
         return {slot.identity: k for k, slot in enumerate(self.slots)}
 
     def values(self, model: Model) -> np.ndarray:
-        """Return the values (q,) that a model gives the parameters; 0 for effects that it does not
-        hold."""
+        """Return the values (q,) that a model gives the parameters; 0 for effects that it lacks."""
         made = np.zeros(len(self))
         made[[self.position[slot.identity] for slot in model.slots]] = model.values
         return made
@@ -100,8 +99,7 @@ class Parameters:
         return lower, np.array([s.parameter.upper for s in self.slots], dtype=float)
 
     def at(self, values: np.ndarray) -> Model:
-        """Build the model with values (q,); absent effects whose values are all 0 stay out of
-        it."""
+        """Build the model with values (q,), without absent effects whose values are all 0."""
         values = np.clip(values, *self.bounds)
         count = len(self.model.slots)
         model = self.model.with_values(values[:count])
@@ -112,8 +110,7 @@ class Parameters:
         return model.plus(*(self.absent[k].with_values(v) for k, v in given.items()))
 
     def columns(self, at: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
-        """Predict a sighting (3,) m at joints (n,), and its derivatives by all parameters, (3,
-        q)."""
+        """Predict a sighting (3,) m at joints (n,), and its derivatives by parameter, (3, q)."""
         present = {term.key for term in at.terms}
         rest = [t for t in self.absent if t.key not in present and _has_inputs(t, context)]
         slots = (*at.slots, *slots_of(at.arm, rest))

@@ -41,8 +41,7 @@ class _PastChange:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One explanation: its weight, its posterior, and the changes that it takes for certain, in
-    order."""
+    """One explanation: its weight, its posterior, and the changes that are certain, in order."""
 
     weight: float
     known: RecursivePosterior
@@ -124,8 +123,7 @@ class Explanations:
         return np.sum([b.weight * b.known.expected for b in self.branches], axis=0)
 
     def covariance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the positions (p,) of the parameters that are uncertain, and their covariance (p,
-        p)."""
+        """Compute the positions (p,) of the uncertain parameters, and their covariance (p, p)."""
         active = np.unique(np.concatenate([b.known.active for b in self.branches]))
         made = np.zeros((len(active), len(active)))
         for b in self.branches:

@@ -223,8 +223,7 @@ class Learner:
 
     @property
     def unexplained(self) -> bool:
-        """True if something changed that no known effect explains, so that a diagnosis is
-        needed."""
+        """True if a change that no known effect explains calls for a diagnosis."""
         return self.known is not None and self.known.unexplained >= CREDIBLE
 
     def freeze(self) -> Learner:

@@ -139,8 +139,7 @@ class RecursivePosterior:
 
     @cached_property
     def possible(self) -> _PossibleChanges:
-        """The possible changes of every effect at every onset, each over all `SIZES` and inside
-        bounds."""
+        """The possible changes of every effect at every onset, over all `SIZES` inside bounds."""
         values, turn = np.linalg.eigh(self.gram)
         z = np.einsum("tcik,tci->tck", turn, self.along)[:, :, None, :]
         square = SIZES[:, None] ** 2
@@ -192,8 +191,7 @@ class RecursivePosterior:
         return float(np.exp(self.possible.unnamed - self.total).sum())
 
     def _jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the positions of a change, its mean jump (k,), and how all parameters follow it,
-        (q, k)."""
+        """Return a change's positions, its mean jump (k,), and how parameters follow it, (q, k)."""
         places = np.array(self.space.own(c))
         jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
         follows = np.zeros((len(self.space), len(places)))

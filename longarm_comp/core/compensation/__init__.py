@@ -1,2 +1,1 @@
-"""Compensation: targets become joints, by pseudo-targets; the running arm, and the test for
-drift."""
+"""Compensation: targets become joints, by pseudo-targets; the running arm, and the drift test."""

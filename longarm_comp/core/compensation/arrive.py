@@ -23,8 +23,7 @@ from longarm_comp.core.model.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A compensated target, the move that it holds for, and the circumstances and history
-    assumed."""
+    """A compensated target, its move, and the circumstances and history assumed."""
 
     outcome: Compensation
     move: Move
@@ -117,11 +116,7 @@ def compensate_move(
 
 
 def _choose_sides(
-    model: Model,
-    start: np.ndarray | None,
-    q: np.ndarray,
-    joints: list[int],
-    context: Context,
+    model: Model, start: np.ndarray | None, q: np.ndarray, joints: list[int], context: Context
 ) -> np.ndarray:
     """Choose sides (n,) for the joints whose side matters; 0 for the others."""
     wanted, sure = np.zeros((2, model.arm.n))

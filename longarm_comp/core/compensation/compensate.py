@@ -321,8 +321,7 @@ class _Batch:
         ]
 
     def _search(self, rows: list[int], to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
-        """Find and store the joints that bring the tip to some of N places; return the failed
-        searches."""
+        """Find and store joints that bring the tip to some of N places; return failed searches."""
         locked, free = self.options.locked, self.position_only
         given: dict[str, Any] = {"position_only": free, "locked": locked, "max_starts": starts}
         if len(rows) == 1:  # quicker than many of one

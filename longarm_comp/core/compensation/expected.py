@@ -49,8 +49,7 @@ class ExpectedMiss:
 
     @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """The expected distance from the target, and the one that 90 of 100 commands keep, (...) m
-        each."""
+        """The expected distance from the target, and the one that 90 of 100 keep, (...) m each."""
         return sizes(self.covariance, self.mean)
 
     def plus(self, variance: np.ndarray) -> ExpectedMiss:

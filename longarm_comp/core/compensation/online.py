@@ -48,8 +48,7 @@ class Readings:
         return replace(self, readings={**self.readings, source: _Reading(columns, at_s, wrong)})
 
     def fresh(self, source: str, now_s: float, max_age_s: float) -> Mapping[str, float]:
-        """Return the last reading of a source; nothing if it is older than ``max_age_s``, or
-        wrong."""
+        """Return a source's last reading; nothing if it is wrong or older than ``max_age_s``."""
         reading = self.readings.get(source)
         good = reading and not reading.wrong and now_s - reading.at_s <= max_age_s
         return reading.columns if reading and good else {}
@@ -127,8 +126,7 @@ class JointTrust:
         return self._why if self._agreeing < _AGREEING else ""
 
     def heard(self, number: int | None, now_s: float) -> None:
-        """Note that a message came now (s, monotonic), and the number that its publisher gave
-        it."""
+        """Note that a message came now (s, monotonic), and its publisher's number of it."""
         self._now_s, self._numbered = now_s, number is not None
         if number is not None:
             if number <= self._number:

@@ -16,11 +16,10 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.compensation.circle import check_no_turn, unwrap
 from longarm_comp.core.compensation.compensate import judge, physics_of
 from longarm_comp.core.compensation.planned_path import (
-    MotionLimits,
+    PathLimits,
     PlannedPath,
     fastest,
     retime,
@@ -95,21 +94,15 @@ class CompensatedPath:
         for with_it in (True, False):
             if not len(rows := np.flatnonzero(learned == with_it)):
                 continue
-            miss, _, doubts = judge(
-                model,
-                method,
-                command[rows],
-                self.context.take(rows),
-                place[rows],
-                self.sigma[rows] if with_it else None,
-            )
+            here, sigma = self.context.take(rows), self.sigma[rows] if with_it else None
+            miss, _, doubts = judge(model, method, command[rows], here, place[rows], sigma)
             said = (miss.sigma, doubts, *(size.tolist() for size in miss.sizes))
-            for k, sigma, doubt, expected, p90 in zip(rows.tolist(), *said, strict=True):
+            for k, spread, doubt, expected, p90 in zip(rows.tolist(), *said, strict=True):
                 made[k] = Compensation(
                     target=targets[k],
                     ideal=self.ideal[k],
                     predicted_error=self.error[k],
-                    sigma=sigma,
+                    sigma=spread,
                     in_domain=with_it,
                     pseudo_target=pseudo[k],
                     command=command[k],
@@ -122,14 +115,6 @@ class CompensatedPath:
         return [made[k] for k in range(len(targets))]
 
 
-MAX_LONGER = 1.0
-"""A path may take so much longer, as a share: in two halves, with the jerk of one way, it takes 1.6
-times as long, and its play at the start and in the middle a fifth each."""
-
-MAX_TURN_RAD = 0.1
-"""Most that the orientation may be off at a way-point, where the joints allow no nearer."""
-
-
 def compensate_path(
     model: Model,
     predictor: ResidualPredictor | None,
@@ -139,12 +124,7 @@ def compensate_path(
     history: History,
     context_at: ContextAt,
     seed: np.ndarray | None = None,
-    limits: MotionLimits | None = None,
-    max_correction_m: float = np.inf,
-    max_turn_rad: float = MAX_TURN_RAD,
-    turn_m: float = VISIBLE_M,
-    max_longer: float = MAX_LONGER,
-    position_only: bool = False,
+    limits: PathLimits | None = None,
     options: CompensationOptions | None = None,
 ) -> CompensatedPath:
     """Find joints and times for a plan, or the reason why there are none.
@@ -155,47 +135,23 @@ def compensate_path(
         start: (n,) where the joints stand; None: not known. A plan that has begun begins there.
         history: of the joints at ``start``.
         context_at: the circumstances at all way-points, given the histories there.
-        limits: None: the controller keeps them itself.
         seed: (n,) start of the first search, where no joints were planned; ``start`` by default.
-        max_correction_m: most that the declared arm's tip may be moved, m.
-        max_turn_rad: most that the orientation may be off where the joints cannot hold it.
-        position_only: leave the orientation free.
-        turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
-            up without a kick.
-        max_longer: share by which the path may take longer for the same; 0: planned times stay,
-            where the limits allow.
 
     Raises:
         PathRefused: a way-point cannot be reached, needs too large a correction, or turns a joint
             by more than half a turn; a limit or a box is in the way.
         InputError: the plan's shapes or times are not allowed.
     """
-    arm = model.arm
-    plan.check(arm.n)
-    options = options or CompensationOptions()
-    free = position_only or plan.targets.ndim == 2
-    faults = ik.target_faults(plan.targets, free, "path")
+    plan.check(model.arm.n)
+    options, limits = options or CompensationOptions(), limits or PathLimits()
+    learned = predictor if options.method.learned else None
+    way = _Way(model, learned, plan, start, history, context_at, limits, options)
+    faults = ik.target_faults(plan.targets, way.free, "path")
     for row in (row for row, fault in enumerate(faults) if fault):
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
-    begun = plan.begun and start is not None
     if plan.joints is not None:
-        plan = replace(plan, joints=unwrap(arm, plan.joints, start if begun else None))
-    way = _Way(
-        model,
-        predictor if options.method.learned else None,
-        plan,
-        start,
-        history,
-        context_at,
-        begun,
-        turn_m,
-        max_longer,
-        limits or MotionLimits(*np.full((2, arm.n), np.inf)),
-        max_correction_m,
-        max_turn_rad,
-        free,
-        options,
-    )
+        joints = unwrap(model.arm, plan.joints, start if way.begun else None)
+        way = replace(way, plan=replace(plan, joints=joints))
     try:
         return way.solve(seed)
     except _Unanswered as unanswered:
@@ -217,24 +173,26 @@ class _Way:
     start: np.ndarray | None
     history: History
     context_at: ContextAt
-    begun: bool
-    turn_m: float
-    max_longer: float
-    limits: MotionLimits
-    max_correction_m: float
-    max_turn_rad: float
-    free: bool
+    limits: PathLimits
     options: CompensationOptions
+
+    @property
+    def begun(self) -> bool:
+        return self.plan.begun and self.start is not None
+
+    @property
+    def free(self) -> bool:
+        """True where the orientation is."""
+        return self.limits.position_only or self.plan.targets.ndim == 2
 
     @cached_property
     def physics(self) -> Model:
         return physics_of(self.model, self.options.method)
 
     def solve(self, seed: np.ndarray | None) -> CompensatedPath:
-        """Find the joints; repeat until the learned error and the play are those at the joints
-        found."""
+        """Find the joints; repeat until learned error and play are those at the joints found."""
         options, learned = self.options, self.predictor is not None
-        take, seeds = TakeUp(self.physics, self.turn_m), self._seeds(seed)
+        take, seeds = TakeUp(self.physics, self.limits.turn_m), self._seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
         context = self._context(self.history)  # as if no joint turned: so the way of each is known
         lag = take.lag(seeds, context)
@@ -302,8 +260,8 @@ class _Way:
         meant = carry_place(self.plan.base, rigid.tip(joints))
         moved = np.linalg.norm(meant - wanted, axis=1)
         row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
-        if first < len(moved) and moved[row] > self.max_correction_m:
-            why = f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * self.max_correction_m:g} mm"
+        if first < len(moved) and moved[row] > self.limits.max_correction_m:
+            why = f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * self.limits.max_correction_m:g} mm"
             raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
         return moved
 
@@ -327,12 +285,15 @@ class _Way:
 
         bare = np.vstack([way[second] - first, way[1:]])
         unit = arm.upper - arm.lower
-        times = slow_down(planned, bare, unit, begins, turns, self.max_longer, commands)
+        times = slow_down(planned, bare, unit, begins, turns, self.limits.max_longer, commands)
         try:
-            limited = np.isfinite([self.limits.velocity, self.limits.acceleration]).all()
+            motion = self.limits.motion
+            if motion is None:
+                return commands(times)
+            limited = np.isfinite([motion.velocity, motion.acceleration]).all()
             if plan.times is None and limited and len(way) > 1:
-                return fastest(commands(times).joints, self.limits)
-            return retime(commands(times), self.limits)
+                return fastest(commands(times).joints, motion)
+            return retime(commands(times), motion)
         except JobError as error:
             raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
 
@@ -343,8 +304,7 @@ class _Way:
         return context
 
     def _seeds(self, seed: np.ndarray | None) -> np.ndarray:
-        """Return joints (k, n) to start from: as planned, or each from those of the way-point
-        before."""
+        """Return joints (k, n) to start from: as planned, or each from those found before."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._standing(np.clip(plan.joints, *arm.bounds))
@@ -388,21 +348,20 @@ class _Way:
         )
         turn = found.angle_residual_rad
         turn[: int(self.begun)] = 0.0  # the arm stands there already
-        for row in np.flatnonzero(~found.ok | (turn > self.max_turn_rad)):
+        for row in np.flatnonzero(~found.ok | (turn > self.limits.max_turn_rad)):
             if row or not self.begun:
                 self._refuse(int(row), found[int(row)])
         return self._standing(found.q), turn
 
     def _refuse(self, row: int, found: ik.Solution) -> None:
-        """Refuse a way-point that was not reached, or only in an orientation that is too far
-        off."""
+        """Refuse a way-point that was not reached, or whose orientation is too far off."""
         if not found.ok:
             here = ik.position_of(self.plan.targets[row])
             why = guess_unit(here, *reach(self.physics)) or describe_miss("target", found)
             raise PathRefused(Status.UNREACHABLE, row, why)
-        if found.angle_residual_rad > self.max_turn_rad:
+        if found.angle_residual_rad > self.limits.max_turn_rad:
             off = f"its orientation would be off by {found.angle_residual_rad:.3g} rad"
-            why = f"{off}, allowed {self.max_turn_rad:g} rad; position_only leaves it free"
+            why = f"{off}, allowed {self.limits.max_turn_rad:g} rad; position_only leaves it free"
             raise PathRefused(Status.UNREACHABLE, row, why)
 
     def _predict(self, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:

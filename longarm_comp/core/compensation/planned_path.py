@@ -14,6 +14,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.frame_tree import carry_place
+from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
@@ -104,6 +105,30 @@ class MotionLimits:
         speed = path.peak_velocity() / self.velocity
         force = path.peak_acceleration() / self.acceleration
         return float(max(speed.max(), np.sqrt(force.max())))
+
+
+@dataclass(frozen=True, eq=False)
+class PathLimits:
+    """The limits of a path.
+
+    Attributes:
+        motion: of the joints; None: the controller keeps them itself.
+        max_correction_m: most that the declared arm's tip may be moved, m.
+        max_turn_rad: most that the orientation may be off where the joints cannot hold it.
+        turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
+            up without a kick.
+        max_longer: share by which the path may take longer for the same; 0: planned times stay,
+            where the limits allow. In two halves, with the jerk of one way, a path takes 1.6 times
+            as long, and its play at the start and in the middle a fifth each.
+        position_only: leave the orientation free.
+    """
+
+    motion: MotionLimits | None = None
+    max_correction_m: float = np.inf
+    max_turn_rad: float = 0.1
+    turn_m: float = VISIBLE_M
+    max_longer: float = 1.0
+    position_only: bool = False
 
 
 def retime(path: CubicPath, limits: MotionLimits) -> CubicPath:

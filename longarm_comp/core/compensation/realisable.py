@@ -203,8 +203,7 @@ class _Problem:
         return np.clip(q, self.lower, self.upper)
 
     def solve(self) -> Realisable:
-        """Improve the choice in rounds: keep the best of the present one and those found near
-        it."""
+        """Improve the choice in rounds: keep the best of the present one and those near it."""
         errors = self.errors(np.vstack([self.ideal, self.step_aside(self.rounded)]))
         if not np.isfinite(errors[:2]).all():
             allowed = "a finite tip at the ideal and the rounded joints"
@@ -286,8 +285,7 @@ class _Problem:
         return self.at_steps(q, self.whole + k), nodes
 
     def step_aside(self, at: np.ndarray) -> np.ndarray:
-        """Return joints (n,), then each moving joint a little up, then each a little down, in
-        limits."""
+        """Return joints (n,), then each moving joint a little up, each a little down, in limits."""
         count = len(self.moving)
         q = np.repeat(at[None], 1 + 2 * count, axis=0)
         up, down = self._aside(at)

@@ -206,8 +206,7 @@ _UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
 
 
 def guess_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
-    """Ask whether a target far beyond the arm's reach is in another unit; "" for any other
-    target."""
+    """Ask whether a target far beyond the arm's reach is in another unit; "" for any other."""
     away = math.dist(position, base)
     # Times its reach: no one means a target so far away, and no unit is so close to the metre
     if away <= 10.0 * reach_m:

@@ -124,7 +124,7 @@ def placement(
     if frame == BASE:
         return Placement(BASE, motion, base, motion, seen, bool(found))
     away = _away(motion, points)
-    if away > (usual := _usual(model.arm)):
+    if away > (usual := _is_usual(model.arm)):
         allowed = (
             f"{BASE} (the arm's own) or {MEASURED} (that of the measurements), by a column frame "
             f"or --frame: the calibration found the base elsewhere, {1e3 * away:.4g} mm apart at "
@@ -145,14 +145,13 @@ def base_of_graph(model: Model) -> Placement:
     base = _bases(model).get("", declared)
     motion = base @ np.linalg.inv(declared)
     corners = Model(arm).tip(np.array([arm.mid, *np.clip(arm.bounds, -2 * np.pi, 2 * np.pi)]))
-    if _away(motion, corners) > _usual(arm):
+    if _away(motion, corners) > _is_usual(arm):
         return Placement(BASE, motion, base, motion, seen, True)
     return Placement(MEASURED, seen, base, np.eye(4), seen, base is not declared)
 
 
 def _motion_of_all_rows(model: Model) -> np.ndarray:
-    """Return the motion (4, 4) from the measurements' frame to the model's, by which all rows
-    moved."""
+    """Return the motion (4, 4) from the measurements' frame to the model's, common to all rows."""
     made = np.eye(4)
     made[:3, 3] = np.negative(model.frame_shift)
     return made
@@ -173,7 +172,7 @@ def _away(motion: np.ndarray, points: np.ndarray) -> float:
     return float(np.linalg.norm(carry_place(motion, points) - points, axis=1).max())
 
 
-def _usual(arm: Arm) -> float:
+def _is_usual(arm: Arm) -> float:
     """Compute how far off a declared base, with the tip on it, usually is (90 of 100), m."""
     if arm.hash not in _usual_of:
         model, slots = Model(arm), slots_of(arm, geometry_of(arm))

@@ -56,7 +56,7 @@ def lifted_base(
     found = _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
     turn = _by_axes(axes, rows)
     if turn is None:
-        turn = _rotation(found) if len(found.value) >= _MIN_EQUATIONS else np.eye(3)
+        turn = _solve_rotation(found) if len(found.value) >= _MIN_EQUATIONS else np.eye(3)
     right = found.value - np.einsum("mi,ij,mj->m", found.direction, turn, found.point)
     return turn, _robust(found.direction, right) if len(right) else np.zeros(3)
 
@@ -137,7 +137,7 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     return robust_kabsch(of, to)[0]  # each turn is there both ways, so the offset is 0
 
 
-def _rotation(found: _LinearEquations) -> np.ndarray:
+def _solve_rotation(found: _LinearEquations) -> np.ndarray:
     """R of the lifted problem, brought back to a rotation."""
     middle = found.point.mean(axis=0)
     local = found.point - middle

@@ -219,8 +219,7 @@ def characteristic_length(model: Model) -> float:
 
 
 MOST_KERNELS = 8
-"""Kernels kept, the last used: of four models, each for two kinds of targets.  A compiled one takes
-some 2 MB."""
+"""Kernels kept, the last used: four models, two kinds of targets each; one takes some 2 MB."""
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 

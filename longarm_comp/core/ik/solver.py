@@ -18,13 +18,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.engines import (
-    Engine,
-    compile_at_once,
-    run,
-    tip_poses,
-    warm_up,
-)
+from longarm_comp.core.ik.engines import Engine, compile_at_once, run, tip_poses, warm_up
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.ik.newton import REACHED, rotation_error, skewness
 from longarm_comp.core.ik.single import solve_compiled

@@ -92,7 +92,7 @@ def train(
             progress(networks, len(sizes) * starts + _FOLDS)
 
     fits = learner.likeliest(sizes, starts, tell)[:ensemble]
-    out = _folds(q, np.random.default_rng([seed, _FOLDS]))
+    out = _draw_folds(q, np.random.default_rng([seed, _FOLDS]))
     without = learner.fits(fits[0].units, ~out)
     tell(len(sizes) * starts + _FOLDS)
     shape = NetworkShape(x.shape[1], max(each.units for each in fits), 3)
@@ -221,7 +221,7 @@ class _Learner:
         return sorted(fits, key=lambda each: -each.evidence)
 
 
-def _folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
+def _draw_folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
     """(F, N) masks of the rows left out together; repeats of a pose stay together."""
     _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
     pose = pose.ravel()
@@ -246,8 +246,7 @@ def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) 
 
 
 def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
-    """Inputs (2000, d) over the training region: random joints in their box, with the context of
-    some training sample."""
+    """Inputs (2000, d) over the training region: random joints, and some sample's context."""
     joints = int(encoding.moved.sum())
     probe = x[rng.integers(0, len(x), 2000)]
     low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)

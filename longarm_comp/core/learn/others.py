@@ -8,7 +8,6 @@ the origin of its network, never code: whoever loads it gives the same file, or 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from longarm_comp.core.entry_points import execute_file, of_other_packages
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import file_hash
 from longarm_comp.core.learn.network import Array
 from longarm_comp.core.learn.stack import Stack
 
@@ -96,8 +96,8 @@ def load_file(path: str | Path) -> NetworkKind:
     factory = getattr(module, "network", None)
     if not callable(factory):
         raise InputError(path, "network", "none", "a function network(inputs, outputs)")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    kind = _loaded[path.stem] = NetworkKind(path.stem, f"file of SHA-256 {digest}", factory)
+    said = f"file of SHA-256 {file_hash(path)}"
+    kind = _loaded[path.stem] = NetworkKind(path.stem, said, factory)
     return kind
 
 

@@ -185,7 +185,7 @@ def load(
 def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
     """Checked header, and all arrays of the file, of any shape."""
     try:
-        said, arrays = (_packed if Path(path).suffix == _OTHERS else _zipped)(path)
+        said, arrays = (_read_packed if Path(path).suffix == _OTHERS else _read_zipped)(path)
         header = json.loads(said)
     except InputError:
         raise
@@ -201,7 +201,7 @@ def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]
     return parse_declared(_Header, header, str(path)), arrays
 
 
-def _zipped(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
+def _read_zipped(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
     check_regular(path)
     with np.load(path, allow_pickle=False) as data:
         check_unpacked(path, data.zip)
@@ -209,7 +209,7 @@ def _zipped(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]
     return arrays.pop("header").tobytes(), arrays
 
 
-def _packed(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
+def _read_packed(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
     from safetensors import safe_open
 
     check_regular(path)

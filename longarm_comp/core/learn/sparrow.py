@@ -64,14 +64,15 @@ class Rules:
     def discover(
         self, rng: torch.Generator, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
     ) -> Tensor:
-        """Move the discoverers: towards the origin, or along the diagonal where `alarmed` (M, 1,
-        1)."""
+        """Move the discoverers: to the origin, or along the diagonal if `alarmed` (M, 1, 1)."""
         alpha = 1.0 - uniform(rng, position, *position.shape[:2])  # (0, 1]
         calm = position * torch.exp(-rank / (alpha * horizon))[..., None]
         return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
 
     def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
-        return leader + diagonal_step(rng, position, leader)
+        sign = torch.where(uniform(rng, position, *position.shape) < 0.5, -1.0, 1.0)
+        # ``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension
+        return leader + ((position - leader) * sign).mean(dim=2, keepdim=True)
 
     def starve(
         self, rng: torch.Generator, position: Tensor, rank: Tensor, worst: Tensor, horizon: int
@@ -89,12 +90,6 @@ class Rules:
         step = k * (position - worst[..., :-1]).abs()
         away = position + torch.where(gap < 0, step / gap, 0.0)
         return torch.where(fitness > best[..., -1:], towards, away)
-
-
-def diagonal_step(rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
-    """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
-    sign = torch.where(uniform(rng, position, *position.shape) < 0.5, -1.0, 1.0)
-    return ((position - leader) * sign).mean(dim=2, keepdim=True)
 
 
 @dataclass(frozen=True)

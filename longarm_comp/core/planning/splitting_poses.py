@@ -63,7 +63,7 @@ def splitting_poses(
 
     theirs, mine = map(fit.whiten_columns, _designs(fit, found, other, measured))
     far, shift = _designs(fit, found, other, lambda slots: fit.model.columns(at, slots)[1])
-    scale = _noise(fit)[None, :, None]
+    scale = _noise_of(fit)[None, :, None]
     own = np.concatenate([theirs, mine], axis=1)
     information = own.T @ own + np.eye(own.shape[1])
     amount = np.zeros_like(information)
@@ -76,7 +76,7 @@ def splitting_poses(
     return SplittingPoses(q[chosen], side[chosen], payload, None, between, float(odds))
 
 
-def _noise(fit: ModelFit) -> np.ndarray:
+def _noise_of(fit: ModelFit) -> np.ndarray:
     """Return the (3,) noise of a position to be measured, m.
 
     It is the noise of the session's positions (an axis without one has the smallest), or the

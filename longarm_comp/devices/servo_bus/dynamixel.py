@@ -29,14 +29,14 @@ def _x(
     return ServoModel(name, "dynamixel", number, 4096, *turns, full_load, friction, top)
 
 
-def _divide(crc: int) -> int:
+def _divide_by_crc(crc: int) -> int:
     """The remainder after eight more bits of 0."""
     for _ in range(8):
         crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
     return crc
 
 
-_CRC_TABLE = tuple(_divide(byte << 8) for byte in range(256))
+_CRC_TABLE = tuple(_divide_by_crc(byte << 8) for byte in range(256))
 
 
 class DynamixelX(Dialect):

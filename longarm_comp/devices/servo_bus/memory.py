@@ -15,8 +15,7 @@ def signed(data: bytes) -> int:
 
 
 def sign_magnitude(bit: int) -> Callable[[bytes], int]:
-    """Return a decoder of numbers whose sign is the given bit and whose size is the bits below
-    it."""
+    """Return a decoder of numbers with their sign in a bit and their size in the bits below."""
 
     def value(data: bytes) -> int:
         raw = unsigned(data)

@@ -85,7 +85,8 @@ class StereoEye:
         if not off <= self.limits.epipolar_px:
             raise StereoRefusal(RefusalReason.EPIPOLAR, epipolar_px=round(off, 3))
         points, _ = triangulate(self.rig, left_px, right_px)
-        size = _size_seen(points, corners)
+        spread = [np.linalg.norm(p - p.mean(axis=0)) for p in (points, corners)]
+        size = float(spread[0] / spread[1])
         if abs(size - 1.0) > self.limits.size:
             raise StereoRefusal(RefusalReason.MARKER_SIZE, seen_over_declared=round(size, 4))
         tolerance, noise = self.limits.tolerance(left_px), self.expected_noise
@@ -123,9 +124,3 @@ def _span_m(corners: Array) -> float:
     """Second-largest extent (m) of the corners (N, 3): 0 where they lie on one line."""
     extent = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     return float(extent[1]) if extent[1] > 0.05 * extent[0] else 0.0
-
-
-def _size_seen(points: Array, corners: Array) -> float:
-    """Spread of the triangulated points over the spread of the declared corners."""
-    spread = [np.linalg.norm(p - p.mean(axis=0)) for p in (points, corners)]
-    return float(spread[0] / spread[1])

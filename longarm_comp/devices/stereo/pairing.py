@@ -61,7 +61,10 @@ class StereoPairer(Generic[Image]):
             if newest - stamp_ns <= _RESTART_NS:
                 self.drops[Drop.OUT_OF_ORDER] += 1
                 return []
-            self._restart()
+            for waiting in self._waiting:
+                self.drops[Drop.RESTARTED] += len(waiting)
+                waiting.clear()
+            self._done_ns = [None, None]
         if len(mine) == self.queue:
             self._drop(side.value, Drop.OVERFLOW)
         mine.append((stamp_ns, image))
@@ -90,9 +93,3 @@ class StereoPairer(Generic[Image]):
     def _drop(self, side: int, why: Drop) -> None:
         self._done_ns[side] = self._waiting[side].popleft()[0]
         self.drops[why] += 1
-
-    def _restart(self) -> None:
-        for waiting in self._waiting:
-            self.drops[Drop.RESTARTED] += len(waiting)
-            waiting.clear()
-        self._done_ns = [None, None]

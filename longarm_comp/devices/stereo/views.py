@@ -36,9 +36,9 @@ class BoardView:
 
     def is_new(self, others: Sequence[BoardView], width: int) -> bool:
         """Return whether it shows the board elsewhere, or at another distance or tilt."""
-        return all(self._differs(other, width) for other in others)
+        return all(self._differs_from(other, width) for other in others)
 
-    def _differs(self, other: BoardView, width: int) -> bool:
+    def _differs_from(self, other: BoardView, width: int) -> bool:
         shift = self.left.pixels.mean(axis=0) - other.left.pixels.mean(axis=0)
         turn = np.subtract(self.tilt_deg, other.tilt_deg)
         return bool(

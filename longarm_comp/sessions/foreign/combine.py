@@ -51,13 +51,13 @@ def join(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
         one, two = ([row[k] for _, row in t.rows] for t, k in ((made, here), (table, there)))
         places: dict[object, int] = {}
         for (line, _), text in zip(table.rows, two, strict=True):
-            if _key(text) in places:
+            if _sort_key(text) in places:
                 raise InputError(table.where, f"line {line}, {column}", text, "each of them once")
-            places[_key(text)] = len(places)
-        partner = [places.get(_key(text), -1) for text in one]
-        clocks, allowed = _clocks((made, table), (here, there), column), f"{one[0]}, ..."
+            places[_sort_key(text)] = len(places)
+        partner = [places.get(_sort_key(text), -1) for text in one]
+        clocks, allowed = _read_clocks((made, table), (here, there), column), f"{one[0]}, ..."
         if clocks:
-            partner, limit = _nearest(*clocks)
+            partner, limit = _pair_nearest(*clocks)
             apart = [abs(clocks[0][k] - clocks[1][p]) for k, p in enumerate(partner) if p >= 0]
             farthest = f"; the farthest are {max(apart):.3g} apart" if apart else ""
             notes.append(f"{table.where}: nearest {column} within {limit:.3g}{farthest}")
@@ -148,7 +148,7 @@ def melt(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
     return replace(cells, names=names, rows=tuple(rows), index=tuple(index))
 
 
-def _clocks(tables: Sequence[Cells], places: Sequence[int], column: str) -> list[np.ndarray]:
+def _read_clocks(tables: Sequence[Cells], places: Sequence[int], column: str) -> list[np.ndarray]:
     """Times (s, or as written where no unit is) of the same column of two tables; empty where it
     holds no times."""
     texts = [table.column(place) for table, place in zip(tables, places, strict=True)]
@@ -170,13 +170,13 @@ def _clocks(tables: Sequence[Cells], places: Sequence[int], column: str) -> list
     ]
 
 
-def _nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
+def _pair_nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
     """Find for each entry of ``one`` the place of the nearest of ``two`` that has none nearer.
 
     It is -1 where none is within the tolerance, which is half the shorter of both median steps and
     returned as well.
     """
-    near, back = _closest(one, two), _closest(two, one)
+    near, back = _find_closest(one, two), _find_closest(two, one)
     steps = [np.diff(np.unique(times)) for times in (one, two)]
     limit = min((float(np.median(step)) / 2 for step in steps if len(step)), default=0.0)
     # Of rows of one time all have it
@@ -184,7 +184,7 @@ def _nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
     return np.where(mutual, near, -1).tolist(), limit
 
 
-def _closest(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+def _find_closest(one: np.ndarray, two: np.ndarray) -> np.ndarray:
     """Return for each number of ``one`` (N,) the place in ``two`` of the number closest to it."""
     order = np.argsort(two, kind="stable")
     after = np.searchsorted(two[order], one).clip(1, max(len(two) - 1, 1))
@@ -192,7 +192,7 @@ def _closest(one: np.ndarray, two: np.ndarray) -> np.ndarray:
     return pair[np.abs(two[pair] - one).argmin(axis=0), np.arange(len(one))]
 
 
-def _key(text: str) -> object:
+def _sort_key(text: str) -> object:
     try:
         return float(text)
     except ValueError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -15,7 +14,7 @@ import yaml
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_paths
+from longarm_comp.core.files import atomic_paths, file_hash
 from longarm_comp.sessions.csv import LABELS, XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
 from longarm_comp.sessions.foreign.columns import (
@@ -126,7 +125,7 @@ class _Imported:
         names = ", ".join(file.name for file in self.files)
         mapping: dict[str, Any] = {
             "source": names,
-            "source_sha256": ", ".join(map(_hash_file, self.files)),
+            "source_sha256": ", ".join(map(file_hash, self.files)),
             "session_sha256": "",
             "separator": self.cells.separator,
             "decimal": self.cells.decimal if self.cells.separator and not several else None,
@@ -147,15 +146,11 @@ class _Imported:
             mapping["names"] = list(self.options.columns)
         with atomic_paths(path, beside) as (session, written):
             fill_table(session, list(self.columns), zip(*self.columns.values(), strict=True))
-            mapping["session_sha256"] = _hash_file(session)
+            mapping["session_sha256"] = file_hash(session)
             text = yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
             text = f"# How longarm import-data read {names}.\n{text}"
             written.write_text(text, encoding="utf-8", newline="\n")
         return beside
-
-
-def _hash_file(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _Imported:

@@ -115,8 +115,7 @@ def found_in(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
 
 
 def unit_in(name: str) -> Unit | None:
-    """The unit that the name of a part states: ``q_k`` is not in kelvin, ``tool C`` not in degrees
-    Celsius."""
+    """The unit that a part's name states: ``q_k`` is not in kelvin, ``tool C`` not in Celsius."""
     return None if any(form.read(name) for form in FORMS) else split_name(name)[1]
 
 

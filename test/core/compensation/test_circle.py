@@ -10,7 +10,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.circle import check_no_turn, unwrap
 from longarm_comp.core.compensation.path import compensate_path
-from longarm_comp.core.compensation.planned_path import MotionLimits, PlannedPath
+from longarm_comp.core.compensation.planned_path import MotionLimits, PathLimits, PlannedPath
 from longarm_comp.core.compensation.result import PathRefused
 from longarm_comp.core.model.declared_model import declared_model
 
@@ -21,7 +21,7 @@ SLOW = MotionLimits(np.full(6, 1.0), np.full(6, 3.0))
 def test_a_joint_that_may_goes_on_through_pi(limits: MotionLimits | None) -> None:
     model = declared_model(arm(360.0))
     goes, said = through_pi()
-    found = follow(model, said, goes[0], limits=limits).timed
+    found = follow(model, said, goes[0], limits=PathLimits(limits)).timed
     np.testing.assert_allclose(found.joints, goes, atol=1e-7)
     assert found.times[-1] == pytest.approx(2.0)
     at = np.linspace(0.0, 2.0, 2001)
@@ -36,7 +36,7 @@ def test_a_joint_that_may_not_is_refused_at_the_way_point(limits: MotionLimits |
     goes, said = through_pi()
     first = int(np.argmax(goes[:, 0] > np.pi))
     with pytest.raises(PathRefused, match=r"joint1 from .* is a turn back") as refused:
-        follow(declared_model(arm(180.0)), said, goes[0], limits=limits)
+        follow(declared_model(arm(180.0)), said, goes[0], limits=PathLimits(limits))
     assert refused.value.row == first
     assert "outside its limits, -3.142 to 3.142 rad" in str(refused.value)
 

@@ -17,13 +17,10 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import compensate
-from longarm_comp.core.compensation.path import (
-    CompensatedPath,
-    PathRefused,
-    compensate_path,
-)
+from longarm_comp.core.compensation.path import CompensatedPath, PathRefused, compensate_path
 from longarm_comp.core.compensation.planned_path import (
     MotionLimits,
+    PathLimits,
     PlannedPath,
     fastest,
     retime,
@@ -60,11 +57,11 @@ def plan_of(arm: Arm, count: int = 41) -> PlannedPath:
 def follow(
     model: Model, plan: PlannedPath, predictor: object = None, **more: object
 ) -> CompensatedPath:
-    known = {"start": plan.joints[0], "turn_m": 0.0, "history": History.unknown(model.arm.n)}
-    more = known | more
+    limits = {name: more.pop(name) for name in PathLimits.__annotations__ if name in more}
+    known = {"start": plan.joints[0], "history": History.unknown(model.arm.n)} | more
     return compensate_path(
-        model, predictor, plan,
-        context_at=lambda arrived: Context(**arrived.fields()), **more,
+        model, predictor, plan, limits=PathLimits(**{"turn_m": 0.0} | limits),
+        context_at=lambda arrived: Context(**arrived.fields()), **known,
     )  # fmt: skip
 
 
@@ -185,10 +182,7 @@ def test_a_path_that_begins_against_its_play_takes_it_up_first_and_gently(arm: A
 def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model: Model) -> None:
     plan = plan_of(arm, 7)
     found = follow(model, plan)
-    answers, history = (
-        found.each(model, Method.DEFLECTION, plan.targets),
-        History.unknown(arm.n),
-    )
+    answers, history = (found.each(model, Method.DEFLECTION, plan.targets), History.unknown(arm.n))
     for row in range(1, 7):
         before, now = found.timed.joints[row - 1 : row + 1]
         history = history.after(now[None], before)
@@ -284,7 +278,7 @@ def test_limits_are_kept_nowhere_faster_than_the_plan(arm: Arm, model: Model) ->
     peak = np.abs(free.at(between(free), 1)).max(axis=0)
     limits = MotionLimits(0.6 * peak, np.full(arm.n, 2.0))
     assert limits.excess(free) > 1.5
-    timed = follow(model, plan, limits=limits).timed
+    timed = follow(model, plan, motion=limits).timed
     np.testing.assert_array_equal(timed.joints, free.joints)
     inside = between(timed)
     assert (np.abs(timed.at(inside, 1)) <= limits.velocity * (1 + 1e-5)).all()

@@ -159,10 +159,7 @@ def test_real_rows_are_told_from_spoilt_ones(data_dir: Path, name: str) -> None:
     admit(rows, arm)
     admit(part.test, arm)
     for text in ("q1 looks negated", "q2 and q4 look swapped", "one row later", "shuffled"):
-        spoil = next(
-            (s for known, s in WRONG.items() if text in known),
-            None,
-        )
+        spoil = next((s for known, s in WRONG.items() if text in known), None)
         assert spoil is not None
         with pytest.raises(InputError, match=text):
             admit(spoil(rows), arm)

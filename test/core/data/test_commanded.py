@@ -57,10 +57,7 @@ def rows() -> Session:
     return dataclasses.replace(made, columns=columns)
 
 
-LEFT_OUT = {
-    "measuring side": CameraDrift(x=2e-3, y=1e-3),
-    "never published": PumpLift(lift=2e-3),
-}
+LEFT_OUT = {"measuring side": CameraDrift(x=2e-3, y=1e-3), "never published": PumpLift(lift=2e-3)}
 KEPT = {
     "side of arrival": Backlash(joint=2, width=0.01),
     "temperature": ThermalGrowth(expansion=1e-3),

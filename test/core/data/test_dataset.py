@@ -106,11 +106,7 @@ def test_lost_markers_are_not_seen(rng: np.random.Generator) -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    poses=st.integers(2, 90),
-    visits=st.integers(0, 60),
-    seed=st.integers(0, 2**31),
-)
+@given(poses=st.integers(2, 90), visits=st.integers(0, 60), seed=st.integers(0, 2**31))
 def test_no_pose_straddles_a_split(poses: int, visits: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = rng.random((poses, 2))[np.r_[np.arange(poses), rng.integers(0, poses, visits)]]

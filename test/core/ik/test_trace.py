@@ -20,13 +20,7 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.codegen.llvm import compile_module, module
 from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
-from longarm_comp.core.ik.kernel import (
-    MOST_KERNELS,
-    Kernel,
-    kernel_of,
-    tip_and_jacobian,
-    works,
-)
+from longarm_comp.core.ik.kernel import MOST_KERNELS, Kernel, kernel_of, tip_and_jacobian, works
 from longarm_comp.core.model.model import Model
 
 N = 12

@@ -134,11 +134,7 @@ def test_nan_fitness_counts_as_infinitely_bad():
 
 
 @pytest.mark.parametrize(
-    ("settings", "field"),
-    [
-        ({"population": 3}, "population"),
-        ({"iterations": 0}, "iterations"),
-    ],
+    ("settings", "field"), [({"population": 3}, "population"), ({"iterations": 0}, "iterations")]
 )
 def test_bad_settings_name_the_field(settings, field):
     with pytest.raises(InputError) as caught:
