@@ -10,6 +10,7 @@ from rclpy.executors import SingleThreadedExecutor
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.data.rest import RestPose
+from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import (
     arm_state,
     compensator,
@@ -26,6 +27,7 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.frames import FrameListener
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, RING_SAID, TIP_SAID, WARN, Report, Twins
 from longarm_comp.nodes.interfaces import BEST_EFFORT
+from longarm_comp.nodes.messages import joints_of
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 from longarm_interfaces.msg import Motion
@@ -122,9 +124,16 @@ class Kinematics(ArmNode):
         self._learning.learn_from(rest, context, learned)
 
     def _on_motion(self, motion: Motion) -> None:
-        reached = motion.event == Motion.REACHED
-        if reached and (now := self._arm.standing) is not None:
-            self._arm.worker.submit(partial(self._monitor.judge_servos, *now))
+        if motion.event != Motion.REACHED or (now := self._arm.standing) is None:
+            return
+        model, q, context = now
+        if motion.joints.name:  # the last of `joint_states` may be of the way
+            try:
+                q = joints_of(motion.joints, self._arm.arm, "motion: joints")
+            except InputError as error:
+                self.tally.count_dropped("motion", str(error))
+                return
+        self._arm.worker.submit(partial(self._monitor.judge_servos, model, q, context))
 
     def _graph_report(self) -> Report:
         """Report a second `kinematics`, and publishers of targets that cannot be received."""

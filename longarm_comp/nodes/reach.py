@@ -94,7 +94,6 @@ class ReachServer:
             return result
         await self._look(goal, command, before, result)
         result.success = True
-        self._at_rest(result)
         stands, at = self._tips.tell(), answer.target.pose.position
         if stands is not None:
             said = stands.said(np.array([at.x, at.y, at.z]))
@@ -112,9 +111,9 @@ class ReachServer:
                 halted, name = True, self._targets.halt()
             self._feedback(goal, Reach.Feedback.MOVING, command)
             await self._ticks.next()
+        self._at_rest(result, motion)
         if motion is not None and motion.event == Motion.REACHED and not halted:
             return True
-        self._at_rest(result)
         if halted:
             result.message = "cancelled: the arm was stopped"
             goal.canceled()
@@ -146,9 +145,11 @@ class ReachServer:
             self._feedback(goal, Reach.Feedback.LOOKING, command)
             await self._ticks.next()
 
-    def _at_rest(self, result: Reach.Result) -> None:
-        q = self._state.joints
-        if q is not None:
+    def _at_rest(self, result: Reach.Result, motion: Motion | None) -> None:
+        """Tell where the joints are: by the driver's word, else by the last of their readings."""
+        if motion is not None and motion.joints.name:
+            result.reached = motion.joints
+        elif (q := self._state.joints) is not None:
             result.reached = joints_message(self._arm, q, self._state.stamp)
 
     def _feedback(self, goal: Any, phase: int, command: np.ndarray | None) -> None:

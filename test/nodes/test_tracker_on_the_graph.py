@@ -159,6 +159,7 @@ def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
         place = target if frame == "base" else STANDS[:3, :3] @ target + STANDS[:3, 3]
         found = scene.reach(place, frame)
         assert found.success and found.seen, found.message
+        np.testing.assert_allclose(found.reached.position, found.command.position, atol=1e-9)
         np.testing.assert_allclose(scene.true.true, target, atol=1e-5)
         np.testing.assert_allclose([found.tip.x, found.tip.y, found.tip.z], target, atol=1e-5)
         miss = [found.miss.x, found.miss.y, found.miss.z]

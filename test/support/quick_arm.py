@@ -113,7 +113,8 @@ class QuickArm:
         if self._walk.step():
             self._look(was)
             if not self._walk.ahead:
-                self._motions.publish(Motion(id=self._id, event=Motion.REACHED))
+                there = joints_message(self.arm, self._walk.q)
+                self._motions.publish(Motion(id=self._id, event=Motion.REACHED, joints=there))
         self._tell()
         now = self.node.get_clock().now().to_msg()
         self._joints.publish(joints_message(self.arm, self._walk.q, now))
