@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import expit, fdtri
@@ -28,6 +29,10 @@ EXCESS_WITHIN = 1e3
 NEWTON_STEPS = 10
 MOST_STEPS = 60
 """Of the noise and the size of the library's effects together."""
+LEAST_ROWS = 12
+"""Rows from which the shape of their scatter tells something: two covariances of six numbers."""
+TURNING = math.log(20.0)
+"""Log odds, before the rows, that nothing scatters with the tool: one session in twenty."""
 USUAL = 3e-4
 """Noise of a sighting before any row is seen, m or rad; a factor of `_WITHIN` is one standard
 deviation."""
@@ -101,25 +106,63 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
     return size, degrees
 
 
-def share_of_sensor(fit: ModelFit) -> tuple[float, float]:
-    """Return the expected share of the sensor in the white residual's variance, by what rows state.
+class SensorShare(NamedTuple):
+    """How much of the white residual is the sensor's.
 
-    Either all of it is the sensor's, or something else that no input tells adds to it, alike likely
-    at any size: two tools that nobody wrote down, an arm that does not come back.
-
-    Returns:
-        The share, and the probability that all is the sensor's; 1 and 1 where no row states any.
+    Attributes:
+        share: expected share of its variance.
+        whole: probability that all of it is.
+        sign: what shows the rest.
     """
+
+    share: float
+    whole: float
+    sign: str
+
+
+def share_of_sensor(fit: ModelFit) -> SensorShare:
+    """Judge how much of the white residual is the sensor's.
+
+    Either all of it is the sensor's, or something else that no input tells adds to it: two tools
+    that nobody wrote down, a tool that is loose, an arm that does not come back.  Either what the
+    rows state or the shape of the scatter may say so.
+    """
+    return min(_share_by_statement(fit), _share_by_shape(fit))
+
+
+def _share_by_shape(fit: ModelFit) -> SensorShare:
+    """Judge it by the shape of the scatter: a sensor's does not turn with the tool.
+
+    The residual is normal with one covariance in the frame of the measurements, or in that of the
+    tip. In the latter case the sensor has what scatters alike in all directions.
+    """
+    sign, kept = "turns with the tool, as no sensor's noise does", (fit.weights > 0) & fit.pointed
+    if kept.sum() < LEAST_ROWS or fit.session.blocks[0].kind != "position":
+        return SensorShare(1.0, 1.0, sign)
+    residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
+    tip = np.broadcast_to(fit.model.tip_frame(fit.posture).matrix(), (len(kept), 4, 4))[kept]
+    by_tip = np.einsum("nji,nj->ni", tip[:, :3, :3], residual)
+    logs, spread = [], np.zeros(3)
+    for each in (residual, by_tip):
+        spread = np.maximum(np.linalg.eigvalsh(each.T @ each / len(each)), 1e-30)
+        logs.append(-0.5 * len(each) * float(np.log(spread).sum()))
+    whole = float(expit(TURNING + logs[0] - logs[1]))
+    return SensorShare(whole + (1.0 - whole) * float(3.0 * spread[0] / spread.sum()), whole, sign)
+
+
+def _share_by_statement(fit: ModelFit) -> SensorShare:
+    """Judge it by what the rows state of their noise: whatever else there is may be of any size."""
+    sign = "is scatter far beyond the noise that the rows state"
     stated = [fit.session.claimed.get(name, math.nan) for name in fit.session.channels]
     ratios = np.log(fit.sigma) - np.log(stated)
     if not np.isfinite(ratios).any():
-        return 1.0, 1.0
+        return SensorShare(1.0, 1.0, sign)
     within, ratio = math.log(RIGHT_WITHIN), float(ratios[np.isfinite(ratios)].mean())
     log_less = norm.logcdf(ratio / within)
     log_all = norm.logpdf(ratio, 0.0, within) - log_less + math.log(math.log(EXCESS_WITHIN))
     whole = float(expit(log_all))
     log_part = norm.logcdf(ratio / within - 2.0 * within) - log_less + 2.0 * (within**2 - ratio)
-    return whole + (1.0 - whole) * math.exp(min(log_part, 0.0)), whole
+    return SensorShare(whole + (1.0 - whole) * math.exp(min(log_part, 0.0)), whole, sign)
 
 
 def sightings(rows: Session) -> np.ndarray:

@@ -12,7 +12,8 @@ Not all of a fit's residual is noise.  At similar poses the arm behaves alike, s
 model lacks looks as if the parameters changed with the joints.  The residual is white noise and
 such a Gaussian process; their shares are weighed by the evidence of the rows, with the part that
 the fit explains projected out (restricted likelihood; Patterson and Thompson 1971, Biometrika 58),
-and by repeats, however few.  Of the white part no more is the sensor's than it may have stated.
+and by repeats, however few.  No more of it is the sensor's than it may have stated, and than
+scatters alike in all directions where the scatter turns with the tool.
 
 Every long arm yields, and a fit whose rows do not show it has put it into the geometry.  So the
 covariance is that of the fitted parameters together with the compliances that were not fitted.
@@ -63,7 +64,7 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))
     else:
         spread = fit.residual[kept & fit.pointed][:, :3]
-        sensor = (1.0 - arm_share(fit)) * share_of_sensor(fit)[0]
+        sensor = min(1.0 - arm_share(fit), share_of_sensor(fit).share)
         noise = sensor * np.diag((spread**2).mean(axis=0))
         alike, structure = left_out.explain(noise)
     rho = lag_correlation(fit.residual / fit.sigma, fit.weights, fit.session.measured)

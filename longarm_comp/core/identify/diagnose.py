@@ -44,7 +44,7 @@ from longarm_comp.core.identify.run_ups import as_fitted, run_up, with_run_up, w
 from longarm_comp.core.identify.structure import (
     examine,
     with_left_out,
-    with_stated_noise,
+    with_scatter,
     with_unseen,
 )
 from longarm_comp.core.learn.predictor import Predictor
@@ -138,7 +138,7 @@ def diagnose(
     structure = examine(found.fit, fits[CALIBRATED], beside)
     structure = with_left_out(structure, found.fit)
     fullest = [(list(f.fits.values())[-1], f.rows) for f in made]
-    structure = with_unseen(with_stated_noise(structure, found.fit), fullest)
+    structure = with_unseen(with_scatter(structure, found.fit), fullest)
     final = fold_directions(fits[written])
     added = [t for f in found.found for t in f.terms if t.key in {s.key for s in final.model.terms}]
     ends = intervals(final, added, candidates)

@@ -319,20 +319,18 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
     )
 
 
-def with_stated_noise(structure: Structure, fit: ModelFit) -> Structure:
-    """Return the structure, flagged also where the noise is far more than the sensor states.
+def with_scatter(structure: Structure, fit: ModelFit) -> Structure:
+    """Return the structure, flagged also where the scatter is hardly the sensor's.
 
     Args:
         structure: as it shows in the fitted rows.
         fit: the final fit.
     """
-    share, p = share_of_sensor(fit)
-    size = float(np.linalg.norm(fit.noise_m)) * math.sqrt(1.0 - share)
-    if structure.flag or p > SIGNIFICANT or size < smallest(fit):
+    sensor = share_of_sensor(fit)
+    size = float(np.linalg.norm(fit.noise_m)) * math.sqrt(1.0 - sensor.share)
+    if structure.flag or sensor.whole > SIGNIFICANT or size < smallest(fit):
         return structure
-    return structure.shown(
-        p, "stated noise", size, "is scatter far beyond the noise that the rows state"
-    )
+    return structure.shown(sensor.whole, "scatter", size, sensor.sign)
 
 
 def _beyond(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hidden_arm import SIGMA, at, session
+from hidden_arm import SIGMA, at, calibrated, session
 from small_arm import ARM
 
 from longarm_comp.core.calibration.noise import from_residual, share_of_sensor
 from longarm_comp.core.calibration.uncertainty import uncertainty
 from longarm_comp.core.data.measured_rows import ChannelBlock
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import sizes
 from longarm_comp.sim.hidden import drives
@@ -39,6 +40,7 @@ def fit_of(residual: np.ndarray) -> Any:
         slots=(),
         residual=residual,
         weights=np.ones(rows),
+        pointed=np.zeros(rows, dtype=bool),
         sigma=np.full(3, 1e-3),
         model=SimpleNamespace(values=np.zeros(0)),
         session=session,
@@ -88,21 +90,34 @@ def test_noise_is_the_sensors_as_far_as_it_may_have_stated_it(
     """The rows scatter so many times as much as they state."""
     fit = fit_of(np.zeros((ROWS, 3)))
     fit.session.claimed = dict.fromkeys(fit.session.channels[:2], 1e-3 / times)
-    assert share_of_sensor(fit) == (pytest.approx(share, 0.3), pytest.approx(whole, abs=0.1))
+    found = share_of_sensor(fit)
+    assert found[:2] == (pytest.approx(share, 0.3), pytest.approx(whole, abs=0.1))
     fit.session.claimed = {}
-    assert share_of_sensor(fit) == (1.0, 1.0)
+    assert share_of_sensor(fit)[:2] == (1.0, 1.0)
 
 
-def test_two_tools_that_nobody_wrote_down_are_more_than_a_better_sensors_noise() -> None:
+@pytest.mark.parametrize("stated", [np.full((80, 3), SIGMA), None], ids=["stated", "unstated"])
+def test_two_tools_that_nobody_wrote_down_are_no_sensors_noise(stated: np.ndarray | None) -> None:
     """Half of the rows were touched with a tool 20 mm longer: each command misses by ten."""
     rows = session(n=80)
     turned = Model(ARM).pose(rows.q, rows.context())[:, :3, 0]
     longer = np.random.default_rng(0).choice([0.0, 0.02], 80)[:, None] * turned
-    stated = np.full((80, 3), SIGMA)
     found = diagnose(ARM, dataclasses.replace(rows, xyz=rows.xyz + longer, sigma=stated))
     assert found.verdict == "unknown"
     promised = sizes(uncertainty(found.fit).structure)[1]
     assert 0.01 < promised < 0.03
+
+
+@pytest.mark.parametrize("uneven", [(1.0, 1.0, 1.0), (1.0, 1.0, 8.0)], ids=["even", "depth"])
+def test_a_sensors_noise_does_not_turn_with_the_tool(uneven: tuple[float, ...]) -> None:
+    """Nor does that of a camera that sees depth badly: all of it is the sensor's."""
+    wholes = []
+    for seed in range(8):
+        noise = lambda rng, n: SIGMA * np.array(uneven) * rng.standard_normal((n, 3))  # noqa: E731
+        found = share_of_sensor(calibrated(session(n=80, seed=seed, noise=noise)))
+        assert found.share > 0.9
+        wholes.append(found.whole)
+    assert min(wholes) > SIGNIFICANT and np.mean(wholes) > 0.7
 
 
 @pytest.mark.parametrize(("stated", "verdict"), [(SIGMA, "unknown"), (5 * SIGMA, "noise")])
