@@ -125,6 +125,7 @@ class TipMonitor:
         self._sigma_m, self._run_length = p["monitor.sigma_m"], p["monitor.run_length"]
         self.reset()
         self._sent: np.ndarray | None = None
+        self._under_way = ""
         self._aim: tuple[np.ndarray, np.ndarray] | None = None
         self.sighted: Sighted | None = None
         self.unplaced = ""
@@ -146,10 +147,19 @@ class TipMonitor:
             self._watch.on_command(q, history)
 
     def on_motion(self, motion: Motion) -> None:
-        if motion.event == Motion.REACHED:
-            stamp = stamp_ns(motion.header.stamp)
-            with self._feeding:
-                self._watch.on_arrival(1e-9 * stamp if stamp else self._state.now_s)
+        """Note what the driver says of the command under way.
+
+        The arm arrived before this was heard, whatever the driver's clock says.
+        """
+        if motion.event == Motion.ACCEPTED:
+            self._under_way = motion.id
+        if motion.id != self._under_way:
+            return
+        with self._feeding:
+            if motion.event == Motion.REACHED:
+                self._watch.on_arrival(self._state.now_s)
+            elif motion.event in (Motion.REPLACED, Motion.BROKEN_OFF):
+                self._watch.forget()
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
         """Take in a joint reading (n,) of a time (ROS clock, s)."""

@@ -277,7 +277,8 @@ def _name_change(known: Explanations, where: str) -> Named:
 def _begin(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
     """Begin with the uncertainty in a fitted model's record."""
     space = Parameters.of(model, context)
-    fitted = [name for name in space.position if name in record.row]
+    held = {slot.identity for slot in model.slots}  # others would be held at their bound, 0
+    fitted = [name for name in space.position if name in record.row and name in held]
     factor = record.factor[[record.row[name] for name in fitted]]
     active = np.array([space.position[name] for name in fitted], dtype=int)
     known = RecursivePosterior.begin(space, space.values(model), active, factor @ factor.T)

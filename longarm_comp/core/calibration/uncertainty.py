@@ -141,7 +141,7 @@ def _covariance_with_compliances(
         (np.array([getattr(s.parameter, end) for s in slots]) - values) / width
         for end in ("lower", "upper")
     ]
-    found = linear.solve_products(white.T @ white / alike, np.where(wider, asked, 0.0), *limits)
+    found = linear.solve_products(white.T @ white / alike, asked, *limits)
     return (found.covariance + np.outer(found.u, found.u)) * np.outer(width, width)
 
 

@@ -57,6 +57,10 @@ class RestWatch:
         self._goal, self._there_since, self._arrived_s = (q, history), None, math.inf
         self._seen.clear()
 
+    def forget(self) -> None:
+        """The arm is not on its way to the command any more, or has left it."""
+        self._goal = None
+
     def on_arrival(self, at_s: float) -> None:
         """Take the driver's word that from a time (s) on the joints rest where they were sent.
 

@@ -312,8 +312,12 @@ def _restore_uncertainty(stored: StoredModel, model: Model, where: str) -> Model
     if given is None:
         return None
     absent = [_restore_term(entry, model.arm, where) for entry in given.absent]
-    if biases := [t.name for t in absent if isinstance(t, Bias)]:
-        raise InputError(where, "uncertainty.absent", biases, "effects of the arm")
+    held = {term.key for term in model.terms}
+    for term in absent:
+        if isinstance(term, Bias) or term.key in held:
+            allowed = "each effect of the arm once, of those that the model does not hold"
+            raise InputError(where, "uncertainty.absent", f"{term.name}, {term.where}", allowed)
+        held.add(term.key)
     slots = (*model.slots, *slots_of(model.arm, absent))
     if len(given.factor) != len(slots):
         allowed = f"{len(slots)}, one a parameter"

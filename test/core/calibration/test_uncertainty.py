@@ -246,6 +246,7 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
         (lambda u: u["structure_m2"][0].__setitem__(0, -1.0), "structure_m2"),
         (lambda u: u.__setitem__("stretch", 1.0), "stretch"),  # of a version before
         (lambda u: u["absent"].append({"effect": "camera_scale", "where": ""}), "of the arm"),
+        (lambda u: u["absent"].append(u["absent"][0]), "each effect of the arm once"),
     ],
 )
 def test_a_damaged_record_is_refused(tmp_path: Path, change, said: str) -> None:
