@@ -131,6 +131,30 @@ def test_images_of_the_way_that_come_late_are_no_rest_pose() -> None:
     assert monitor.on_tip(PoseWithCovarianceStamped()) is not None
 
 
+@pytest.mark.parametrize(
+    ("said", "rests"),
+    [
+        (("b",), True),
+        (("a",), False),  # of the motion before
+        (("b", Motion.BROKEN_OFF), False),  # the arm falls
+        (("b", Motion.REPLACED), False),
+    ],
+)
+def test_an_arm_that_gives_way_rests_by_the_word_on_its_own_motion(
+    said: tuple[str, ...] | tuple[str, int], rests: bool
+) -> None:
+    monitor, (name, *ends) = monitor_of(0.5), said
+    for motion in ("a", "b"):
+        monitor.on_command(ARM.mid, History.unknown(ARM.n))
+        monitor.on_motion(Motion(id=motion, event=Motion.ACCEPTED))
+    monitor._state.now_s = 10.0
+    for event in (Motion.REACHED, *ends):
+        monitor.on_motion(Motion(id=name, event=event))
+    monitor.on_joints(ARM.mid + 0.1, 10.1)
+    monitor._state.now_s = 11.0
+    assert (monitor.on_tip(PoseWithCovarianceStamped()) is not None) == rests
+
+
 @pytest.mark.parametrize("missing", ["a free worker", "a circumstance"])
 def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -> None:
     """By a model in which nothing bends: only when it is told is asked here."""

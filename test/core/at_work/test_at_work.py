@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from at_work_arm import JOINT, LAG, NOISE, fitted, true_tip
+from hidden_arm import SIGMA
+from read_arm import ARM as HEAVY
 from small_arm import ARM
 
 from longarm_comp.core.arm.context import Context
@@ -17,8 +19,12 @@ from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
@@ -248,3 +254,21 @@ def test_it_does_not_ask_where_no_pose_tells() -> None:
     even = tuple(dataclasses.replace(b, weight=1.0 / len(few)) for b in few)
     unsure = dataclasses.replace(learner, known=dataclasses.replace(known, branches=even))
     assert unsure.request_pose(work.pose()[1]) is None
+
+
+def test_right_sightings_leave_a_calibrated_model_as_good_as_it_was() -> None:
+    """Parts that yield were not fitted: the arm has none, and its model gets none at work."""
+    rng = np.random.default_rng(4)
+    q = HEAVY.lower + rng.random((140, HEAVY.n)) * (HEAVY.upper - HEAVY.lower)
+    tips = TrueArm(HEAVY).tip(q)
+    seen = tips + SIGMA * rng.standard_normal(tips.shape)
+    *_, (_, fit) = stages(declared_model(HEAVY), Session.record(q[:80], seen[:80]))
+    model = with_uncertainty(fit)
+    assert model.uncertainty is not None and model.uncertainty.absent
+    learner, missed = Learner.of(model), []
+    for rows in ((), range(80, 110)):
+        for k in rows:
+            learner = learner.learn(q[k], Context(), seen[k], np.full(3, SIGMA**2), 60.0 * k)
+        off = learner.model.measured(q[110:], Context()) - tips[110:]
+        missed.append(np.linalg.norm(off, axis=1).mean())
+    assert missed[1] < 1.5 * missed[0] < 3e-4
