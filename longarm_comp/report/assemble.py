@@ -11,7 +11,7 @@ from longarm_comp.core.data.commanded import not_commanded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import Cause
-from longarm_comp.core.identify.findings import left_in_words
+from longarm_comp.core.identify.findings import describe_structure
 from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
 from longarm_comp.report import record
 from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
@@ -35,7 +35,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
         candidates=diagnosis.candidates,
         structure_left=record.StructureLeft(
             flag=structure.flag,
-            text=left_in_words(structure),
+            text=describe_structure(structure),
             p_value=None if structure.sign else structure.p_value,
             share_explained=structure.share_explained,
             inputs=structure.inputs,

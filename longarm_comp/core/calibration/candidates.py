@@ -66,7 +66,7 @@ class Library:
     stepped: tuple[type[Effect], ...] = ()
 
 
-def library(
+def list_candidates(
     arm: Arm,
     context: Context,
     kinds: Sequence[type[Effect] | type[Bias]] | None = None,
@@ -113,12 +113,12 @@ def library(
             usable.append(Candidate(kind.name, tuple(group)))
         if not usable:
             missing.append((kind.name, why))
-        testable += usable + _families(usable)
+        testable += usable + _join_places(usable)
     stepped = tuple(kind for kind in tried if issubclass(kind, Effect) and kind.stepped)
     return Library(tuple(testable), tuple(missing), stepped)
 
 
-def distinct(
+def distinct_terms(
     candidates: Iterable[Candidate], but: Container[tuple[str, str]] = ()
 ) -> tuple[Term, ...]:
     """Return each term of the candidates once, without those at some places."""
@@ -130,7 +130,7 @@ def distinct(
     return tuple(made.values())
 
 
-def _families(singles: list[Candidate]) -> list[Candidate]:
+def _join_places(singles: list[Candidate]) -> list[Candidate]:
     """Return one candidate per form with all places together, where an effect has several
     places."""
     by_form: dict[tuple[tuple[str, object], ...], list[Term]] = {}

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from longarm_comp.core.calibration import linear
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.calibration.session_problem import SessionProblem
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
@@ -39,7 +39,7 @@ AMISS = 1.0
 which a step is shortened: a standard error, squared, for the cost is in units of the noise."""
 
 
-def fit(
+def fit_model(
     model: Model,
     session: Session,
     *,
@@ -77,17 +77,19 @@ def fit(
     return _fit_parts([part], close)[0]
 
 
-def compare_unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
-    """Compute residual and design of a model as it is at a session; `near` as in `fit`."""
+def linearise_model(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
+    """Compute residual and design of a model as it is at a session; `near` as in `fit_model`."""
     part = SessionProblem(model, session, robust=False, near=near)
     part.weigh(1)
-    return part.finish(np.diag(priors(model.slots) ** 2))
+    return part.finish(np.diag(prior_widths(model.slots) ** 2))
 
 
 def fit_together(
     parts: Sequence[tuple[Model, Session]], own: Callable[[Slot], bool]
 ) -> list[ModelFit]:
-    """Fit several arms that share a part of their chain (two arms on one torso); errors as `fit`.
+    """Fit several arms that share a part of their chain, as two arms on one torso.
+
+    Errors are those of `fit_model`.
 
     Args:
         parts: a starting model and a session each.
@@ -174,7 +176,7 @@ class _JointProblem:
                 places.append(place[key])
             part.mine = np.array(places, dtype=int)
         self.start = np.array([s.value for s in slots], dtype=float)
-        self.scale = priors(tuple(slots))
+        self.scale = prior_widths(tuple(slots))
         self.centre = np.where([s.parameter.unknown for s in slots], self.start, 0.0)
         ends = [[s.parameter.lower, s.parameter.upper] for s in slots]
         self.limits = np.array(ends).reshape(-1, 2).T

@@ -8,7 +8,7 @@ import numpy as np
 
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.measurement import equations, shifts
 from longarm_comp.core.model.model import slots_of
 
@@ -30,7 +30,7 @@ class FitColumns:
         new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
         if new:
             session, at, slots = self._fitted.session, self._fitted.posture, tuple(new.values())
-            columns = equations(self.model, session, at, slots).columns * priors(slots)
+            columns = equations(self.model, session, at, slots).columns * prior_widths(slots)
             self._known.update(zip(new, np.moveaxis(columns, -1, 0), strict=True))
         if not keys:
             return np.zeros((*self._fitted.residual.shape, 0))
@@ -60,7 +60,7 @@ class FitColumns:
         fitted = self._fitted
         fixed = np.array([s.owner.through_others for s in fitted.slots], dtype=bool)
         kept = [k for k, s in enumerate(fitted.slots) if s.owner.key not in places and not fixed[k]]
-        values = (fitted.model.values / priors(fitted.slots))[fixed]
+        values = (fitted.model.values / prior_widths(fitted.slots))[fixed]
         data = fitted.data - fitted.design[:, fixed] @ values
         for term in fitted.model.terms:
             if term.key in places and not slots_of(fitted.model.arm, [term]):
@@ -80,7 +80,7 @@ class FitColumns:
 def shift_of(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np.ndarray:
     """Return the (N, d) shift of the rows by fitted terms, m or rad."""
     slots = slots_of(fitted.model.arm, terms)
-    values = np.array([s.value for s in slots]) / priors(slots)
+    values = np.array([s.value for s in slots]) / prior_widths(slots)
     moved = columns.of(terms) @ values
     fixed = [t for t in terms if not slots_of(fitted.model.arm, [t])]
     return np.asarray(moved + columns.shift(fixed) if fixed else moved)

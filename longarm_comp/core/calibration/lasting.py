@@ -12,8 +12,8 @@ import math
 import numpy as np
 from scipy.stats import f
 
-from longarm_comp.core.calibration.linear import whiten
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.linear import whiten_rows
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.set_aside import SIGNIFICANT
 from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.errors import JobError
@@ -35,8 +35,8 @@ def check_lasting(fit: ModelFit) -> None:
     lengths = fit.noise_m > 0
     common = np.sqrt((fit.noise_m[lengths] ** 2).mean()) if lengths.any() else 1.0
     sigma = np.where(lengths, common / np.where(lengths, fit.metres, 1.0), fit.sigma)
-    both = np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1)
-    white = whiten(both, fit.weights, sigma, 0.0, fit.session.measured)
+    both = np.concatenate([fit.columns * prior_widths(fit.slots), fit.residual[..., None]], axis=-1)
+    white = whiten_rows(both, fit.weights, sigma, 0.0, fit.session.measured)
     a, residual = white[:, :-1], white[:, -1].copy()
     fitted = np.linalg.qr(np.vstack([a, np.eye(a.shape[1])]))[0][: len(a)]
     residual -= fitted @ (fitted.T @ residual)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.calibration.linear import whiten
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.linear import whiten_rows
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
 PARTS, SMALL = 4, 20
@@ -54,8 +54,10 @@ class LeftOut:
         if len(kept) < 2:
             return None
         touched = fit.session.labels["touch"][kept] if not fit.session.located.any() else None
-        both = np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1)
-        white = whiten(both, fit.weights, fit.sigma, 0.0, fit.session.measured)
+        both = np.concatenate(
+            [fit.columns * prior_widths(fit.slots), fit.residual[..., None]], axis=-1
+        )
+        white = whiten_rows(both, fit.weights, fit.sigma, 0.0, fit.session.measured)
         whole = white.reshape((fit.weights > 0).sum(), fit.width, -1)
         here = np.searchsorted(np.flatnonzero(fit.weights > 0), kept)
         gram = np.einsum("ncp,ncq->pq", whole[..., :-1], whole[..., :-1])
@@ -68,7 +70,7 @@ class LeftOut:
             places = touched.copy()
             for first, second, *_ in fit.session.touch_distances:
                 places[places == second] = first
-        for division, share, near in _divisions(fit.session.q[kept], places):
+        for division, share, near in _divide_rows(fit.session.q[kept], places):
             for part in np.unique(division):
                 out = division == part
                 a = whole[here[out]]
@@ -78,7 +80,7 @@ class LeftOut:
                 rows = a[:, :3] * length[out][..., None]
                 mine = np.isin(np.flatnonzero(out), judged)
                 if touched is not None:
-                    rows, alone = about_the_mean(rows, touched[out])
+                    rows, alone = subtract_point_means(rows, touched[out])
                     mine &= ~alone
                 moved = rows[mine, :, :-1]
                 errors.append(rows[mine, :, -1] + moved @ shift)
@@ -138,7 +140,7 @@ class LeftOut:
         return high * shape
 
 
-def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def subtract_point_means(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Subtract from rows (N, ...) the mean of those that touched the same point.
 
     They are scaled so that independent noise keeps its variance.
@@ -154,7 +156,7 @@ def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, n
     return (rows - (sums / count[beside])[which]) / np.sqrt(kept), count[which] == 1
 
 
-def _divisions(
+def _divide_rows(
     q: np.ndarray, places: np.ndarray | None = None
 ) -> Iterator[tuple[np.ndarray, float, bool]]:
     """Yield divisions of the rows into parts (N,) to leave out, a row's weight in each division,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.calibration.linear import whiten
+from longarm_comp.core.calibration.linear import whiten_rows
 from longarm_comp.core.data.measurement import metres
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, Slot
@@ -62,7 +62,7 @@ class ModelFit:
 
     @property
     def judged(self) -> dict[str, Any]:
-        """The noise and weights of the rows, as arguments for another `fit` of the same rows."""
+        """The noise and weights of the rows: arguments for another `fit_model` of these rows."""
         return {"sigma": self.sigma, "rho": self.rho, "weights": self.weights}
 
     @property
@@ -72,7 +72,7 @@ class ModelFit:
 
     def whiten_columns(self, columns: np.ndarray) -> np.ndarray:
         """Map (N, d, k) columns per unit to (dM, k) of the M inliers, in units of the noise."""
-        return whiten(columns, self.weights, self.sigma, self.rho, self.session.measured)
+        return whiten_rows(columns, self.weights, self.sigma, self.rho, self.session.measured)
 
     def uneven(self, rows: Session) -> np.ndarray:
         """Return (M,) stated noise of rows over the usual one; 1 if the fit did not believe it."""
@@ -118,7 +118,7 @@ class ModelFit:
     @cached_property
     def design(self) -> np.ndarray:
         """The (dM, p) whitened, prior-scaled design."""
-        return self.whiten_columns(self.columns * priors(self.slots))
+        return self.whiten_columns(self.columns * prior_widths(self.slots))
 
     @cached_property
     def gram(self) -> np.ndarray:
@@ -132,6 +132,6 @@ class ModelFit:
         return self.whiten_columns(data[..., None])[:, 0]
 
 
-def priors(slots: tuple[Slot, ...]) -> np.ndarray:
+def prior_widths(slots: tuple[Slot, ...]) -> np.ndarray:
     """Return the (p,) prior standard deviations."""
     return np.array([s.parameter.width for s in slots], dtype=float)

@@ -10,11 +10,11 @@ import numpy as np
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.calibration.linear import (
     BEFOREHAND,
-    freedom,
-    inliers,
-    spread,
+    degrees_of_freedom,
+    estimate_noise,
+    mark_inliers,
     weigh_rows,
-    whiten,
+    whiten_rows,
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.commanded import with_frame_shift
@@ -29,7 +29,7 @@ adds a tenth of itself, and rounding nothing."""
 
 
 class SessionProblem:
-    """A session during the Gauss-Newton steps; arguments and errors are those of `fit`.
+    """A session during the Gauss-Newton steps; arguments and errors are those of `fit_model`.
 
     `mine` are the places of its parameters among those of all sessions that are fitted together.
     """
@@ -142,13 +142,13 @@ class SessionProblem:
             if step > 1:
                 even = self.residual * np.sqrt(self.weights)[:, None]
                 known = self.noise if step > 2 else None
-                self.weights = self.weights * inliers(even, self.seen.measured, known)
+                self.weights = self.weights * mark_inliers(even, self.seen.measured, known)
         if self.sigma is None:
             self.noise = self._pool_noise(self.estimate_noise())
 
     def estimate_noise(self) -> np.ndarray:
         """Return (d,) the noise of every channel in the residual as it is now."""
-        return spread(self.residual, self.weights, self.effective, self.seen.measured)
+        return estimate_noise(self.residual, self.weights, self.effective, self.seen.measured)
 
     def _pool_noise(self, sigma: np.ndarray) -> np.ndarray:
         """Return (d,) the noise, the same for all channels of a kind and sensor.
@@ -156,7 +156,7 @@ class SessionProblem:
         Where the usual noise of the kind is known it counts as `BEFOREHAND` further equations.
         """
         pooled = np.full(len(sigma), np.inf)
-        free = freedom(self.weights, self.effective, self.seen.measured)
+        free = degrees_of_freedom(self.weights, self.effective, self.seen.measured)
         start = 0
         for block in self.seen.blocks:
             mine = slice(start, start := start + len(block.channels))
@@ -177,4 +177,4 @@ class SessionProblem:
         return white[:, :-1], white[:, -1]
 
     def _white(self, columns: np.ndarray) -> np.ndarray:
-        return whiten(columns, self.weights, self.noise, self.rho, self.seen.measured)
+        return whiten_rows(columns, self.weights, self.noise, self.rho, self.seen.measured)

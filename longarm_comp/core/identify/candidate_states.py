@@ -49,7 +49,7 @@ class Smallest:
     shift_m: float
 
 
-def detectable(
+def find_smallest_sizes(
     fit: ModelFit, candidates: Sequence[Candidate], threshold: float
 ) -> tuple[Smallest, ...]:
     """Compute the smallest visible size of each candidate, on top of everything that was fitted.
@@ -131,7 +131,7 @@ def judge_candidates(
             why += "; a command is expected to err less without it"
             states[term.name, term.where] = gain, "rejected", why
     for at, one in best_forms(tried).items():
-        states[at] = one.log_bayes_factor, *_judge(search.need, findings, one)
+        states[at] = one.log_bayes_factor, *_judge_unused(search.need, findings, one)
     ordered = sorted(states.items(), key=lambda item: (-item[1][0], *item[0]))
     made = [
         TriedCandidate(effect=name, where=where, log_bayes_factor=factor, state=state, why=why)
@@ -145,7 +145,7 @@ def judge_candidates(
     ]
 
 
-def _judge(need: float, findings: Sequence[Finding], one: Smallest) -> tuple[State, str]:
+def _judge_unused(need: float, findings: Sequence[Finding], one: Smallest) -> tuple[State, str]:
     """Return the state of a candidate that is not in the model, and the reason."""
     value = one.log_bayes_factor
     alike = [f for f in findings if one.candidate.name in f.names[1:]]

@@ -20,11 +20,16 @@ from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.candidate_states import (
     Smallest,
     TriedCandidate,
-    detectable,
+    find_smallest_sizes,
     judge_candidates,
 )
 from longarm_comp.core.identify.discover.causes import Cause
-from longarm_comp.core.identify.findings import Finding, improvement, left_in_words, sentence
+from longarm_comp.core.identify.findings import (
+    Finding,
+    describe_finding,
+    describe_improvement,
+    describe_structure,
+)
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE
@@ -137,7 +142,7 @@ class Diagnosis:
         held = {t.key for t in self.search.chosen}
         library = self.search.candidates
         outside = [c for c in library if held.isdisjoint(t.key for t in c.terms)]
-        return detectable(self.search.fit, outside, self.search.need)
+        return find_smallest_sizes(self.search.fit, outside, self.search.need)
 
     @cached_property
     def candidates(self) -> list[TriedCandidate]:
@@ -189,14 +194,14 @@ class Diagnosis:
             f" ({100 * f.there:.0f} % probable)"
             for f in self.search.doubtful
         )
-        text = _summary(self) + (f" In doubt, and not added: {gone}." if gone else "")
+        text = _describe_findings(self) + (f" In doubt, and not added: {gone}." if gone else "")
         return in_names(text, self.arm.called)
 
 
-def _summary(found: Diagnosis) -> str:
-    left = left_in_words(found.structure)
+def _describe_findings(found: Diagnosis) -> str:
+    left = describe_structure(found.structure)
     unnamed = f" {left} and has no name." if left else ""
-    gain = f"Held-out mean error {_change(found)}"
+    gain = f"Held-out mean error {_describe_change(found)}"
     if found.verdict == "noise":
         if found.search.tolerance.compliance and found.written != CALIBRATED:
             text = "Every part of the arm is a little off; the model now holds this. "
@@ -205,7 +210,7 @@ def _summary(found: Diagnosis) -> str:
         return f"{text} {gain} by the calibration."
     if found.verdict == "unknown" and not found.failed and not found.causes:
         return f"The model lacks something that no effect of the library explains: {left}."
-    said = [sentence(f) for f in found.findings]
+    said = [describe_finding(f) for f in found.findings]
     said += [f"without a name: {cause.sentence}" for cause in found.causes]
     text = "; ".join(said)
     if found.failed:
@@ -217,9 +222,9 @@ def _summary(found: Diagnosis) -> str:
     return f"{text}. {gain}.{unnamed}{doubt}"
 
 
-def _change(found: Diagnosis) -> str:
+def _describe_change(found: Diagnosis) -> str:
     """Say the errors before and after, also where only orientations were measured."""
     before, after = (found.proof.rows[stage] for stage in found.compared)
     if not before.n:
         return f"{before.said} -> {after.said}"
-    return improvement(found.seen_gain, found.commanded_gain)
+    return describe_improvement(found.seen_gain, found.commanded_gain)

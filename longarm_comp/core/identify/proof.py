@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.plausible import WORST
 from longarm_comp.core.calibration.standing import place_as_seen
@@ -100,7 +100,7 @@ class Proof:
         return made
 
 
-def worse(before: np.ndarray, after: np.ndarray) -> str:
+def describe_worsening(before: np.ndarray, after: np.ndarray) -> str:
     """Say how errors (M,), m, rise beyond chance, on all rows or on the worst tenth; "" if they do
     not."""
     longest = np.maximum(before, after)
@@ -113,7 +113,7 @@ def worse(before: np.ndarray, after: np.ndarray) -> str:
     return ""
 
 
-def folds(
+def fit_folds(
     nominal: Model,
     frames_only: Model,
     fits: Mapping[str, ModelFit],
@@ -144,16 +144,16 @@ def folds(
         rows = session.take(kept)
         models = {
             "nominal": place_as_seen(nominal, rows)[0],
-            "frames_only": fit(frames_only, rows, close=NEAR).model,
+            "frames_only": fit_model(frames_only, rows, close=NEAR).model,
         }
-        again = _fitted_again(fits, search, kept)
+        again = _refit_fold(fits, search, kept)
         models |= {name: fitted.model for name, fitted in again.items()}
         at = np.flatnonzero(fold[numbers] == number)
         made.append(Fold(models, again, session.take(~kept), at))
     return session.take(numbers), tuple(made)
 
 
-def _fitted_again(
+def _refit_fold(
     fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
 ) -> dict[str, ModelFit]:
     """Fit to the kept rows (N,) the models with the effects that these rows alone would find."""
@@ -161,20 +161,20 @@ def _fitted_again(
     judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
 
     def again(model: Model) -> ModelFit:
-        return fit(model, session, close=NEAR, **judged)
+        return fit_model(model, session, close=NEAR, **judged)
 
     made = {CALIBRATED: again(fits[CALIBRATED].model)}
     found = search.linear.explain_sample(kept.astype(float)) if search.linear is not None else ()
     sure = [f for f in found if f.there >= CREDIBLE]
-    named = again(_with(search, [f for f in sure if not f.unnamed]))
+    named = again(_replace_found(search, [f for f in sure if not f.unnamed]))
     made[WITH_EFFECTS] = named
     if WITH_FUNCTIONS in fits:
         more = any(f.unnamed for f in sure)
-        made[WITH_FUNCTIONS] = again(_with(search, sure)) if more else named
+        made[WITH_FUNCTIONS] = again(_replace_found(search, sure)) if more else named
     return made
 
 
-def _with(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
+def _replace_found(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
     """Return the model of a search with other effects in the place of what it found."""
     model = search.fit.model
     known = {t.variant: t for t in model.terms}
@@ -186,7 +186,7 @@ def _with(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
     return dataclasses.replace(other, beyond=beyond)
 
 
-def prove(
+def prove_models(
     made: Sequence[Fold], learned: Callable[[Fold], tuple[Model, Predictor]] | None = None
 ) -> Proof:
     """Compute the errors of every model at the rows that it was fitted without, in their order.

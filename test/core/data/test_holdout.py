@@ -24,7 +24,7 @@ from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.resampled import SAMPLES
 from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import worse
+from longarm_comp.core.identify.proof import describe_worsening
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 
@@ -174,15 +174,15 @@ def test_a_few_dangerous_commands_fail_a_proof_that_the_mean_passes() -> None:
     better = np.full(100, 0.5)
     better[::20] = 5.0  # five of a hundred
     assert better.mean() < plain.mean()
-    assert worse(plain, better).endswith("at 10 worst rows")
-    assert worse(plain, np.full(100, 0.5)) == ""
-    assert worse(plain, np.full(100, 1.2)).endswith("at 100 rows")
+    assert describe_worsening(plain, better).endswith("at 10 worst rows")
+    assert describe_worsening(plain, np.full(100, 0.5)) == ""
+    assert describe_worsening(plain, np.full(100, 1.2)).endswith("at 100 rows")
 
 
 def test_chance_fails_no_proof() -> None:
     rng = np.random.default_rng(0)
     one, other = (np.abs(rng.standard_normal(200)) for _ in range(2))
-    assert worse(one, other) == worse(other, one) == ""
+    assert describe_worsening(one, other) == describe_worsening(other, one) == ""
 
 
 def test_the_gain_of_nothing_is_zero() -> None:

@@ -14,8 +14,8 @@ from discover_rows import DEMO, measured
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.calibration.calibrate import declared_model, geometry
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.calibrate import declared_model, geometry_terms
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import (
@@ -48,8 +48,10 @@ ELASTIC = (BaseCompliance, BearingTilt, JointCompliance, LinkStiffness)
 
 
 def explained(rows: Session, *kinds: type[Effect], arm: Arm = DEMO) -> ExplainedSession:
-    base = declared_model(arm).plus(*geometry(arm, rows))
-    return explain_session(base, rows, library(arm, rows.context(), kinds, base.terms).testable)
+    base = declared_model(arm).plus(*geometry_terms(arm, rows))
+    return explain_session(
+        base, rows, list_candidates(arm, rows.context(), kinds, base.terms).testable
+    )
 
 
 def places(found: ExplainedSession) -> list[tuple[str, str]]:

@@ -11,8 +11,8 @@ import pytest
 from demo_rows import session_of
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.linear import choose_sizes
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
@@ -21,8 +21,8 @@ from longarm_comp.core.effects.fields import ALIKE
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.quantities import Span
 from longarm_comp.core.effects.shapes import Cosine, FunctionError
-from longarm_comp.core.identify.discover.inputs import arm_inputs
-from longarm_comp.core.identify.posterior.ascent import explain
+from longarm_comp.core.identify.discover.inputs import read_arm_inputs
+from longarm_comp.core.identify.posterior.ascent import find_explanation
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
@@ -231,7 +231,7 @@ def test_a_restart_leaves_a_local_optimum() -> None:
     x[:, 2] = x[:, 0] + x[:, 1] + 0.3 * rng.standard_normal(100)
     y = 3.0 * x[:, 0] + 3.0 * x[:, 1] + rng.standard_normal(100)
     offers = [single(n, k) for k, n in enumerate(("one", "two", "sum"))]
-    found = explain(bank(y, x, offers, UNBOUND[:3]))
+    found = find_explanation(bank(y, x, offers, UNBOUND[:3]))
     assert {o.name for o in found.chosen} == {"one", "two"}
 
 
@@ -241,8 +241,8 @@ def test_what_is_known_stays_where_it_is_better() -> None:
     x = rng.standard_normal((200, 7))
     y = x @ np.full(7, 2.0) + rng.standard_normal(200)
     of = bank(y, x, [single(f"n{k}", k) for k in range(7)], np.full(7, np.inf))
-    assert len(explain(of).effects) == 3
-    assert len(explain(of, known=range(5)).effects) == 7
+    assert len(find_explanation(of).effects) == 3
+    assert len(find_explanation(of, known=range(5)).effects) == 7
 
 
 def test_the_best_explanation_is_that_of_all_subsets() -> None:
@@ -253,13 +253,15 @@ def test_the_best_explanation_is_that_of_all_subsets() -> None:
     offers = [single(f"n{k}", k) for k in range(5)]
     of = bank(y, x, offers, UNBOUND[:5])
     best = max((s for n in range(4) for s in itertools.combinations(offers, n)), key=of.evidence)
-    assert {o.name for o in explain(of).chosen} == {o.name for o in best} == {"n1", "n4"}
+    assert {o.name for o in find_explanation(of).chosen} == {o.name for o in best} == {"n1", "n4"}
 
 
 def test_columns_that_are_alike_share_the_probability(columns: np.ndarray) -> None:
     x = np.column_stack([columns[:, 0], columns[:, 0], columns[:, 1]])
     y = 2.0 * x[:, 0] + np.random.default_rng(2).standard_normal(80)
-    found = explain(bank(y, x, [single("a", 0), single("b", 1), single("c", 2)], UNBOUND[:3]))
+    found = find_explanation(
+        bank(y, x, [single("a", 0), single("b", 1), single("c", 2)], UNBOUND[:3])
+    )
     assert len(found.effects) == 1
     assert found.effects[0].q[:2] == pytest.approx([0.5, 0.5], abs=0.01)
     assert found.effects[0].there == pytest.approx(1.0, abs=1e-6)
@@ -268,7 +270,9 @@ def test_columns_that_are_alike_share_the_probability(columns: np.ndarray) -> No
 def test_noise_is_none(columns: np.ndarray) -> None:
     y = np.random.default_rng(4).standard_normal(80)
     assert (
-        explain(bank(y, columns, [single(n, k) for k, n in enumerate("abc")], UNBOUND[:3])).effects
+        find_explanation(
+            bank(y, columns, [single(n, k) for k, n in enumerate("abc")], UNBOUND[:3])
+        ).effects
         == ()
     )
 
@@ -287,8 +291,8 @@ def test_no_second_effect_takes_a_place_that_is_held(across: np.ndarray) -> None
     y = across[:, :2] @ [2.0, 2.0]
     forms = [single("a", 0), single("b", 1)]
     here = [dataclasses.replace(form, keys=("joint 2",)) for form in forms]
-    assert len(explain(bank(y, across[:, :2], forms, UNBOUND[:2])).effects) == 2
-    assert len(explain(bank(y, across[:, :2], here, UNBOUND[:2])).effects) == 1
+    assert len(find_explanation(bank(y, across[:, :2], forms, UNBOUND[:2])).effects) == 2
+    assert len(find_explanation(bank(y, across[:, :2], here, UNBOUND[:2])).effects) == 1
 
 
 # ------------------------------------------------------------------ planted on the small arm
@@ -299,8 +303,8 @@ KINDS = (JointCompliance, JointGain, GearEccentricity, ServoDroop)
 
 def explained(arm: Arm, seed: int, *planted: object) -> ExplainedSession:
     session = session_of(arm, seed, *planted)  # type: ignore[arg-type]
-    base = Model(arm, (LinkDeflection(), *geometry(arm, session)))
-    offered = library(arm, session.context(), KINDS, base.terms)
+    base = Model(arm, (LinkDeflection(), *geometry_terms(arm, session)))
+    offered = list_candidates(arm, session.context(), KINDS, base.terms)
     return explain_session(base, session, offered.testable, functions=False)
 
 
@@ -339,11 +343,11 @@ def test_a_distance_that_varies_less_than_its_tolerance_is_no_input(
     session = session_of(arm, 2)
     model = Model(arm, (LinkDeflection(),))
     at = model.posture([session.q[:, k] for k in range(arm.n)], session.context())
-    held = arm_inputs(arm, at, session).by_name
+    held = read_arm_inputs(arm, at, session).by_name
     spans = {n: a.high - a.low for n, a in held.items() if n.startswith("distance_")}
     assert spans and min(spans.values()) >= Span.resolution
     monkeypatch.setattr(Span, "resolution", 1.01 * max(spans.values()))
-    assert not any(n.startswith("distance_") for n in arm_inputs(arm, at, session).by_name)
+    assert not any(n.startswith("distance_") for n in read_arm_inputs(arm, at, session).by_name)
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.9, False), (1.1, True)])
@@ -353,7 +357,7 @@ def test_a_joint_that_stands_still_is_no_input(arm: Arm, share: float, told: boo
     q = session.q.copy()
     q[:, 6] = arm.lower[6] + np.linspace(0.0, share * arm.telling[6], len(q))
     at = Model(arm).posture([q[:, k] for k in range(arm.n)], session.context())
-    held = arm_inputs(arm, at, session).by_name
+    held = read_arm_inputs(arm, at, session).by_name
     assert ("q7" in held) == told and ("side_7" in held) <= told
     said = [f.field for f in admit(dataclasses.replace(session, q=q), arm).findings]
     assert ("q7" in said) != told

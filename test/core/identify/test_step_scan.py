@@ -12,7 +12,7 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import declared_model
-from longarm_comp.core.calibration.candidates import Candidate, library
+from longarm_comp.core.calibration.candidates import Candidate, list_candidates
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched_effects
@@ -33,7 +33,7 @@ STEPS = drives.ServoQuantisation(at(2, STEP) + at(3, SLIDE))
 def looked(rows: Session, arm: Arm = ARM) -> ExplainedSession:
     """A session explained by gains and steps, with the declared geometry."""
     base = declared_model(arm)
-    tried = library(arm, rows.context(), (JointGain, ServoQuantisation), base.terms)
+    tried = list_candidates(arm, rows.context(), (JointGain, ServoQuantisation), base.terms)
     return explain_session(base, rows, tried.testable, stepped=tried.stepped, functions=False)
 
 
@@ -131,6 +131,6 @@ def test_a_joint_that_declares_its_step_is_not_scanned() -> None:
 
 def test_effects_that_were_not_asked_for_are_not_scanned() -> None:
     rows = session([STEPS], n=120, seed=3)
-    assert library(ARM, rows.context(), (JointGain,)).stepped == ()
-    assert library(ARM, rows.context()).stepped == (ServoQuantisation,)
+    assert list_candidates(ARM, rows.context(), (JointGain,)).stepped == ()
+    assert list_candidates(ARM, rows.context()).stepped == (ServoQuantisation,)
     assert ServoQuantisation in searched_effects()

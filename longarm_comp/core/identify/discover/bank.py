@@ -19,7 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
@@ -33,7 +33,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.identify.discover.functions import FunctionFamily, FunctionGroup, Functions
-from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
+from longarm_comp.core.identify.discover.inputs import read_arm_inputs, read_camera_inputs
 from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.identify.posterior.offers import AMPLITUDES
 from longarm_comp.core.model.model import slots_of
@@ -99,7 +99,7 @@ class Bank:
         for k, place in enumerate(self.places):
             kinds.setdefault(place.kind, []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
-        self._axes = _axes(fit.model.arm, self._number)
+        self._axes = _number_joint_axes(fit.model.arm, self._number)
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
@@ -125,7 +125,7 @@ class Bank:
         s = several @ projected.transpose(1, 0, 2)
         values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
         z = np.einsum("cij,ci->cj", turned, t)
-        return _average_amplitudes(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
+        return _average_amplitudes(_evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
     def sizes(self, candidate: FunctionCandidate) -> np.ndarray:
         """Return the (r,) rms shift of the rows by a unit of each column, in units of the noise."""
@@ -136,7 +136,7 @@ class Bank:
         made = [
             self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
         ]
-        columns = np.stack(made, axis=-1) * weight(self.fit)[..., None]
+        columns = np.stack(made, axis=-1) * channel_weights(self.fit)[..., None]
         return columns[self.fit.weights > 0].reshape(-1, len(members))
 
     def _rms(self, white: np.ndarray) -> np.ndarray:
@@ -154,7 +154,7 @@ class Bank:
         """
         rows = np.flatnonzero(self.fit.weights > 0)
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int))]
-        white = (self.units * weight(self.fit)[..., None])[rows].astype(np.float32)
+        white = (self.units * channel_weights(self.fit)[..., None])[rows].astype(np.float32)
         values = self.functions.values[rows]
         size = np.sqrt((values**2).mean(axis=0))
         values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
@@ -165,7 +165,7 @@ class Bank:
         made = []
         for whole in left:
             t = np.einsum("nc,nck->kn", whole[rows].astype(np.float32), white) @ values
-            each = _by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
+            each = _evidence_by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
             made.append(list(self._best(np.where(usable, _average_amplitudes(each), -np.inf))))
         return made
 
@@ -198,20 +198,22 @@ class Bank:
         alone = [g.functions[0] for g in self._single]
         for sharp in (False, True):
             prior = [self._prior(g) if g.family.sharp == sharp else -np.inf for g in self._single]
-            best = _top(worth[:, alone] + np.array(prior))
+            best = _largest_entries(worth[:, alone] + np.array(prior))
             yield [self._candidate([(k, alone[n])], self._single[n]) for k, n in best]
         several = []
         for family in dict.fromkeys(g.family for g in self._several):
             groups = [g for g in self._several if g.family == family]
-            grouped = [_together(worth[:, g.functions].T) + self._prior(g) for g in groups]
-            for n, k in _top(np.stack(grouped)):
+            grouped = [_sum_evidence(worth[:, g.functions].T) + self._prior(g) for g in groups]
+            for n, k in _largest_entries(np.stack(grouped)):
                 several.append(self._candidate([(k, f) for f in groups[n].functions], groups[n]))
         yield several
         prior = [self._prior(g) for g in self._single]
-        vectors = np.array([_together(worth[ks]) for ks in self._vectors]).reshape(-1, len(worth.T))
+        vectors = np.array([_sum_evidence(worth[ks]) for ks in self._vectors]).reshape(
+            -1, len(worth.T)
+        )
         yield [
             self._candidate([(k, alone[n]) for k in self._vectors[v]], self._single[n])
-            for v, n in _top(vectors[:, alone] + np.array(prior))
+            for v, n in _largest_entries(vectors[:, alone] + np.array(prior))
         ]
         every = self.functions.each_joint if self._axes else []
         at = ([(self._axes[j], f) for j, f in joints] for joints in every)
@@ -247,7 +249,7 @@ class Bank:
         return -math.log(len(FunctionFamily) * alike) - NONE * group.rare
 
 
-def _by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
+def _evidence_by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Compute the (A, ...) log evidence of columns at each amplitude.
 
     A unit of each column shifts the rows by one noise, rms.
@@ -266,13 +268,13 @@ def _average_amplitudes(each: np.ndarray) -> np.ndarray:
     return np.asarray(np.logaddexp.reduce(each, axis=0) - math.log(len(each)))
 
 
-def _together(each: np.ndarray) -> np.ndarray:
+def _sum_evidence(each: np.ndarray) -> np.ndarray:
     """Sum the log evidence of (r, ...) columns, without those that move nothing."""
     seen = np.isfinite(each)
     return np.where(seen.any(axis=0), np.where(seen, each, 0.0).sum(axis=0), -np.inf)
 
 
-def weight(fit: ModelFit) -> np.ndarray:
+def channel_weights(fit: ModelFit) -> np.ndarray:
     """Return (N, d) the root of a row's weight over the noise; 0 where it lacks the channel."""
     held = np.isfinite(fit.sigma) & fit.session.measured
     return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
@@ -280,7 +282,7 @@ def weight(fit: ModelFit) -> np.ndarray:
 
 def whitened_design(fit: ModelFit) -> np.ndarray:
     """Return the design (N, d, p) of a fit, scaled by the priors and divided by the noise."""
-    return fit.columns * priors(fit.slots) * weight(fit)[..., None]
+    return fit.columns * prior_widths(fit.slots) * channel_weights(fit)[..., None]
 
 
 def flatten_design(design: np.ndarray) -> np.ndarray:
@@ -288,7 +290,9 @@ def flatten_design(design: np.ndarray) -> np.ndarray:
     return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
 
 
-def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Marginal, np.ndarray]:
+def marginalise_columns(
+    fit: ModelFit, kept: np.ndarray, beside: np.ndarray
+) -> tuple[Marginal, np.ndarray]:
     """Marginalise some of a model's columns, as if the noise were not correlated.
 
     Args:
@@ -299,7 +303,7 @@ def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Ma
         The marginal, and (N, d) the whitened residual that the columns leave.
     """
     inside = fit.weights > 0
-    weights = weight(fit)
+    weights = channel_weights(fit)
     design = whitened_design(fit)[inside]
     data = (fit.residual + fit.columns @ fit.model.values) * weights
     columns = np.concatenate([flatten_design(design)[:, kept], beside], axis=1)
@@ -309,7 +313,7 @@ def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Ma
     return marginal, left
 
 
-def _top(table: np.ndarray) -> list[tuple[int, int]]:
+def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
     """Return the places (row, column) of the largest finite entries."""
     flat = table.ravel()
     if not flat.size:
@@ -318,29 +322,31 @@ def _top(table: np.ndarray) -> list[tuple[int, int]]:
     return [divmod(int(i), table.shape[1]) for i in np.sort(few) if np.isfinite(flat[i])]
 
 
-def banks(fit: ModelFit) -> tuple[Bank, ...]:
+def make_banks(fit: ModelFit) -> tuple[Bank, ...]:
     """Make the banks of the arm's side and, where positions are measured, of the camera's."""
     arm, rows = fit.model.arm, fit.session
-    spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
-    spots, units = _moving(fit, spots)
-    made = [Bank(fit, spots, units, Functions(arm_inputs(arm, fit.posture, rows)))]
+    spots = [Spot(place, name) for place in _list_places(arm) for name in components(arm)]
+    spots, units = _keep_moving(fit, spots)
+    made = [Bank(fit, spots, units, Functions(read_arm_inputs(arm, fit.posture, rows)))]
     if rows.plain:
         points, ways = fit.model.measured_at(fit.posture), views(arm)
         for some, of in ((AXES, SeenCoordinate), ([w for w in ways if w not in AXES], None)):
             if some:
-                seen = Functions(camera_inputs(points, rows), of)
-                made.append(Bank(fit, *_moving(fit, [Spot(CAMERA, way) for way in some]), seen))
+                seen = Functions(read_camera_inputs(points, rows), of)
+                made.append(
+                    Bank(fit, *_keep_moving(fit, [Spot(CAMERA, way) for way in some]), seen)
+                )
     return tuple(made)
 
 
-def term_of(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
+def make_term(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
     """Make the term of a model that stands for a place and a function."""
     if place.at == CAMERA:
         return DiscoveredView(place.component, function, domain, scale)
     return Discovered(place.at, place.component, function, domain, scale)
 
 
-def _distinct(arm: Arm) -> list[str]:
+def _list_places(arm: Arm) -> list[str]:
     """List the places that coincide with no other: a row's end counts only if the row has a
     length."""
     same = {f"frame {j.id}" for j in arm.joints if j.d_m == 0 and j.type != "prismatic"}
@@ -349,17 +355,17 @@ def _distinct(arm: Arm) -> list[str]:
     return [name for name in stations(arm) if name not in same]
 
 
-def _moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
+def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
     """Return the K places where something moves a channel, and (N, d, K) the motion by a unit of
     each."""
-    slots = slots_of(fit.model.arm, [term_of(spot, "1", "", 1e-3) for spot in spots])
+    slots = slots_of(fit.model.arm, [make_term(spot, "1", "", 1e-3) for spot in spots])
     columns = equations(fit.model, fit.session, fit.posture, slots).columns
     largest = np.abs(columns).max(axis=(0, 1))
     moving = largest > np.finfo(float).eps * largest.max(initial=0.0)
     return [spot for spot, moves in zip(spots, moving, strict=True) if moves], columns[..., moving]
 
 
-def _axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
+def _number_joint_axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
     """Return for each commanded joint the component along its own axis; empty if any joint lacks
     one."""
     slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)

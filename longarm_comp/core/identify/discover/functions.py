@@ -161,14 +161,14 @@ class Functions:
         own = {f"q{j + 1}": j for j in range(self.inputs.joints)}
         self._group(FunctionFamily.CONSTANT, self.number())
         for one in inputs:
-            self._group(FunctionFamily.LINEAR, self.number(_linear(one)))
+            self._group(FunctionFamily.LINEAR, self.number(_make_linear(one)))
         for one in inputs:
             if not one.curves:
                 continue
             for kind in (Square, SignedSquare):
                 if (kind is Square and not one.far) or one.low < 0 < one.high:
                     self._group(FunctionFamily.SQUARE, self.number(kind(*one.domain)))
-            for order in orders(one):
+            for order in list_orders(one):
                 pair = [self.number(kind(*one.domain, order)) for kind in (Cosine, Sine)]
                 self._group(FunctionFamily.WAVE, *pair)
             top = min(ORDERS, one.levels - 2)
@@ -181,12 +181,12 @@ class Functions:
                     self.own_joint[own[one.name]] = FunctionGroup(
                         FunctionFamily.OWN_JOINT, tuple(some), falls
                     )
-            for threshold in thresholds(one):
-                self._group(FunctionFamily.SWITCH, self.number(switch(one, threshold)))
+            for threshold in list_thresholds(one):
+                self._group(FunctionFamily.SWITCH, self.number(make_switch(one, threshold)))
                 for side in (Above, Below):
                     self._group(FunctionFamily.CONTACT, self.number(side(*one.domain, threshold)))
         for a, b in combinations(inputs, 2):
-            self._group(FunctionFamily.PRODUCT, self.number(_linear(a), _linear(b)))
+            self._group(FunctionFamily.PRODUCT, self.number(_make_linear(a), _make_linear(b)))
         plain = (i for i in inputs if i.name.startswith("q") or i.name in self.inputs.shared)
         for a, b in combinations([i for i in plain if i.levels > 1], 2):
             self._smooth_pair(a, b)
@@ -200,7 +200,7 @@ class Functions:
         for shared in (held[name] for name in self.inputs.shared):
             for word in OWN:
                 of = [(j, held[f"{word}{j + 1}"]) for j in joints if f"{word}{j + 1}" in held]
-                made = [(j, self.number(_linear(own), _linear(shared))) for j, own in of]
+                made = [(j, self.number(_make_linear(own), _make_linear(shared))) for j, own in of]
                 if len(made) > 1:
                     self.each_joint.append(tuple(made))
 
@@ -220,7 +220,7 @@ class Functions:
             self._group(FunctionFamily.SMOOTH_PAIR, *numbers, decay=decay)
 
 
-def _linear(one: Argument) -> Shape:
+def _make_linear(one: Argument) -> Shape:
     """Return the input itself, about the middle of its range where that is far from zero.
 
     An input that no command knows is also centred, so that its omission from a command makes no
@@ -229,7 +229,7 @@ def _linear(one: Argument) -> Shape:
     return Legendre(*one.domain, 1) if one.far or not one.told else Linear(*one.domain)
 
 
-def switch(one: Argument, threshold: float) -> Switch:
+def make_switch(one: Argument, threshold: float) -> Switch:
     """Return a switch at a threshold, as a ramp over the gap that the data have there."""
     below = one.values[one.values < threshold]
     above = one.values[one.values >= threshold]
@@ -238,7 +238,7 @@ def switch(one: Argument, threshold: float) -> Switch:
     return Switch(*one.domain, middle, max(half, 1e-4 * (one.high - one.low)))
 
 
-def orders(one: Argument) -> list[float]:
+def list_orders(one: Argument) -> list[float]:
     """Return the harmonics of an input that are tried."""
     if one.smooth:
         return []
@@ -248,7 +248,7 @@ def orders(one: Argument) -> list[float]:
     return [n * math.pi / span for n in range(2, LOOKS + 2)]
 
 
-def thresholds(one: Argument) -> list[float]:
+def list_thresholds(one: Argument) -> list[float]:
     """Return the thresholds of an input that are tried: inner quantiles of its values."""
     if one.smooth:
         return []
@@ -256,7 +256,7 @@ def thresholds(one: Argument) -> list[float]:
     return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
 
 
-def nearby(shape: Shape, one: Argument, width: float) -> list[Shape]:
+def vary_shape(shape: Shape, one: Argument, width: float) -> list[Shape]:
     """Return the same shape with `DENSE` other thresholds or orders around it.
 
     Args:
@@ -270,7 +270,7 @@ def nearby(shape: Shape, one: Argument, width: float) -> list[Shape]:
         shares = np.clip(np.linspace(place - step, place + step, DENSE), 0.02, 0.98)
         made = np.unique(np.quantile(one.values, shares))
         if isinstance(shape, Switch):
-            return [switch(one, float(v)) for v in made]
+            return [make_switch(one, float(v)) for v in made]
         return [type(shape)(*one.domain, float(v)) for v in made]
     if isinstance(shape, Wave) and not one.circular:
         step = width * math.pi / (one.high - one.low)

@@ -43,7 +43,7 @@ class Explanation:
         return self.bank.evidence(self.chosen)
 
 
-def explain(
+def find_explanation(
     bank: OfferBank, known: Sequence[int] = (), begun: Sequence[SingleEffect] | None = None
 ) -> Explanation:
     """Find the single effects by coordinate ascent, with a restart for each effect found.
@@ -59,11 +59,11 @@ def explain(
             no restart.
     """
     most = len(known) + AT_ONCE
-    starts = [_grow(bank, (), frozenset(), most)]
+    starts = [_add_effects(bank, (), frozenset(), most)]
     if begun or known:
-        standing = begun or stand(bank, known)
-        starts.append(_grow(bank, standing, frozenset(), most))
-    best = max(map(_prune, starts), key=lambda e: e.evidence)
+        standing = begun or as_certain(bank, known)
+        starts.append(_add_effects(bank, standing, frozenset(), most))
+    best = max(map(_drop_superfluous, starts), key=lambda e: e.evidence)
     if begun is not None:
         return best
     shut_once: set[int] = set()
@@ -72,14 +72,14 @@ def explain(
         shut_once.add(effect.best)
         shut = frozenset(np.flatnonzero(effect.q > UNLIKELY).tolist())
         others = tuple(e for e in best.effects if e is not effect)
-        without = _grow(bank, others, shut, min(len(others) + 2, most))
-        again = _prune(_grow(bank, without.effects, frozenset(), most))
+        without = _add_effects(bank, others, shut, min(len(others) + 2, most))
+        again = _drop_superfluous(_add_effects(bank, without.effects, frozenset(), most))
         if again.evidence > best.evidence + BETTER:
             best = again
     return best
 
 
-def stand(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
+def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
     """Return some offers as certain effects, with the coefficients that they have together."""
     offers = [bank.offers[n] for n in known]
     made = []
@@ -91,7 +91,7 @@ def stand(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
     return made
 
 
-def _grow(
+def _add_effects(
     bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
 ) -> Explanation:
     """Add single effects until a new one is probably absent."""
@@ -100,13 +100,13 @@ def _grow(
         count = len(effects)
         none = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
         effects.append(SingleEffect(bank.offers, *none))
-        effects = [e for e in _ascend(bank, effects, shut) if e.there > 0.5]
+        effects = [e for e in _sweep_effects(bank, effects, shut) if e.there > 0.5]
         if len(effects) <= count:
             break
     return Explanation(bank, tuple(effects))
 
 
-def _ascend(
+def _sweep_effects(
     bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
 ) -> list[SingleEffect]:
     taken = np.sum([e.mean for e in effects], axis=0)
@@ -124,7 +124,7 @@ def _ascend(
     return effects
 
 
-def _prune(found: Explanation) -> Explanation:
+def _drop_superfluous(found: Explanation) -> Explanation:
     """Drop effects that the others make superfluous, the least first."""
     kept = found.bank.worth_their_price(found.chosen)
     return Explanation(found.bank, tuple(found.effects[k] for k in kept))

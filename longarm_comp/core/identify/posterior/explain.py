@@ -11,25 +11,25 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.holdout import split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.model_tolerance import (
-    with_background,
+    fit_with_background,
 )
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.explained import (
     ExplainedSession,
+    drop_idle,
     judge_noise_and_fit,
-    loosen,
-    without_idle,
+    widen_prior,
 )
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     FoundEffect,
-    instead,
+    replace_effect,
 )
 from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
 from longarm_comp.core.identify.posterior.search import ExplanationSearch
@@ -63,7 +63,7 @@ def explain_session(
         progress: called with the name of each step.
 
     Raises:
-        InputError, JobError: as `fit`.
+        InputError, JobError: as `fit_model`.
     """
     say = progress or (lambda _: None)
     search = ExplanationSearch(base, session, list(candidates), known_noise, stepped, say)
@@ -89,7 +89,7 @@ def explain_session(
     say("resampled rows")
     state, unstable = _average_samples(search, state, absence, of_halves, seed)
     doubtful = tuple(f for f in (*doubtful, *unstable) if f.in_doubt)
-    return replace(_finish(search, state), doubtful=doubtful)
+    return replace(_converge_fit(search, state), doubtful=doubtful)
 
 
 Halves = tuple[tuple[FoundEffect, ...], ...]
@@ -125,11 +125,11 @@ def _average_samples(
     return replace(fewer, tolerance=tolerance, linear=linear), unstable
 
 
-def _finish(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
+def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
     """Converge the fit of a model, with what every other part yields."""
     rest = search.other_compliance(state)
-    closed = fit(state.fit.model, search.session, begun=state.fit, **state.fit.judged)
-    fitted = without_idle(with_background(closed, search.candidates, rest) if rest else closed)
+    closed = fit_model(state.fit.model, search.session, begun=state.fit, **state.fit.judged)
+    fitted = drop_idle(fit_with_background(closed, search.candidates, rest) if rest else closed)
     known = {t.variant: t for t in fitted.model.terms}
     held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
     return replace(state, fit=fitted, found=tuple(held), candidates=tuple(search.candidates))
@@ -177,7 +177,7 @@ def _explain_halves(
             continue
         found = half.repeat(begun, functions=True).found
         of_halves = (*of_halves, found)
-        taken = search.fit_with(state, tuple(map(loosen, found)))
+        taken = search.fit_with(state, tuple(map(widen_prior, found)))
         if taken is not None and search.odds(state, taken) > BETTER:
             state = search.repeat(taken, functions=True)
     return state, of_halves
@@ -193,7 +193,7 @@ def _compare_rivals(
         that everything must be explained again.
     """
     was = state.fit
-    state = replace(state, fit=fit(was.model, search.session, begun=was, **was.judged))
+    state = replace(state, fit=fit_model(was.model, search.session, begun=was, **was.judged))
     banks = search.offer_by_tolerance(state.fit, state.found)
     found, doubtful = max(banks, key=lambda b: b.standing).judge(state.found, banks)
     sure = tuple(f for f in found if f.there >= CREDIBLE)
@@ -204,14 +204,14 @@ def _compare_rivals(
     for k, mine in enumerate(sure):
         worth = {
             rival.name: search.evidence_refitted(
-                state, instead(state.found, k, mine.led_by(rival, ()))
+                state, replace_effect(state.found, k, mine.led_by(rival, ()))
             )
             - here
             for rival in mine.fitted_rivals
         }
         judged, better = mine.against(worth)
         if better:
-            taken = search.fit_with(state, instead(state.found, k, judged))
+            taken = search.fit_with(state, replace_effect(state.found, k, judged))
             if taken is not None:
                 return taken, doubtful, True
         else:

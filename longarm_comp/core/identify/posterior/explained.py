@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from longarm_comp.core.calibration import noise as noise_step
-from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
-from longarm_comp.core.calibration.fit import compare_unfitted, fit
+from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms
+from longarm_comp.core.calibration.fit import fit_model, linearise_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
@@ -75,14 +75,14 @@ def judge_noise_and_fit(
         known: the noise by repeats, if there are any.
     """
     if before is None or not found:
-        first = fit(model, session)
+        first = fit_model(model, session)
         at = FitColumns(first)
     else:
-        first, at = compare_unfitted(model, session, before.fit), FitColumns(before.fit)
+        first, at = linearise_model(model, session, before.fit), FitColumns(before.fit)
     held = {t.key for f in found for t in f.terms}
-    judged, weights = noise_step.from_residual(first, at.of(distinct(candidates, held)))
+    judged, weights = noise_step.noise_from_residual(first, at.of(distinct_terms(candidates, held)))
     noise = judged if known is None else noise_step.limit_by_repeats(known, judged)
-    fitted = fit(
+    fitted = fit_model(
         first.model,
         session,
         sigma=noise.sigma,
@@ -94,16 +94,16 @@ def judge_noise_and_fit(
     return ExplainedSession(fitted, found, noise)
 
 
-def without_idle(fitted: ModelFit) -> ModelFit:
+def drop_idle(fitted: ModelFit) -> ModelFit:
     """Leave out effects that act through others if the model has none that they act through."""
     model = fitted.model
     idle = {e.key for e in model.effects if e.through_others}
     if not idle or any(e.loaded for e in model.effects if e.key not in idle):
         return fitted
-    return fit(model.without(idle), fitted.session, near=fitted, **fitted.judged)
+    return fit_model(model.without(idle), fitted.session, near=fitted, **fitted.judged)
 
 
-def loosen(found: FoundEffect) -> FoundEffect:
+def widen_prior(found: FoundEffect) -> FoundEffect:
     """Widen a function's prior until it hardly pulls at the amount; its existence is already
     decided."""
     if not found.unnamed:
@@ -115,7 +115,7 @@ def loosen(found: FoundEffect) -> FoundEffect:
     return replace(found, terms=terms, loose=True)
 
 
-def put_in(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
+def put_found(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
     """Put found effects into the base model, at the values that they have in the model `now`."""
     known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
     terms = (alike.get(t.variant, t) for f in found for t in f.terms)

@@ -201,7 +201,7 @@ def _likely(rival: Rival) -> float:
     return -rival.probability
 
 
-def instead(
+def replace_effect(
     found: Sequence[FoundEffect], number: int, rival: FoundEffect
 ) -> tuple[FoundEffect, ...]:
     """Put a rival in the place of one effect, and of all other effects of the rival's name."""

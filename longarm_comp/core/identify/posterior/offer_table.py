@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of
+from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, prior_root
 from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.identify.posterior.offer import Offer
 
@@ -71,7 +71,7 @@ class OfferTable:
         self._bounded, self._starts = np.unique(row, return_index=True)
         self._turn_bounded = self._turn[row, at]  # (B, P)
         self._row = row
-        self._sd = np.sqrt(_times(self._turn_bounded**2, self._share[row]))
+        self._sd = np.sqrt(_multiply_rows(self._turn_bounded**2, self._share[row]))
         self._ends = self._lower[row, at][:, None], self._upper[row, at][:, None]
 
     @classmethod
@@ -87,7 +87,7 @@ class OfferTable:
         of = self._of
         places = self._places[group, :count]
         s = of.gram[places[:, :, None], places[:, None, :]]
-        root = root_of(of.like[places])
+        root = prior_root(of.like[places])
         turned = np.swapaxes(root, 1, 2) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
         values, turn = np.linalg.eigh(turned)
         self._turn[group, :count, :count] = root @ turn
@@ -110,11 +110,11 @@ class OfferTable:
             (R,) log posterior odds, and the intermediate results that `mean` needs.
         """
         own = np.append(along, 0.0)[self._places]
-        z = _times(own, self._turn)
-        each = _times(z**2, self._share) / 2 + self._odds
+        z = _multiply_rows(own, self._turn)
+        each = _multiply_rows(z**2, self._share) / 2 + self._odds
         if len(self._bounded):
             shrunk = (self._share * z[..., None]).take(self._row, axis=0)
-            mean = _times(self._turn_bounded, shrunk)
+            mean = _multiply_rows(self._turn_bounded, shrunk)
             low, high = ((end - mean) / self._sd for end in self._ends)
             each[self._bounded] += np.add.reduceat(log_mass(low, high), self._starts)
         top = each.max(axis=1)
@@ -134,13 +134,13 @@ class OfferTable:
         z, chance = found
         on = np.flatnonzero(q > np.finfo(float).eps)  # what adds to the sum of all
         shrunk = (self._share[on] * chance[on][:, None, :]).sum(axis=-1) * z[on]
-        mean = _times(shrunk, np.swapaxes(self._turn[on], 1, 2))
+        mean = _multiply_rows(shrunk, np.swapaxes(self._turn[on], 1, 2))
         mean = np.clip(mean, self._lower[on], self._upper[on]) + self._fixed[on]
         made = np.zeros(len(self._of.gram) + 1)
         np.add.at(made, self._places[on].ravel(), (q[on][:, None] * mean).ravel())
         return made[:-1]
 
 
-def _times(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+def _multiply_rows(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     """Multiply each of R rows (R, P) by its own matrix (R, P, Q); (R, Q)."""
     return np.asarray(np.matmul(rows[:, None, :], matrices)[:, 0])

@@ -14,9 +14,9 @@ from scipy.special import expit, softmax
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.identify.discover.inputs import levels_of
+from longarm_comp.core.identify.discover.inputs import count_levels
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.ascent import explain, stand
+from longarm_comp.core.identify.posterior.ascent import as_certain, find_explanation
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     NONE,
@@ -83,7 +83,7 @@ class OfferedEffects:
         Args:
             begun: effects that explain the same offers, as the start of the search.
         """
-        best = explain(self.bank, self.known, begun)
+        best = find_explanation(self.bank, self.known, begun)
         offers = self._locate(best.chosen)
         evidence, values = self.bank.joint(offers)
         every = [
@@ -103,7 +103,9 @@ class OfferedEffects:
         Nothing is sought again in the place of an effect: the search starts from what was found so.
         """
         made = []
-        for effect in explain(self.bank, self.known, stand(self.bank, self.known)).effects:
+        for effect in find_explanation(
+            self.bank, self.known, as_certain(self.bank, self.known)
+        ).effects:
             shares: dict[str, tuple[float, Candidate]] = {}
             for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
                 terms = self.things[n].terms
@@ -176,7 +178,7 @@ class OfferedEffects:
                 )
                 made.append(self._credible(f, offers, k))
         held = {t.key for f in found for t in f.terms}
-        besides = self.explain(stand(self.bank, self.known)).doubtful
+        besides = self.explain(as_certain(self.bank, self.known)).doubtful
         left = (f for f in besides if held.isdisjoint(t.key for t in f.terms))
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
@@ -324,7 +326,7 @@ class OfferedEffects:
             return 0
         commanded = self.fitted.model.arm.commanded
         stood = [self.fitted.session.q[:, commanded.index(j)] for j in term.joints]
-        return max((levels_of(q) for q in stood), default=0)
+        return max((count_levels(q) for q in stood), default=0)
 
     def _candidate_of_name(self, name: str, at: Sequence[Term]) -> Candidate:
         """Return an effect of another name at the places of terms, in their forms.

@@ -123,7 +123,7 @@ class Resampling:
         another finds at all.
         """
         mine = self._shift(found.terms)
-        shares = {e: _correlation(mine, self._shift(e.terms)) ** 2 for e in effects}
+        shares = {e: _correlate(mine, self._shift(e.terms)) ** 2 for e in effects}
         namesakes = [e for e in effects if found.name in e.credible]
         each = [self._shift((t,)) for e in namesakes for t in e.terms]
         if each and _explained_share(mine, np.stack(each, axis=1)) >= SAME_ROLE:
@@ -149,5 +149,5 @@ def _explained_share(y: np.ndarray, columns: np.ndarray) -> float:
     return 1.0 - float(left @ left / max(y @ y, 1e-300))
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+def _correlate(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
@@ -30,10 +30,10 @@ from longarm_comp.core.identify.posterior.explained import (
     NEAR,
     ExplainedSession,
     judge_noise_and_fit,
-    loosen,
-    put_in,
+    put_found,
+    widen_prior,
 )
-from longarm_comp.core.identify.posterior.forms import agreement, better_forms
+from longarm_comp.core.identify.posterior.forms import find_better_forms, measure_agreement
 from longarm_comp.core.identify.posterior.found import (
     NONE,
     FoundEffect,
@@ -46,7 +46,7 @@ from longarm_comp.core.identify.posterior.offered_effects import (
 )
 from longarm_comp.core.identify.posterior.offers import make_offers
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
-from longarm_comp.core.identify.step_scan import scan
+from longarm_comp.core.identify.step_scan import scan_steps
 from longarm_comp.core.model.model import Model
 
 ROUNDS = 8
@@ -80,7 +80,7 @@ class ExplanationSearch:
                 break
             for f in explained.found:
                 self.say(Candidate(f.name, f.terms).label)
-            taken = self.fit_with(state, tuple(map(loosen, explained.found)))
+            taken = self.fit_with(state, tuple(map(widen_prior, explained.found)))
             if taken is None:
                 break
             taken = self._move_forms(taken)
@@ -93,7 +93,7 @@ class ExplanationSearch:
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
         """Fit the model with these effects; None where the fit diverges."""
-        model = put_in(self.base, state.fit.model, found)
+        model = put_found(self.base, state.fit.model, found)
         try:
             return judge_noise_and_fit(
                 model, self.session, self.candidates, found, state, known=self.known
@@ -106,7 +106,9 @@ class ExplanationSearch:
         either."""
         made = []
         for judged in (one.fit.judged, other.fit.judged):
-            fits = (fit(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other))
+            fits = (
+                fit_model(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other)
+            )
             mine, theirs = (
                 self.evidence(f, e.found) for f, e in zip(fits, (one, other), strict=True)
             )
@@ -155,8 +157,8 @@ class ExplanationSearch:
         if len(set(places)) < len(places):
             return -math.inf
         try:
-            model = put_in(self.base, state.fit.model, found)
-            begun = fit(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
+            model = put_found(self.base, state.fit.model, found)
+            begun = fit_model(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
         except JobError:
             return -math.inf
         if best_places:
@@ -210,14 +212,14 @@ class ExplanationSearch:
         same one with more effects.
         """
         was = before.fit
-        again = fit(was.model, self.session, close=NEAR, begun=was, **now.fit.judged)
+        again = fit_model(was.model, self.session, close=NEAR, begun=was, **now.fit.judged)
         least = self.evidence(again, before.found, near=now.fit) + BETTER
         return self.evidence(now.fit, now.found) > least
 
     def _scan(self, state: ExplainedSession) -> None:
         """Replace the scanned candidates by the steps that the residual shows now."""
         need = NONE + math.log(max(len(self.candidates), 1))
-        shown = [c for kind in self.stepped for c in scan(state.fit, kind, need)]
+        shown = [c for kind in self.stepped for c in scan_steps(state.fit, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
 
     def _move_forms(self, state: ExplainedSession) -> ExplainedSession:
@@ -226,7 +228,7 @@ class ExplanationSearch:
         A form that stays is not looked at again.
         """
         terms = [t for f in state.found for t in f.terms]
-        while moved := better_forms(state.fit, terms, self.candidates):
+        while moved := find_better_forms(state.fit, terms, self.candidates):
             terms = list(moved.values())
             for term in moved.values():
                 self.say(Candidate(term.name, (term,)).label)
@@ -234,8 +236,8 @@ class ExplanationSearch:
                 replace(f, terms=tuple(moved.get(t.key, t) for t in f.terms)) for f in state.found
             )
             taken = self.fit_with(state, found)
-            before = agreement(state.fit, state.fit.residual)
-            if taken is None or agreement(state.fit, taken.fit.residual) < before + BETTER:
+            before = measure_agreement(state.fit, state.fit.residual)
+            if taken is None or measure_agreement(state.fit, taken.fit.residual) < before + BETTER:
                 break
             state = taken
         return state

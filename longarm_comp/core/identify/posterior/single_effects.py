@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_prior_mass, root_of
+from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_prior_mass, prior_root
 from longarm_comp.core.identify.model_tolerance import FORMS
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
@@ -217,7 +217,7 @@ class OfferBank:
             s = self.gram[places[:, :, None], places[:, None, :]]
             t = np.take_along_axis(along[ns], places, axis=1)
             lower, upper, like = self.lower[places], self.upper[places], self.like[places]
-            root, found = root_of(like), []
+            root, found = prior_root(like), []
             # Sizes are chosen at the coefficients that the smallest, or the largest, would give:
             # where the data hardly tell two apart, the largest lets them grow against each other.
             for begun in (sizes.min(-1), sizes.max(-1)):
