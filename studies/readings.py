@@ -104,9 +104,9 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         kinds = list_candidates(arm, session.context()).testable
         there = (FoundEffect((soft,), 1.0, 0.0),)
         every = make_offers(fitted, kinds, (), there, TOLERANCES)
-        of = max(every, key=lambda each: each.standing)
+        of = max(every, key=lambda each: each.evidence_of_known)
         bank, own = of.bank, of.bank.offers[of.known[0]]
-        (k,) = own.places
+        (k,) = own.column_numbers
         seen = bank.gram[:, k] * (soft.compliance / of.widths[k])
         clean = OfferBank(bank.offers, bank.gram, seen, bank.lower, bank.upper, bank.like)
         worth: dict[str, float] = {}

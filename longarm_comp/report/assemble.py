@@ -62,7 +62,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             record.Doubtful(
                 effect=f.name,
                 where=list(dict.fromkeys(t.where for t in f.terms)),
-                probability=f.there,
+                probability=f.presence,
             )
             for f in diagnosis.search.doubtful
         ],
@@ -168,7 +168,7 @@ def _left_out_by_commands(diagnosis: Diagnosis) -> list[str]:
 def _list_outliers(diagnosis: Diagnosis) -> list[record.Outlier]:
     fit, rows = diagnosis.fit, list[record.Outlier]()
     points = fit.session.labels.get("point", np.full(len(fit.session), ""))
-    noise = fit.uneven(fit.session)[:, None] * fit.sigma
+    noise = fit.stated_noise_ratio(fit.session)[:, None] * fit.sigma
     for row in fit.outliers:
         length = float(np.linalg.norm(fit.residual[row] * fit.metres))
         ratio = float(np.max(np.abs(fit.residual[row]) / noise[row]))

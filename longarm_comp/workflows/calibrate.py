@@ -160,8 +160,8 @@ class Calibration:
         first, last = self.rungs[0], self.rungs[-1]
         before, after = (r.commanded if r.commanded.n else r.held_out for r in (first, last))
         return (
-            f"held-out mean error as commanded {before.said} ({first.name}) -> "
-            f"{after.said} ({last.name}), "
+            f"held-out mean error as commanded {before.mean_text} ({first.name}) -> "
+            f"{after.mean_text} ({last.name}), "
             f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
         )
 

@@ -134,7 +134,7 @@ class DiagnosisResult:
             (slot.term, slot.parameter.name): (found.intervals[k].low, found.intervals[k].high)
             for k, slot in enumerate(model.slots)
         }
-        added = {t.key for t in found.search.chosen}
+        added = {t.key for t in found.search.chosen_terms}
         known = () if before is None else (*before.geometry, *before.effects, *before.camera)
         held = {(t.effect, t.where): t.origin for t in known}
         new = f"{found.verdict}, session {self.session_hash[:16]}, seed {found.seed}"

@@ -54,7 +54,7 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     left = []
     for kept, rows in fullest:
         bare = dataclasses.replace(kept.model, biases=())
-        again = fit_model(bare, kept.session, **kept.judged)
+        again = fit_model(bare, kept.session, **kept.noise_arguments)
         left.append(np.linalg.norm(errors(again.model, rows), axis=1))
     left = np.concatenate(left).mean()
     assert seen.before == pytest.approx(left, rel=0.02)

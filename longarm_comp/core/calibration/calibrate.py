@@ -62,7 +62,7 @@ class Errors:
         return lengths | {"variance_mm2": 1e6 * self.variance}
 
     @property
-    def said(self) -> str:
+    def mean_text(self) -> str:
         """Return the mean with its unit: mm, or mrad where only orientations were measured."""
         if self.n or self.angle is None:
             return f"{1e3 * self.mean:.2f} mm"

@@ -83,10 +83,10 @@ class Marginal:
     @property
     def evidence(self) -> float:
         """The log evidence of the columns already there, up to a constant of the data."""
-        return float(-0.5 * self.y @ self.py - np.log(np.diag(self._factor[0])).sum())
+        return float(-0.5 * self.y @ self.projected_data - np.log(np.diag(self._factor[0])).sum())
 
     @cached_property
-    def py(self) -> np.ndarray:
+    def projected_data(self) -> np.ndarray:
         """The (m,) projected data P y."""
         return self.y - self.a @ self._coefficients
 
@@ -94,11 +94,11 @@ class Marginal:
         """Return P b: the part of b that the columns already there cannot (cheaply) explain."""
         return b - self.a @ self._solve(self.a.T @ b)
 
-    def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project_products(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
         cross = self.a.T @ b
         s = b.T @ b - cross.T @ self._solve(cross)
-        return (s + s.T) / 2, b.T @ self.py
+        return (s + s.T) / 2, b.T @ self.projected_data
 
     def _solve(self, right: np.ndarray) -> np.ndarray:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
@@ -107,7 +107,7 @@ class Marginal:
 def marginalise_first(
     gram: np.ndarray, along: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Marginalise the first k of some columns, in the products of all (`Marginal.normal`).
+    """Marginalise the first k columns, in the products of all (`Marginal.project_products`).
 
     Args:
         gram, along: (K, K) and (K,) products of the columns with themselves and with the data.

@@ -61,7 +61,7 @@ class ModelFit:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def judged(self) -> dict[str, Any]:
+    def noise_arguments(self) -> dict[str, Any]:
         """The noise and weights of the rows: arguments for another `fit_model` of these rows."""
         return {"sigma": self.sigma, "rho": self.rho, "weights": self.weights}
 
@@ -74,13 +74,22 @@ class ModelFit:
         """Map (N, d, k) columns per unit to (dM, k) of the M inliers, in units of the noise."""
         return whiten_rows(columns, self.weights, self.sigma, self.rho, self.session.measured)
 
-    def uneven(self, rows: Session) -> np.ndarray:
+    def whiten_with_residual(self, sigma: np.ndarray) -> np.ndarray:
+        """Return (dM, p + 1) prior-scaled columns, then the residual, in units of a noise (d,).
+
+        Rows count by their weights, and each alone: correlation of the noise is left aside.
+        """
+        columns = self.columns * prior_widths(self.slots)
+        both = np.concatenate([columns, self.residual[..., None]], axis=-1)
+        return whiten_rows(both, self.weights, sigma, 0.0, self.session.measured)
+
+    def stated_noise_ratio(self, rows: Session) -> np.ndarray:
         """Return (M,) stated noise of rows over the usual one; 1 if the fit did not believe it."""
         believed = not np.isin(self.weights, (0.0, 1.0)).all()
         return rows.uneven(self.session.claimed) if believed else np.ones(len(rows))
 
     @cached_property
-    def pointed(self) -> np.ndarray:
+    def has_point(self) -> np.ndarray:
         """The (N,) rows that hold all three coordinates of the tip: a position or a touched
         point."""
         if self.session.blocks[0].kind not in ("position", "touch"):
@@ -110,7 +119,7 @@ class ModelFit:
         length."""
         return np.where(np.isfinite(self.sigma), self.sigma, 0.0) * self.metres
 
-    def lengths(self, white: np.ndarray) -> np.ndarray:
+    def to_lengths(self, white: np.ndarray) -> np.ndarray:
         """Map whitened data (dM,) of the M inliers to lengths at the tip (M, d), m."""
         count = self.weights[self.weights > 0][:, None]
         return white.reshape(-1, self.width) * self.noise_m / np.sqrt(count)
@@ -132,6 +141,11 @@ class ModelFit:
         return self.whiten_columns(data[..., None])[:, 0]
 
 
+def choose_evenly(rows: np.ndarray, most: int) -> np.ndarray:
+    """Choose at most so many of the numbers of rows (N,), evenly from the first to the last."""
+    return np.asarray(rows[np.unique(np.linspace(0, len(rows) - 1, most).round().astype(int))])
+
+
 def prior_widths(slots: tuple[Slot, ...]) -> np.ndarray:
-    """Return the (p,) prior standard deviations."""
+    """Return the (p,) prior standard deviations of parameters, each in the parameter's unit."""
     return np.array([s.parameter.width for s in slots], dtype=float)

@@ -30,7 +30,7 @@ from longarm_comp.core.arm.context import CLOCK, ORDER, is_told
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.left_out import LeftOut
-from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
 from longarm_comp.core.calibration.noise import (
     lag_correlation,
     repeat_scatter,
@@ -62,10 +62,10 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
         lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))
     else:
-        spread = fit.residual[kept & fit.pointed][:, :3]
+        spread = fit.residual[kept & fit.has_point][:, :3]
         sensor = (1.0 - estimate_arm_share(fit)) * share_of_sensor(fit)[0]
         noise = sensor * np.diag((spread**2).mean(axis=0))
-        alike, structure = left_out.explain(noise)
+        alike, structure = left_out.find_least_errors(noise)
     rho = lag_correlation(fit.residual / fit.sigma, fit.weights, fit.session.measured)
     alike = max(alike, rows_as_one(rho) / rows_as_one(fit.rho))
     # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
@@ -97,7 +97,7 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
         circumstances=circumstances,
         absent=absent,
     )
-    pointed = fit.pointed & kept
+    pointed = fit.has_point & kept
     if not pointed.any():
         return record
     arm_side = [k for k, slot in enumerate(slots) if isinstance(slot.owner, Effect)]
@@ -109,7 +109,7 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
 
 def _columns_with_absent(fit: ModelFit, absent: Sequence[Effect]) -> np.ndarray:
     """Return (N, d, p + k) the columns of a fit, then those of effects that it does not hold."""
-    further = FitColumns(fit).of(absent) / prior_widths(slots_of(fit.model.arm, absent))
+    further = FitColumns(fit).prior_columns(absent) / prior_widths(slots_of(fit.model.arm, absent))
     return np.concatenate([fit.columns, further], axis=-1)
 
 
@@ -158,8 +158,7 @@ def estimate_arm_share(fit: ModelFit) -> float:
 
     All shares are equally likely beforehand.
     """
-    kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
-    kept = kept[np.unique(np.linspace(0, len(kept) - 1, ROWS).round().astype(int))]
+    kept = choose_evenly(np.flatnonzero((fit.weights > 0) & fit.has_point), ROWS)
     residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
     size = np.maximum(np.sqrt((residual**2).mean(axis=0)), 1e-12)
     scale = np.array([slot.parameter.prior for slot in fit.slots])

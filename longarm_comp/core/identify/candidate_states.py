@@ -69,12 +69,16 @@ def find_smallest_sizes(
         One `Smallest` per candidate, in their order.
     """
     columns = FitColumns(fit)
-    marginal = columns.without(())
+    marginal = columns.marginal_without(())
     worth = evidence_of_each(fit, marginal, candidates).tolist()
     made = []
     for candidate, factor in zip(candidates, worth, strict=True):
         free = candidate.slots(fit.model.arm)
-        raw = columns.of(candidate.terms) if free else columns.shift(candidate.terms)[..., None]
+        raw = (
+            columns.prior_columns(candidate.terms)
+            if free
+            else columns.shift_by(candidate.terms)[..., None]
+        )
         b = fit.whiten_columns(raw)
         s = b.T @ marginal.project(b)
         values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)
@@ -118,9 +122,9 @@ def judge_candidates(
     """
     states: dict[Label, tuple[float, State, str]] = {}
     columns = FitColumns(search.fit)
-    for term in search.chosen:
+    for term in search.chosen_terms:
         single = Candidate(term.name, (term,))
-        rest = columns.without({term.key})
+        rest = columns.marginal_without({term.key})
         gain = float(evidence_of_each(search.fit, rest, [single])[0])
         facts = (f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in single.form)
         form = f", {', '.join(facts)}" if single.form else ""
@@ -131,7 +135,7 @@ def judge_candidates(
             why += "; a command is expected to err less without it"
             states[term.name, term.where] = gain, "rejected", why
     for at, one in best_forms(tried).items():
-        states[at] = one.log_bayes_factor, *_judge_unused(search.need, findings, one)
+        states[at] = one.log_bayes_factor, *_judge_unused(search.needed_evidence, findings, one)
     ordered = sorted(states.items(), key=lambda item: (-item[1][0], *item[0]))
     made = [
         TriedCandidate(effect=name, where=where, log_bayes_factor=factor, state=state, why=why)

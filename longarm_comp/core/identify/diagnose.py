@@ -240,12 +240,12 @@ def _fit_written_models(start: Model, found: ExplainedSession) -> dict[str, Mode
     """Fit the calibration alone, the model with named effects, and that with functions, to the same
     rows."""
     whole = found.fit
-    bare = fit_model(start, whole.session, **whole.judged)
+    bare = fit_model(start, whole.session, **whole.noise_arguments)
     more = found.found or found.tolerance.compliance
     made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
     functions = {t.key for f in found.found if f.unnamed for t in f.terms}
     if functions:
-        less = fit_model(whole.model.without(functions), whole.session, **whole.judged)
+        less = fit_model(whole.model.without(functions), whole.session, **whole.noise_arguments)
         made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
     return made
 

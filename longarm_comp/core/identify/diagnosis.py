@@ -112,7 +112,7 @@ class Diagnosis:
         """
         fitted = self.fits[self.written]
         seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
-        if not all(f.there * f.chance >= CREDIBLE for f in seen):
+        if not all(f.presence * f.chance >= CREDIBLE for f in seen):
             return fitted
         model = in_frame_of_start(fitted.model, fitted.session)
         if model is fitted.model:
@@ -133,16 +133,16 @@ class Diagnosis:
     def none_of_these(self) -> float:
         """Probability that something without a name is needed."""
         found = (*self.search.found, *self.search.doubtful)
-        none = (1.0 - f.there * f.chance_unnamed for f in found)
+        none = (1.0 - f.presence * f.chance_unnamed for f in found)
         return 1.0 - math.prod(none) if not self.structure.flag else 1.0 - self.structure.p_value
 
     @cached_property
     def smallest(self) -> tuple[Smallest, ...]:
         """Score and smallest visible size of every candidate that is not in the model."""
-        held = {t.key for t in self.search.chosen}
+        held = {t.key for t in self.search.chosen_terms}
         library = self.search.candidates
         outside = [c for c in library if held.isdisjoint(t.key for t in c.terms)]
-        return find_smallest_sizes(self.search.fit, outside, self.search.need)
+        return find_smallest_sizes(self.search.fit, outside, self.search.needed_evidence)
 
     @cached_property
     def candidates(self) -> list[TriedCandidate]:
@@ -191,7 +191,7 @@ class Diagnosis:
         """The verdict in one sentence, and the doubtful effects that were not added."""
         gone = "; ".join(
             f"{f.name} at {', '.join(dict.fromkeys(t.where for t in f.terms))}"
-            f" ({100 * f.there:.0f} % probable)"
+            f" ({100 * f.presence:.0f} % probable)"
             for f in self.search.doubtful
         )
         text = _describe_findings(self) + (f" In doubt, and not added: {gone}." if gone else "")
@@ -226,5 +226,5 @@ def _describe_change(found: Diagnosis) -> str:
     """Say the errors before and after, also where only orientations were measured."""
     before, after = (found.proof.rows[stage] for stage in found.compared)
     if not before.n:
-        return f"{before.said} -> {after.said}"
+        return f"{before.mean_text} -> {after.mean_text}"
     return describe_improvement(found.seen_gain, found.commanded_gain)

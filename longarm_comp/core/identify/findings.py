@@ -189,7 +189,7 @@ def _make_finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
         title=terms[0].heading(),
         reading="; ".join(dict.fromkeys(t.reading for t in terms if t.reading)),
         set=names,
-        probability=1.0 - math.prod(1.0 - f.there for f in parts),
+        probability=1.0 - math.prod(1.0 - f.presence for f in parts),
         set_probability={n: p for n, p in _weigh_names(parts) if n in names},
         unnamed=other,
         where=tuple(dict.fromkeys(t.where for t in terms)),

@@ -56,7 +56,7 @@ def compute_intervals(
     """
     wider = _widen_priors(fit, found)
     columns = FitColumns(fit)
-    otherwise = [columns.of(_other_places(fit, found, candidates))]
+    otherwise = [columns.prior_columns(_other_places(fit, found, candidates))]
     otherwise += _change_of_scales(fit, columns, found, candidates)
     white = fit.whiten_columns(np.concatenate(otherwise, axis=-1))
     design = np.concatenate([fit.design * wider, white], axis=1)
@@ -124,7 +124,7 @@ def _change_of_scales(
             here = float(getattr(term, field))
             half = 0.5 * (high - low) * (1.0 if here < 0.5 * (low + high) else -1.0)
             ways.append((term, dataclasses.replace(term, **{field: here + half})))
-    columns.of([t for pair in ways for t in pair])  # all at once: much faster
+    columns.prior_columns([t for pair in ways for t in pair])  # all at once: much faster
     made = []
     for term, moved in ways:
         values = [
@@ -132,6 +132,6 @@ def _change_of_scales(
             for v, slot in zip(fit.model.values, fit.slots, strict=True)
             if slot.owner.key == term.key
         ]
-        change = (columns.of([moved]) - columns.of([term])) @ np.array(values)
+        change = (columns.prior_columns([moved]) - columns.prior_columns([term])) @ np.array(values)
         made.append(change[..., None])
     return made

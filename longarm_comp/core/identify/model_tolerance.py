@@ -18,7 +18,7 @@ import numpy as np
 from longarm_comp.core.arm.context import PER_JOINT
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms
 from longarm_comp.core.calibration.fit import fit_model
-from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
@@ -109,7 +109,7 @@ def background_columns(
     sizes = [
         [_background_size(s.owner, tolerance.compliance) for s in slots] for tolerance in tolerances
     ]
-    return columns.white(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
+    return columns.white_columns(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
 
 
 def fit_with_background(
@@ -131,9 +131,9 @@ def fit_with_background(
     every = _fit_with(fitted, added, compliance)
     columns, terms = FitColumns(every), {t.key: t for t in every.model.terms}
     moved = {
-        key: columns.white([terms[key]]) * _background_size(terms[key], compliance)
+        key: columns.white_columns([terms[key]]) * _background_size(terms[key], compliance)
         if terms[key].elastic
-        else every.whiten_columns(shift_of(every, columns, [terms[key]])[..., None])
+        else every.whiten_columns(columns.shift_by([terms[key]])[..., None])
         for key in added
     }
     size = {key: np.sqrt((each**2).sum(axis=1).mean()) for key, each in moved.items()}
@@ -150,7 +150,7 @@ def _fit_with(
         if s.owner.key in added
     )
     model = dataclasses.replace(model, beyond=(*model.beyond, *small))
-    return fit_model(model, fitted.session, near=fitted, **fitted.judged)
+    return fit_model(model, fitted.session, near=fitted, **fitted.noise_arguments)
 
 
 def _background_size(owner: Term, compliance: float) -> float:

@@ -123,7 +123,7 @@ def _errors_without_each(
 
 def refit_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     """Return the model without the terms at some places, all others fitted again to first order."""
-    marginal, left = FitColumns(fitted).without(places), fitted.model.without(places)
+    marginal, left = FitColumns(fitted).marginal_without(places), fitted.model.without(places)
     free = np.array([not s.owner.through_others for s in left.slots], dtype=bool)
     kept = tuple(compress(left.slots, free))
     scale, values = prior_widths(kept), np.array(left.values, dtype=float)

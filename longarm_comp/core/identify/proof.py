@@ -92,7 +92,7 @@ class Proof:
         ours = 1.0
         for f in found:
             if isinstance(f.terms[0], Bias):
-                ours *= f.there * f.chance
+                ours *= f.presence * f.chance
         made = {}
         for name in names:
             seen, told = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))
@@ -165,7 +165,7 @@ def _refit_fold(
 
     made = {CALIBRATED: again(fits[CALIBRATED].model)}
     found = search.linear.explain_sample(kept.astype(float)) if search.linear is not None else ()
-    sure = [f for f in found if f.there >= CREDIBLE]
+    sure = [f for f in found if f.presence >= CREDIBLE]
     named = again(_replace_found(search, [f for f in sure if not f.unnamed]))
     made[WITH_EFFECTS] = named
     if WITH_FUNCTIONS in fits:
@@ -201,19 +201,19 @@ def prove_models(
         placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.turned))
         at, turns_at = fold.numbers[fold.rows.placed], fold.numbers[fold.rows.turned]
         for name, model in fold.models.items():
-            seen.store(name, at, errors(model, placed))
-            told.store(name, at, commanded_errors(model, placed))
-            turned.store(name, turns_at, turns(model, bent))
+            seen.store_rows(name, at, errors(model, placed))
+            told.store_rows(name, at, commanded_errors(model, placed))
+            turned.store_rows(name, turns_at, turns(model, bent))
         if learned is not None:
             model, network = learned(fold)
             expected = network.predict(placed.q, placed.context())
             known = (expected.in_domain & placed.located)[:, None]
             error = np.where(known, expected.error, 0.0)
-            seen.store(NETWORK, at, errors(model, placed) - error)
-            told.store(NETWORK, at, commanded_errors(model, placed) - error)
-            turned.store(NETWORK, turns_at, turns(model, bent))
+            seen.store_rows(NETWORK, at, errors(model, placed) - error)
+            told.store_rows(NETWORK, at, commanded_errors(model, placed) - error)
+            turned.store_rows(NETWORK, turns_at, turns(model, bent))
     rows_at = np.sort(np.concatenate([f.numbers[f.rows.placed] for f in made]))
-    return Proof(seen.ordered, told.ordered, turned.ordered, rows_at, len(made))
+    return Proof(seen.in_order, told.in_order, turned.in_order, rows_at, len(made))
 
 
 class _Rows:
@@ -222,11 +222,11 @@ class _Rows:
     def __init__(self) -> None:
         self._parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
 
-    def store(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
+    def store_rows(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
         self._parts.setdefault(name, []).append((at, values))
 
     @property
-    def ordered(self) -> dict[str, np.ndarray]:
+    def in_order(self) -> dict[str, np.ndarray]:
         """By model name, in the order of the rows."""
         made = {}
         for name, parts in self._parts.items():

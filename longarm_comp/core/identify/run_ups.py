@@ -82,9 +82,9 @@ def find_run_up(
         return 0.0
     fitted = fit_model(model, rows(0.0))
     columns = FitColumns(fitted)
-    beside = columns.of(distinct_terms(candidates, {t.key for t in terms}))
+    beside = columns.prior_columns(distinct_terms(candidates, {t.key for t in terms}))
     noise, weights = noise_from_residual(
-        fitted, np.concatenate([beside, columns.of(terms)], axis=-1)
+        fitted, np.concatenate([beside, columns.prior_columns(terms)], axis=-1)
     )
     fitted = dataclasses.replace(fitted, sigma=noise.sigma, rho=noise.rho, weights=weights)
     design = np.concatenate([fitted.design, fitted.whiten_columns(beside)], axis=1)
@@ -99,7 +99,7 @@ def find_run_up(
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context())
         found = equations(fitted.model, seen, at, slots).columns * prior_widths(slots)
-        products = marginal.normal(fitted.whiten_columns(found))
+        products = marginal.project_products(fitted.whiten_columns(found))
         return marginalise_first(*products, np.ones(len(slots)))[0]
 
     best = max(RUN_UPS, key=evidence)

@@ -39,11 +39,11 @@ def scan_steps(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candi
         need: log evidence that a step must have after its own price.
     """
     arm, kept, columns = fitted.model.arm, fitted.weights > 0, FitColumns(fitted)
-    marginal = columns.without(())
+    marginal = columns.marginal_without(())
     have = {joint for t in fitted.model.effects if isinstance(t, kind) for joint in t.joints}
     rows = [row for row in arm.commanded if row not in have]
     motions = [JointZero(row) for row in rows]
-    moved = columns.of(motions) / prior_widths(slots_of(arm, motions))
+    moved = columns.prior_columns(motions) / prior_widths(slots_of(arm, motions))
     found = []
     for row, column in zip(rows, np.moveaxis(moved, -1, 0), strict=True):
         q = fitted.session.q[kept, arm.commanded.index(row)]
@@ -51,7 +51,7 @@ def scan_steps(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candi
         if span == 0.0 or len(np.unique(np.round(q / span, 6))) < POSITIONS:
             continue
         white = span * fitted.whiten_columns(column[..., None])[:, 0].reshape(len(q), -1)
-        counts = _best_steps(q / span, white, marginal.py.reshape(white.shape))
+        counts = _best_steps(q / span, white, marginal.projected_data.reshape(white.shape))
         shifts = (
             _rounding_errors(q / span * counts[:, None]) / counts[:, None]
         )  # (B, M) of the range
@@ -59,7 +59,7 @@ def scan_steps(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candi
         terms = [kind.of_step(arm, row, span / count) for count in counts.tolist()]
         projected = marginal.project(white)
         gain = (projected * (marginal.y[:, None] - 0.5 * white)).sum(0)
-        each = (white * marginal.py[:, None]).reshape(len(q), -1, len(counts)).sum(1)
+        each = (white * marginal.projected_data[:, None]).reshape(len(q), -1, len(counts)).sum(1)
         chance = 0.5 * each.sum(0) ** 2 / np.maximum((each**2).sum(0), 1e-300)
         worth = np.minimum(gain, chance) - [term.price(arm) for term in terms]
         best = int(np.argmax(worth))

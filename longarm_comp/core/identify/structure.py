@@ -64,8 +64,20 @@ class Structure:
     at: str = ""
     sign: str = ""
 
-    def shown(self, p_value: float, by: str, size_m: float, sign: str) -> Structure:
-        """Return the structure as another test than the F test shows it, in what and by what."""
+    def add_test(
+        self, p_value: float, size_m: float, least_m: float, by: str, sign: str
+    ) -> Structure:
+        """Return the structure, flagged also where another test than the F test shows it.
+
+        Args:
+            p_value: chance of what that test saw, were there no structure.
+            size_m: size of what it saw, m.
+            least_m: size below which it does not matter, m.
+            by: what shows it, for `inputs`.
+            sign: the same as a part of a sentence.
+        """
+        if self.flag or p_value > SIGNIFICANT or size_m < least_m:
+            return self
         return Structure(True, p_value, (by,), size_m, self.share_explained, sign=sign)
 
 
@@ -86,7 +98,7 @@ def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = No
     counts = (fit.session.measured & ~mark_exact_readings(fit))[fit.weights > 0].reshape(-1)
     marginal = Marginal(design * counts[:, None], fit.data * counts)
     residual = fit.whiten_columns(fit.residual[..., None])[:, 0]
-    left = float(marginal.py @ marginal.py)
+    left = float(marginal.projected_data @ marginal.projected_data)
     free = max(float(counts.sum()) - fit.effective, 2.0)
     found: list[tuple[Group, float, float, np.ndarray]] = []
     for group in tested:
@@ -113,8 +125,8 @@ def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = No
     sizes, rich = np.zeros(fit.width), residual
     if strong:
         b = np.concatenate([b for *_, b in strong], axis=1)
-        part = marginal.project(b) @ solve_products(*marginal.normal(b)).u
-        sizes, rich = np.sqrt((fit.lengths(part) ** 2).mean(0)), residual - part
+        part = marginal.project(b) @ solve_products(*marginal.project_products(b)).u
+        sizes, rich = np.sqrt((fit.to_lengths(part) ** 2).mean(0)), residual - part
     size, noise = float(np.linalg.norm(sizes)), fit.noise_m
     worth = size > WORTH * float(np.linalg.norm(noise))
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
@@ -265,11 +277,9 @@ def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Sessi
     p = float(bdtrc(above - 1, count, 0.5))
     expected = np.sqrt(square.mean())
     excess = float(expected * np.sqrt(max(np.median(ratio) ** 2 - 1.0, 0.0)))
-    if p > SIGNIFICANT or excess < max(OFF * expected, smallest_that_matters(fit)):
-        return structure
-    return structure.shown(
-        min(p, structure.p_value), "held-out poses", excess, "shows in the held-out poses"
-    )
+    least = max(OFF * float(expected), smallest_that_matters(fit))
+    sign = "shows in the held-out poses"
+    return structure.add_test(p, excess, least, "held-out poses", sign)
 
 
 def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarray]:
@@ -283,7 +293,7 @@ def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.nd
     known = dict(zip(fit.session.channels, fit.sigma, strict=True))
     sigma = np.array([known.get(name, np.inf) for name in rows.channels])
     held = rows.measured & np.isfinite(sigma)
-    noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.uneven(rows)[:, None]
+    noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.stated_noise_ratio(rows)[:, None]
     some = held.any(axis=1)
     if not some.any():
         return np.zeros(0), np.zeros(0)
@@ -317,11 +327,8 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
     ratio = (count - width) / (width * (count - 1)) * squared
     p = float(fdtrc(width, count - width, ratio))
     size = float(np.linalg.norm(left.mean(0) * metres(fit.model, fit.session)[held]))
-    if p > SIGNIFICANT or size < smallest_that_matters(fit):
-        return structure
-    return structure.shown(
-        p, "rows left out", size, f"is shared by the {count} rows that no fit explains"
-    )
+    sign = f"is shared by the {count} rows that no fit explains"
+    return structure.add_test(p, size, smallest_that_matters(fit), "rows left out", sign)
 
 
 def with_stated_noise(structure: Structure, fit: ModelFit) -> Structure:
@@ -333,11 +340,8 @@ def with_stated_noise(structure: Structure, fit: ModelFit) -> Structure:
     """
     share, p = share_of_sensor(fit)
     size = float(np.linalg.norm(fit.noise_m)) * math.sqrt(1.0 - share)
-    if structure.flag or p > SIGNIFICANT or size < smallest_that_matters(fit):
-        return structure
-    return structure.shown(
-        p, "stated noise", size, "is scatter far beyond the noise that the rows state"
-    )
+    sign = "is scatter far beyond the noise that the rows state"
+    return structure.add_test(p, size, smallest_that_matters(fit), "stated noise", sign)
 
 
 def _sizes_left(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:

@@ -289,7 +289,7 @@ def test_bounded_solution_is_the_constrained_minimum(rng: np.random.Generator) -
 def test_evidence_is_that_of_the_gaussian(rng: np.random.Generator) -> None:
     """The log Bayes factor against two multivariate normal densities written out."""
     a, b, y = rng.normal(size=(25, 5)), rng.normal(size=(25, 2)), 2 * rng.normal(size=25)
-    products = linear.Marginal(a, y).normal(b)
+    products = linear.Marginal(a, y).project_products(b)
     added, evidence = (
         linear.solve_products(*products),
         linear.marginalise_first(*products, np.ones(2))[0],
@@ -347,7 +347,7 @@ def test_rows_count_by_the_noise_that_they_state_where_that_is_true(
     assert not len(found.outliers)
     np.testing.assert_allclose(found.weights, rough**-2.0)
     np.testing.assert_allclose(found.sigma, 1e-4, rtol=0.15)
-    np.testing.assert_allclose(found.uneven(rows.take(rough > 1)), 10.0)
+    np.testing.assert_allclose(found.stated_noise_ratio(rows.take(rough > 1)), 10.0)
     chi2 = (((found.model.values - truth.values) / found.standard_errors) ** 2).sum()
     assert chi2 < 14.0
     alike = fit_model(blank(truth), dataclasses.replace(rows, sigma=None))
@@ -365,7 +365,7 @@ def test_stated_noise_that_the_rows_do_not_show_counts_for_nothing(
     rows = Session.record(q, truth.tip(q) + 1e-4 * rng.standard_normal((n, 3)), sigma=stated)
     found = fit_model(blank(truth), rows)
     assert set(found.weights) <= {0.0, 1.0}
-    assert (found.uneven(rows) == 1.0).all()
+    assert (found.stated_noise_ratio(rows) == 1.0).all()
 
 
 def test_a_link_laid_along_y_has_its_length_recovered(rng: np.random.Generator) -> None:

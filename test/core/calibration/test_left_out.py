@@ -43,7 +43,7 @@ def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
     error[:20] *= 30.0
     small = LeftOut(error, 1e-9 * unit, np.ones(400), np.ones(400, dtype=bool))
     noise = 1e-9 * np.eye(3)
-    alike, structure = small.explain(noise)
+    alike, structure = small.find_least_errors(noise)
     radius = sizes(small.covariance + structure + noise)[1]
     assert alike == 1.0
     assert 0.9 <= np.mean(np.linalg.norm(error, axis=1) <= radius) <= 0.91
@@ -87,7 +87,7 @@ def test_an_error_where_rows_are_far_is_no_error_everywhere(far: float, one: boo
     covariance = sd[:, None, None] ** 2 * np.eye(3)
     error = 5.0 * sd[:, None] * rng.standard_normal((400, 3))
     left = LeftOut(error, covariance, np.ones(400), amid)
-    alike, structure = left.explain(1e-10 * np.eye(3))
+    alike, structure = left.find_least_errors(1e-10 * np.eye(3))
     inside = np.linalg.norm(error, axis=1) <= sizes(alike * covariance + structure)[1]
     assert (alike == 1.0) is one
     assert 0.9 <= inside.mean() < 0.95
@@ -109,6 +109,6 @@ def test_errors_that_nothing_explains_are_at_worst_those_amid() -> None:
     error = np.full((40, 3), 1e-4)
     error[20:] = 1.0
     left = LeftOut(error, np.zeros((40, 3, 3)), np.ones(40), np.arange(40) < 20)
-    alike, structure = left.explain(1e-10 * np.eye(3))
+    alike, structure = left.find_least_errors(1e-10 * np.eye(3))
     assert alike > 40.0
     assert np.trace(structure) == pytest.approx(3e-8)

@@ -74,8 +74,8 @@ def test_every_axis_counts_its_own_freedom() -> None:
 def test_six_poses_that_can_be_fitted_exactly_keep_a_noise() -> None:
     """By a noise of nothing no prior would count, and rows held out would be met exactly too."""
     found = diagnose(ARM, session([drives.JointGain(at(2, 0.02))], n=6, seed=3))
-    assert (found.fit.judged["sigma"] > SIGMA / 4).all()
-    assert (found.fit.judged["sigma"] < SIGMA * 4).all()
+    assert (found.fit.noise_arguments["sigma"] > SIGMA / 4).all()
+    assert (found.fit.noise_arguments["sigma"] < SIGMA * 4).all()
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,9 @@ def test_rows_that_count_as_one_leave_the_parameters_less_known(
     monkeypatch.setattr(uncertainties, "possible_compliances", lambda arm, held: ())
     fitted, spread = calibrated(session([ZEROS], n=60)), []
     for alike in (1.0, 9.0):
-        monkeypatch.setattr(LeftOut, "explain", lambda self, noise, n=alike: (n, np.zeros((3, 3))))
+        monkeypatch.setattr(
+            LeftOut, "find_least_errors", lambda self, noise, n=alike: (n, np.zeros((3, 3)))
+        )
         factor = measure_uncertainty(fitted).factor
         spread.append(np.linalg.norm(fitted.columns[:, :3] @ factor, axis=(1, 2)))
     assert np.median(spread[1] / spread[0]) == pytest.approx(3.0, rel=0.1)

@@ -181,8 +181,8 @@ def test_steps_are_found_where_the_poses_stand_between_two() -> None:
     servos = tuple(ServoQuantisation(joint=j, steps_per_turn=180) for j in (1, 2, 4))
     xyz = Model(ARM, servos).tip(q) + SIGMA * rng.standard_normal((150, 3))
     found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
-    assert [t.where for t in found.search.chosen] == ["joint 4"]
-    assert found.search.chosen[0].steps_per_turn == 180  # type: ignore[union-attr]
+    assert [t.where for t in found.search.chosen_terms] == ["joint 4"]
+    assert found.search.chosen_terms[0].steps_per_turn == 180  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.long), 10])

@@ -35,9 +35,9 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     softer = Candidate("link_stiffness", (LinkStiffness(beam=DEMO.links[-1].name),))
     columns = FitColumns(fitted)
     marginal = Marginal(fitted.design, fitted.data + fitted.whiten_columns(rigid[..., None])[:, 0])
-    white = fitted.whiten_columns(columns.of(softer.terms))[:, 0]
+    white = fitted.whiten_columns(columns.prior_columns(softer.terms))[:, 0]
     u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
-    s, t = white @ marginal.project(white), white @ marginal.py
+    s, t = white @ marginal.project(white), white @ marginal.projected_data
     log = u * t - 0.5 * u * u * (1.0 + s)
     whole = np.trapezoid(np.exp(log - log.max()), u) / np.trapezoid(np.exp(-0.5 * u * u), u)
     (found,) = evidence_of_each(fitted, marginal, [softer])
@@ -50,8 +50,8 @@ def test_columns_are_computed_once_and_go_with_their_fit() -> None:
         Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4)
     )
     softer = (LinkStiffness(beam=DEMO.links[-1].name),)
-    first = FitColumns(fitted).white(softer)
-    assert FitColumns(fitted).white(softer) is first
+    first = FitColumns(fitted).white_columns(softer)
+    assert FitColumns(fitted).white_columns(softer) is first
     gone = weakref.ref(fitted)
     gc.collect()
     gc.disable()

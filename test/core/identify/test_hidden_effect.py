@@ -135,14 +135,14 @@ def test_the_smallest_visible_size_is_between_unseen_and_found() -> None:
     options = [c for c in nothing.search.candidates if c.name == "joint_gain"]
     smallest = next(
         d
-        for d in find_smallest_sizes(nothing.search.fit, options, nothing.search.need)
+        for d in find_smallest_sizes(nothing.search.fit, options, nothing.search.needed_evidence)
         if d.candidate.where == ("joint 2",)
     )
     prior = smallest.candidate.slots(ARM)[0].parameter.prior
     for factor, seen in ((0.4, False), (2.0, True)):
         size = factor * smallest.size * prior
         found = diagnose(ARM, session([drives.JointGain(at(2, size))]), kinds=(JointGain,))
-        assert bool(found.search.chosen) == seen
+        assert bool(found.search.chosen_terms) == seen
 
 
 # 9

@@ -78,7 +78,7 @@ def test_all_else_is_less_off_than_what_gives_way_however_many_forms_and_names_i
     white, by_slack = background_columns(
         columns, offered, [ModelTolerance(0.01, share) for share in (1.0, 16.0)]
     )
-    np.testing.assert_allclose(white, columns.white(every))
+    np.testing.assert_allclose(white, columns.white_columns(every))
     elastic = {t.key: t.elastic for t in every}
     for times, sizes in zip((1.0, 16.0), by_slack, strict=True):
         of_place: dict[tuple[object, str], float] = {}

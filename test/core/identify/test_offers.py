@@ -67,7 +67,7 @@ def test_every_name_is_as_likely_and_functions_have_a_twentieth() -> None:
     assert len(forms) > 1
     assert len({o.log_prior for o in forms}) == 1
     assert bank.known == ()
-    assert bank.standing == pytest.approx(bank.base)
+    assert bank.evidence_of_known == pytest.approx(bank.base)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,7 +86,7 @@ def test_an_offer_pays_for_its_form_and_keeps_to_its_bounds() -> None:
     tried = [Candidate(t.name, (t,)) for t in (odd, SmallGain(2))]
     bank = make_offers(fitted, tried, (), (), [ModelTolerance(0.01, False)])[0].bank
     assert bank.offers[0].log_prior == pytest.approx(math.log(0.95 / 2) - odd.price(DEMO))
-    (k,) = bank.offers[1].places
+    (k,) = bank.offers[1].column_numbers
     assert (bank.lower[k], bank.upper[k]) == (pytest.approx(-0.2), pytest.approx(0.4))
 
 
@@ -106,11 +106,11 @@ def test_what_is_in_the_model_is_weighed_as_if_it_were_not() -> None:
     bank = make_offers(fitted, kinds, (), (found,), [ModelTolerance(0.0, False)])[0]
     (known,) = bank.known
     assert bank.bank.offers[known].keys == (found.terms[0].key,)
-    assert bank.standing > bank.base + 100.0
-    explained = bank.explain()
+    assert bank.evidence_of_known > bank.base + 100.0
+    explained = bank.find_best()
     assert [t.where for f in explained.found for t in f.terms] == ["joint 5"]
     assert explained.found[0].terms[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
-    assert explained.evidence == pytest.approx(bank.standing, abs=0.5)
+    assert explained.evidence == pytest.approx(bank.evidence_of_known, abs=0.5)
 
 
 def test_a_form_that_moved_off_the_library_stays_on_offer() -> None:
@@ -143,14 +143,14 @@ def test_what_every_arm_has_is_there_and_no_finding() -> None:
     columns, leaning = FitColumns(fitted), Candidate("gravity_direction", (GravityDirection(),))
     usual = tolerance_columns(fitted, [leaning], (), ModelTolerance(0.1, False))
     size = 5e-3 / prior_widths(leaning.slots(DEMO))
-    lean = fitted.whiten_columns(columns.of(leaning.terms) * size)
+    lean = fitted.whiten_columns(columns.prior_columns(leaning.terms) * size)
     np.testing.assert_allclose(usual, lean, atol=1e-9)
     bank = make_offers(fitted, [leaning], (), (), [ModelTolerance(0.1, False)])[0]
     whole = Marginal(np.concatenate([fitted.design, usual], axis=1), fitted.data)
     assert bank.base == pytest.approx(whole.evidence)
     assert (
         bank.bank.gram[0, 0]
-        < 0.9 * (fitted.whiten_columns(columns.of(leaning.terms))[:, 0] ** 2).sum()
+        < 0.9 * (fitted.whiten_columns(columns.prior_columns(leaning.terms))[:, 0] ** 2).sum()
     )
 
 
@@ -159,7 +159,7 @@ def test_what_its_own_form_may_leave_has_less_evidence() -> None:
     fitted, found = planted()
     kinds = list_candidates(DEMO, fitted.session.context(), KINDS).testable
     wide, narrow = (
-        make_offers(fitted, kinds, (), (found,), [ModelTolerance(t, False)])[0].standing
+        make_offers(fitted, kinds, (), (found,), [ModelTolerance(t, False)])[0].evidence_of_known
         for t in (0.1, 0.01)
     )
     assert wide < narrow
@@ -190,7 +190,7 @@ def judged(
 ) -> dict[str, FoundEffect]:
     """By name, with forms that err by any of some shares."""
     banks = make_offers(fitted, kinds, (), found, [ModelTolerance(t, False) for t in tried])
-    again, _ = max(banks, key=lambda b: b.standing).judge(found, banks)
+    again, _ = max(banks, key=lambda b: b.evidence_of_known).judge_found(found, banks)
     return {f.name: f for f in again}
 
 
@@ -223,7 +223,7 @@ def test_so_do_those_that_stand_in_the_place_of_another() -> None:
     names = len({c.name for c in kinds})  # every name is as likely as any other
     both = 2 * twin.names["joint_compliance"] / twin.names["twin"] * names
     assert both == pytest.approx(alone["joint_compliance"] / alone["twin"] * (names - 1), rel=1e-3)
-    for made in (twin, twin.against({"joint_compliance": -0.5})[0]):
+    for made in (twin, twin.compare_with({"joint_compliance": -0.5})[0]):
         chances = made.names
         assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
     assert chances["joint_compliance"] / chances["twin"] == pytest.approx(np.exp(-0.5) / 2)
@@ -262,11 +262,11 @@ def test_what_a_larger_error_of_a_form_explains_is_in_doubt() -> None:
     narrow = make_offers(fitted, (), (), (found,), [ModelTolerance(0.01, False)])[0]
     of = narrow.bank
     blind = OfferBank(of.offers, 0 * of.gram, 0 * of.along, of.lower, of.upper)
-    wide = dataclasses.replace(narrow, bank=blind, base=narrow.standing - 1.0)
-    ((alone,), _) = narrow.judge((found,), [narrow])
-    ((doubted,), _) = narrow.judge((found,), [narrow, wide])
-    assert alone.there > 0.999
-    assert doubted.there == pytest.approx(expit(1.0))
+    wide = dataclasses.replace(narrow, bank=blind, base=narrow.evidence_of_known - 1.0)
+    ((alone,), _) = narrow.judge_found((found,), [narrow])
+    ((doubted,), _) = narrow.judge_found((found,), [narrow, wide])
+    assert alone.presence > 0.999
+    assert doubted.presence == pytest.approx(expit(1.0))
 
 
 def test_a_row_at_a_threshold_says_nothing_of_its_side() -> None:
@@ -349,7 +349,7 @@ def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
     )
     (term,) = next(p.terms for p in propose_functions(fitted, ()) if len(p.terms) == 1)
     inside = fitted.weights > 0
-    white = FitColumns(fitted).of([term])[inside, :, 0] / fitted.sigma
+    white = FitColumns(fitted).prior_columns([term])[inside, :, 0] / fitted.sigma
     assert np.sqrt((white**2).sum() / inside.sum()) == pytest.approx(1.0, rel=0.02)
 
 

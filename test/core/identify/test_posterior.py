@@ -52,7 +52,7 @@ def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.
     sizes, chances = (1.0, 4.0), (math.log(0.6), math.log(0.4))
     upper = np.array([0.4, np.inf, np.inf])
     offer = single("a", 0, sizes=sizes, chances=chances)
-    found = bank(y, columns, [offer], upper).single(columns.T @ y, Others())
+    found = bank(y, columns, [offer], upper).compute_single_effect(columns.T @ y, Others())
     b = np.linspace(-40.0, 0.4, 400_001)
     likelihood = b * (columns[:, 0] @ y) - 0.5 * b * b * (columns[:, 0] @ columns[:, 0])
     odds = 0.0
@@ -63,7 +63,7 @@ def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.
         )
     odds *= 0.1 * math.exp(-NONE)
     assert 0.1 < odds < 10.0
-    assert found.there / (1.0 - found.there) == pytest.approx(odds, rel=0.02)
+    assert found.presence / (1.0 - found.presence) == pytest.approx(odds, rel=0.02)
     assert found.mean[0] <= 0.4
 
 
@@ -95,7 +95,7 @@ def test_the_joint_evidence_is_that_of_the_integral_with_priors_paid(across: np.
         single("large", 3, **more),
     ]
     of = bank(y, across, offers, upper)
-    evidence, values = of.joint(offers)
+    evidence, values = of.solve_together(offers)
     expected = across[:, 0] @ y - 0.5 * across[:, 0] @ across[:, 0]
     expected += integral(y, across[:, 1], 1.0, 0.8) + math.log(0.7)
     expected += integral(y, across[:, 2], 1.0) + math.log(0.7)
@@ -154,8 +154,8 @@ def test_functions_at_one_place_are_one_cause(across: np.ndarray) -> None:
     assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.again)
     assert there == pytest.approx(alone + math.log(0.5) - math.log(30 / 3))
     others = Others(*(frozenset({each}) for each in (2, 1, "no name", "joint 1")))
-    beside = of.single(x.T @ y, others)
-    assert beside.q[0] / (1.0 - beside.there) == pytest.approx(math.exp(there))
+    beside = of.compute_single_effect(x.T @ y, others)
+    assert beside.q[0] / (1.0 - beside.presence) == pytest.approx(math.exp(there))
 
 
 @pytest.mark.parametrize(("angle", "named"), [(0.02, True), (0.04, False)])
@@ -185,10 +185,12 @@ def test_what_is_there_whole_is_taken_off_before_the_rest(across: np.ndarray) ->
 def test_a_single_effect_that_is_whole_has_the_odds_of_its_likelihood(across: np.ndarray) -> None:
     y = 0.55 * across[:, 0] + 0.1 * across[:, 1]
     whole = single("whole", 0, fixed=True)
-    found = bank(y, across[:, :1], [whole], UNBOUND[:1]).single(across[:, :1].T @ y, Others())
+    found = bank(y, across[:, :1], [whole], UNBOUND[:1]).compute_single_effect(
+        across[:, :1].T @ y, Others()
+    )
     log_odds = 0.55 * 81.0 - 0.5 * 81.0 + math.log(0.1) - NONE
-    assert math.log(found.there / (1.0 - found.there)) == pytest.approx(log_odds, abs=1e-6)
-    assert found.mean[0] == pytest.approx(found.there)
+    assert math.log(found.presence / (1.0 - found.presence)) == pytest.approx(log_odds, abs=1e-6)
+    assert found.mean[0] == pytest.approx(found.presence)
 
 
 def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarray) -> None:
@@ -202,10 +204,10 @@ def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarra
     assert gap == pytest.approx(math.log(3.0))
     rest = of.along - of.gram @ [2.0, 0.0]
     a = frozenset({"a"})
-    beside = of.single(rest, Others(held=a, names=a))
+    beside = of.compute_single_effect(rest, Others(held=a, names=a))
     assert beside.q[1] == pytest.approx(3.0 * beside.q[2])
     assert beside.q[0] == 0.0
-    shut = of.single(rest, Others(frozenset({1}), a, a))
+    shut = of.compute_single_effect(rest, Others(frozenset({1}), a, a))
     assert shut.q[1] == 0.0
     assert shut.q[2] == pytest.approx(1.0 / 5.0, abs=0.01)
 
@@ -232,7 +234,7 @@ def test_a_restart_leaves_a_local_optimum() -> None:
     y = 3.0 * x[:, 0] + 3.0 * x[:, 1] + rng.standard_normal(100)
     offers = [single(n, k) for k, n in enumerate(("one", "two", "sum"))]
     found = find_explanation(bank(y, x, offers, UNBOUND[:3]))
-    assert {o.name for o in found.chosen} == {"one", "two"}
+    assert {o.name for o in found.offers} == {"one", "two"}
 
 
 def test_what_is_known_stays_where_it_is_better() -> None:
@@ -253,7 +255,7 @@ def test_the_best_explanation_is_that_of_all_subsets() -> None:
     offers = [single(f"n{k}", k) for k in range(5)]
     of = bank(y, x, offers, UNBOUND[:5])
     best = max((s for n in range(4) for s in itertools.combinations(offers, n)), key=of.evidence)
-    assert {o.name for o in find_explanation(of).chosen} == {o.name for o in best} == {"n1", "n4"}
+    assert {o.name for o in find_explanation(of).offers} == {o.name for o in best} == {"n1", "n4"}
 
 
 def test_columns_that_are_alike_share_the_probability(columns: np.ndarray) -> None:
@@ -264,7 +266,7 @@ def test_columns_that_are_alike_share_the_probability(columns: np.ndarray) -> No
     )
     assert len(found.effects) == 1
     assert found.effects[0].q[:2] == pytest.approx([0.5, 0.5], abs=0.01)
-    assert found.effects[0].there == pytest.approx(1.0, abs=1e-6)
+    assert found.effects[0].presence == pytest.approx(1.0, abs=1e-6)
 
 
 def test_noise_is_none(columns: np.ndarray) -> None:
@@ -281,7 +283,7 @@ def test_one_form_at_a_place(columns: np.ndarray) -> None:
     """What one effect holds is not on offer to another: a family goes without that place."""
     whole = Offer("a", ("one", "two", "three"), ((0,), (1,), (2,)), 0.0)
     left = whole.beside(frozenset({"two"}))
-    assert left is not None and left.keys == ("one", "three") and left.places == (0, 2)
+    assert left is not None and left.keys == ("one", "three") and left.column_numbers == (0, 2)
     assert whole.beside(frozenset({"one", "two"})) is None
     assert whole.beside(frozenset({"four"})) is whole
 
@@ -310,9 +312,9 @@ def explained(arm: Arm, seed: int, *planted: object) -> ExplainedSession:
 
 def test_a_planted_gain_is_found_at_its_joint_with_its_value(arm: Arm) -> None:
     found = explained(arm, 2, JointGain(5, gain=0.04))
-    assert [(t.name, t.where) for t in found.chosen] == [("joint_gain", "joint 5")]
-    assert found.chosen[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
-    assert found.found[0].there > 0.999
+    assert [(t.name, t.where) for t in found.chosen_terms] == [("joint_gain", "joint 5")]
+    assert found.chosen_terms[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
+    assert found.found[0].presence > 0.999
 
 
 def test_what_no_measurement_distinguishes_shares_its_probability(arm: Arm) -> None:

@@ -39,7 +39,7 @@ def looked(rows: Session, arm: Arm = ARM) -> ExplainedSession:
 
 def steps(state: ExplainedSession) -> list[int]:
     """Joints whose steps were found, or offered at last."""
-    terms = [*state.chosen, *(c.terms[0] for c in state.candidates if c.scanned)]
+    terms = [*state.chosen_terms, *(c.terms[0] for c in state.candidates if c.scanned)]
     return [t.joint for t in terms if isinstance(t, ServoQuantisation)]
 
 
@@ -84,7 +84,9 @@ def test_fine_steps_are_found_with_their_size() -> None:
     state = looked(session([drives.ServoQuantisation(at(1, step))], n=400, seed=3))
     assert (ARM.upper[0] - ARM.lower[0]) / step > 1000
     assert steps(state) == [1]
-    assert 2 * math.pi / state.chosen[0].forms["steps_per_turn"] == pytest.approx(step, rel=1e-3)
+    assert 2 * math.pi / state.chosen_terms[0].forms["steps_per_turn"] == pytest.approx(
+        step, rel=1e-3
+    )
 
 
 def test_on_few_levels_a_step_is_not_looked_for() -> None:
@@ -114,9 +116,9 @@ def test_a_step_that_was_looked_for_pays_for_the_looking() -> None:
     assert listed.price(ARM) == declared.price(ARM) == 0.0
     fitted = looked(session(n=60)).fit
     columns = FitColumns(fitted)
-    marginal = columns.without(())
+    marginal = columns.marginal_without(())
     (found,) = evidence_of_each(fitted, marginal, [Candidate(odd.name, (odd,))])
-    shift = fitted.whiten_columns(columns.shift([odd])[..., None])[:, 0]
+    shift = fitted.whiten_columns(columns.shift_by([odd])[..., None])[:, 0]
     gain = marginal.project(shift) @ (marginal.y - 0.5 * shift)
     assert found == pytest.approx(gain - odd.price(ARM))
 

@@ -156,11 +156,11 @@ def test_an_explanation_without_a_name_takes_its_share_of_the_name() -> None:
     """Of odds of 1 to 4 a fifth, of its other names too; and what is there in its place gets it."""
     found = single(CameraDrift(), 1.0, ("discovered", 0.1), ("base_settling", 0.3))
     other = single(Discovered("joint 2", "turn z", "linear(q2)", "q2 0..1"), 1.0)
-    doubted = found.with_doubt(other, math.log(0.25))
+    doubted = found.add_rival(other, math.log(0.25))
     assert doubted.names == pytest.approx(
         {"camera_drift": 0.48, "base_settling": 0.24, "discovered": 0.28}
     )
     assert [r.name for r in doubted.rivals] == ["discovered", "base_settling"]
     assert sum(doubted.names.values()) == pytest.approx(1.0)
-    new = single(CameraDrift(), 1.0).with_doubt(other, 0.0)
+    new = single(CameraDrift(), 1.0).add_rival(other, 0.0)
     assert new.names == pytest.approx({"camera_drift": 0.5, "discovered": 0.5})

@@ -55,10 +55,12 @@ def test_the_odds_of_the_rows_alone_are_half_the_square_of_what_nothing_else_exp
     values = np.array([s.value for s in own]) / prior_widths(tuple(own))
     columns = FitColumns(fitted)
     rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
-    alone = columns.without(keys)
-    beside = columns.white(rival.candidate.terms)
+    alone = columns.marginal_without(keys)
+    beside = columns.white_columns(rival.candidate.terms)
     besides = Marginal(np.concatenate([alone.a, beside], axis=1), alone.y)
-    left = besides.normal((columns.white([s.owner for s in own]) @ values)[:, None])[0]
+    left = besides.project_products(
+        (columns.white_columns([s.owner for s in own]) @ values)[:, None]
+    )[0]
     assert asked(0).log_bayes_factor == pytest.approx(0.5 * float(left[0, 0]), rel=1e-5)
 
 

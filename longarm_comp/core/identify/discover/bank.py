@@ -19,7 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
@@ -103,7 +103,7 @@ class Bank:
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
-    def evidences(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
+    def log_odds_of(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
         """Return the (C,) log odds of candidates on top of a marginal, on all rows, priors
         included."""
         made = np.array([h.log_prior for h in listed])
@@ -111,15 +111,19 @@ class Bank:
         for count in np.unique(counts).tolist():
             alike = np.flatnonzero(counts == count)
             for portion in np.array_split(alike, max(len(alike) * count // SHORTLIST, 1)):
-                made[portion] += self._worth(marginal, [listed[n] for n in portion.tolist()])
+                made[portion] += self._evidence_of_alike(
+                    marginal, [listed[n] for n in portion.tolist()]
+                )
         return made
 
-    def _worth(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
+    def _evidence_of_alike(
+        self, marginal: Marginal, listed: Sequence[FunctionCandidate]
+    ) -> np.ndarray:
         """Return the (C,) log evidence of candidates that all have the same number of members."""
         count = len(listed[0].members)
-        white = self._white([member for h in listed for member in h.members])
-        unit = white * (np.concatenate([h.decay for h in listed]) / self._rms(white))
-        t = (marginal.py @ unit).reshape(len(listed), count)
+        white = self._white_columns([member for h in listed for member in h.members])
+        unit = white * (np.concatenate([h.decay for h in listed]) / self._rms_shift(white))
+        t = (marginal.projected_data @ unit).reshape(len(listed), count)
         several = unit.reshape(len(unit), len(listed), count).transpose(1, 2, 0)
         projected = marginal.project(unit).reshape(len(unit), len(listed), count)
         s = several @ projected.transpose(1, 0, 2)
@@ -127,23 +131,24 @@ class Bank:
         z = np.einsum("cij,ci->cj", turned, t)
         return _average_amplitudes(_evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
-    def sizes(self, candidate: FunctionCandidate) -> np.ndarray:
+    def unit_shifts(self, candidate: FunctionCandidate) -> np.ndarray:
         """Return the (r,) rms shift of the rows by a unit of each column, in units of the noise."""
-        return self._rms(self._white(candidate.members))
+        return self._rms_shift(self._white_columns(candidate.members))
 
-    def _white(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
+    def _white_columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
         """Return the (dM, r) columns per unit at the M inliers, in units of the noise."""
         made = [
-            self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
+            self.units[:, :, self._number[p]] * self.functions.values_of(f)[:, None]
+            for p, f in members
         ]
         columns = np.stack(made, axis=-1) * channel_weights(self.fit)[..., None]
         return columns[self.fit.weights > 0].reshape(-1, len(members))
 
-    def _rms(self, white: np.ndarray) -> np.ndarray:
+    def _rms_shift(self, white: np.ndarray) -> np.ndarray:
         rows = max(len(white) // self.fit.width, 1)
         return np.asarray(np.sqrt(np.maximum((white**2).sum(0) / rows, 1e-300)))
 
-    def shortlist(
+    def shortlist_candidates(
         self, kept: np.ndarray, left: Sequence[np.ndarray]
     ) -> list[list[list[FunctionCandidate]]]:
         """Return the best candidates of every kind by a first look, for each residual in `left`.
@@ -152,8 +157,7 @@ class Bank:
             kept: (p,) mask of the fit's columns that no candidate may stand for.
             left: residuals (N, d), whitened, of the fit or of a part of it.
         """
-        rows = np.flatnonzero(self.fit.weights > 0)
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int))]
+        rows = choose_evenly(np.flatnonzero(self.fit.weights > 0), MOST_ROWS)
         white = (self.units * channel_weights(self.fit)[..., None])[rows].astype(np.float32)
         values = self.functions.values[rows]
         size = np.sqrt((values**2).mean(axis=0))
@@ -166,7 +170,9 @@ class Bank:
         for whole in left:
             t = np.einsum("nc,nck->kn", whole[rows].astype(np.float32), white) @ values
             each = _evidence_by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
-            made.append(list(self._best(np.where(usable, _average_amplitudes(each), -np.inf))))
+            made.append(
+                list(self._best_of_kinds(np.where(usable, _average_amplitudes(each), -np.inf)))
+            )
         return made
 
     def _squares_taken_by_fit(
@@ -188,7 +194,7 @@ class Bank:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return np.stack(list(pool.map(squares, turned)))
 
-    def _best(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
+    def _best_of_kinds(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
         """Yield the best candidates of every kind.
 
         Args:
@@ -197,36 +203,40 @@ class Bank:
         """
         alone = [g.functions[0] for g in self._single]
         for sharp in (False, True):
-            prior = [self._prior(g) if g.family.sharp == sharp else -np.inf for g in self._single]
+            prior = [
+                self._log_prior(g) if g.family.sharp == sharp else -np.inf for g in self._single
+            ]
             best = _largest_entries(worth[:, alone] + np.array(prior))
-            yield [self._candidate([(k, alone[n])], self._single[n]) for k, n in best]
+            yield [self._make_candidate([(k, alone[n])], self._single[n]) for k, n in best]
         several = []
         for family in dict.fromkeys(g.family for g in self._several):
             groups = [g for g in self._several if g.family == family]
-            grouped = [_sum_evidence(worth[:, g.functions].T) + self._prior(g) for g in groups]
+            grouped = [_sum_evidence(worth[:, g.functions].T) + self._log_prior(g) for g in groups]
             for n, k in _largest_entries(np.stack(grouped)):
-                several.append(self._candidate([(k, f) for f in groups[n].functions], groups[n]))
+                several.append(
+                    self._make_candidate([(k, f) for f in groups[n].functions], groups[n])
+                )
         yield several
-        prior = [self._prior(g) for g in self._single]
+        prior = [self._log_prior(g) for g in self._single]
         vectors = np.array([_sum_evidence(worth[ks]) for ks in self._vectors]).reshape(
             -1, len(worth.T)
         )
         yield [
-            self._candidate([(k, alone[n]) for k in self._vectors[v]], self._single[n])
+            self._make_candidate([(k, alone[n]) for k in self._vectors[v]], self._single[n])
             for v, n in _largest_entries(vectors[:, alone] + np.array(prior))
         ]
         every = self.functions.each_joint if self._axes else []
         at = ([(self._axes[j], f) for j, f in joints] for joints in every)
         seen = ([(k, f) for k, f in joints if np.isfinite(worth[k, f])] for joints in at)
-        yield [self._candidate(joints, None) for joints in seen if len(joints) > 1]
+        yield [self._make_candidate(joints, None) for joints in seen if len(joints) > 1]
         own = self.functions.own_joint if self._axes else {}
         yield [
-            self._candidate([(self._axes[j], f) for f in group.functions], group)
+            self._make_candidate([(self._axes[j], f) for f in group.functions], group)
             for j, group in own.items()
             if np.isfinite(worth[self._axes[j], list(group.functions)]).any()
         ]
 
-    def _candidate(
+    def _make_candidate(
         self, members: Sequence[tuple[int, int]], group: FunctionGroup | None
     ) -> FunctionCandidate:
         """Make a candidate from numbers of components and functions.
@@ -238,9 +248,9 @@ class Bank:
             prior = -math.log(len(FunctionFamily) * len(self.functions.each_joint))
             return FunctionCandidate(named, (1.0,) * len(named), prior)
         decay = group.decay if len(group.decay) == len(named) else (1.0,) * len(named)
-        return FunctionCandidate(named, decay, self._prior(group))
+        return FunctionCandidate(named, decay, self._log_prior(group))
 
-    def _prior(self, group: FunctionGroup) -> float:
+    def _log_prior(self, group: FunctionGroup) -> float:
         """Return the log prior of a group of functions at one component; half is for single
         components."""
         if group.family is FunctionFamily.OWN_JOINT:
@@ -309,7 +319,7 @@ def marginalise_columns(
     columns = np.concatenate([flatten_design(design)[:, kept], beside], axis=1)
     marginal = Marginal(columns, data[inside].ravel())
     left = np.zeros(data.shape)
-    left[inside] = marginal.py.reshape(-1, data.shape[1])
+    left[inside] = marginal.projected_data.reshape(-1, data.shape[1])
     return marginal, left
 
 

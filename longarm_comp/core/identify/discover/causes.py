@@ -100,7 +100,7 @@ def _describe_cause(fit: ModelFit, found: FoundEffect) -> Cause:
         tuple(dict.fromkeys(s.of for t in terms for s in t.of.factors)),
         tuple(Coefficient(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
         found.log_bayes_factor,
-        found.there,
+        found.presence,
         (float(np.sqrt((size**2).mean())), float(size.max())),
         all(t.commandable for t in terms),
     )

@@ -114,7 +114,7 @@ class Functions:
         self._values: list[np.ndarray] = []
         self._shapes: dict[Shape, np.ndarray] = {}
         self._numbers: dict[Function, int] = {}
-        self._make()
+        self._add_every_family()
 
     @cached_property
     def counts(self) -> Counter[FunctionFamily]:
@@ -126,28 +126,30 @@ class Functions:
         """(N, G) values of all functions."""
         return np.stack(self._values, axis=1)
 
-    def number(self, *factors: Shape) -> int:
+    def add_function(self, *factors: Shape) -> int:
         """Return the number of a product of shapes; add it if it is new."""
         made = Function(factors)
         if made not in self._numbers:
             self._numbers[made] = len(self.listed)
             self.listed.append(made)
-            self._values.append(self.of(made))
+            self._values.append(self.values_of(made))
         return self._numbers[made]
 
-    def of(self, made: Function) -> np.ndarray:
+    def values_of(self, made: Function) -> np.ndarray:
         """Return the (N,) values of any function of the inputs."""
         values = np.ones(len(self.inputs.all[0].values)) if self.inputs.all else np.ones(0)
         for factor in made.factors:
-            values = values * self._at(factor)
+            values = values * self._values_of_shape(factor)
         return values
 
-    def _at(self, shape: Shape) -> np.ndarray:
+    def _values_of_shape(self, shape: Shape) -> np.ndarray:
         if shape not in self._shapes:
             self._shapes[shape] = np.asarray(shape.at(self.inputs.by_name[shape.of].values))
         return self._shapes[shape]
 
-    def _group(self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()) -> None:
+    def _add_group(
+        self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()
+    ) -> None:
         of = {n: self.listed[n].quantities for n in numbers}
         kept = dict(zip(numbers, decay or [1.0] * len(numbers), strict=True))
         if self._of is not None:
@@ -156,43 +158,49 @@ class Functions:
             rare = sum(not q.plain for q in {q for n in kept for q in of[n]})
             self.groups.append(FunctionGroup(family, tuple(kept), tuple(kept.values()), rare))
 
-    def _make(self) -> None:
+    def _add_every_family(self) -> None:
         inputs = self.inputs.all
         own = {f"q{j + 1}": j for j in range(self.inputs.joints)}
-        self._group(FunctionFamily.CONSTANT, self.number())
+        self._add_group(FunctionFamily.CONSTANT, self.add_function())
         for one in inputs:
-            self._group(FunctionFamily.LINEAR, self.number(_make_linear(one)))
+            self._add_group(FunctionFamily.LINEAR, self.add_function(_make_linear(one)))
         for one in inputs:
             if not one.curves:
                 continue
             for kind in (Square, SignedSquare):
                 if (kind is Square and not one.far) or one.low < 0 < one.high:
-                    self._group(FunctionFamily.SQUARE, self.number(kind(*one.domain)))
+                    self._add_group(FunctionFamily.SQUARE, self.add_function(kind(*one.domain)))
             for order in list_orders(one):
-                pair = [self.number(kind(*one.domain, order)) for kind in (Cosine, Sine)]
-                self._group(FunctionFamily.WAVE, *pair)
+                pair = [self.add_function(kind(*one.domain, order)) for kind in (Cosine, Sine)]
+                self._add_group(FunctionFamily.WAVE, *pair)
             top = min(ORDERS, one.levels - 2)
             if top > 1:
-                some = [self.number(Legendre(*one.domain, n)) for n in range(1, top + 1)]
+                some = [self.add_function(Legendre(*one.domain, n)) for n in range(1, top + 1)]
                 decay = [1.0 / n for n in range(1, top + 1)]
-                self._group(FunctionFamily.SMOOTH, *some, decay=decay)
+                self._add_group(FunctionFamily.SMOOTH, *some, decay=decay)
                 if one.name in own:
                     falls = tuple(ANALYTIC ** (n - 1) for n in range(1, top + 1))
                     self.own_joint[own[one.name]] = FunctionGroup(
                         FunctionFamily.OWN_JOINT, tuple(some), falls
                     )
             for threshold in list_thresholds(one):
-                self._group(FunctionFamily.SWITCH, self.number(make_switch(one, threshold)))
+                self._add_group(
+                    FunctionFamily.SWITCH, self.add_function(make_switch(one, threshold))
+                )
                 for side in (Above, Below):
-                    self._group(FunctionFamily.CONTACT, self.number(side(*one.domain, threshold)))
+                    self._add_group(
+                        FunctionFamily.CONTACT, self.add_function(side(*one.domain, threshold))
+                    )
         for a, b in combinations(inputs, 2):
-            self._group(FunctionFamily.PRODUCT, self.number(_make_linear(a), _make_linear(b)))
+            self._add_group(
+                FunctionFamily.PRODUCT, self.add_function(_make_linear(a), _make_linear(b))
+            )
         plain = (i for i in inputs if i.name.startswith("q") or i.name in self.inputs.shared)
         for a, b in combinations([i for i in plain if i.levels > 1], 2):
-            self._smooth_pair(a, b)
-        self._each_joint()
+            self._add_smooth_pair(a, b)
+        self._add_each_joint()
 
-    def _each_joint(self) -> None:
+    def _add_each_joint(self) -> None:
         """Add for all joints together an input of each joint times an input that all joints
         share."""
         held = self.inputs.by_name
@@ -200,11 +208,13 @@ class Functions:
         for shared in (held[name] for name in self.inputs.shared):
             for word in OWN:
                 of = [(j, held[f"{word}{j + 1}"]) for j in joints if f"{word}{j + 1}" in held]
-                made = [(j, self.number(_make_linear(own), _make_linear(shared))) for j, own in of]
+                made = [
+                    (j, self.add_function(_make_linear(own), _make_linear(shared))) for j, own in of
+                ]
                 if len(made) > 1:
                     self.each_joint.append(tuple(made))
 
-    def _smooth_pair(self, a: Argument, b: Argument) -> None:
+    def _add_smooth_pair(self, a: Argument, b: Argument) -> None:
         """Add a smooth function of two inputs: joint positions, or inputs that all joints share."""
         numbers, decay = [], []
         for i in range(TOTAL + 1):
@@ -214,10 +224,10 @@ class Functions:
                 if (i > 1 and not a.curves) or (j > 1 and not b.curves):
                     continue
                 factors = [Legendre(*one.domain, n) for one, n in ((a, i), (b, j)) if n]
-                numbers.append(self.number(*factors))
+                numbers.append(self.add_function(*factors))
                 decay.append(1.0 / (i + j))
         if len(numbers) > 3:
-            self._group(FunctionFamily.SMOOTH_PAIR, *numbers, decay=decay)
+            self._add_group(FunctionFamily.SMOOTH_PAIR, *numbers, decay=decay)
 
 
 def _make_linear(one: Argument) -> Shape:

@@ -33,14 +33,14 @@ class Explanation:
     effects: tuple[SingleEffect, ...]
 
     @cached_property
-    def chosen(self) -> tuple[Offer, ...]:
+    def offers(self) -> tuple[Offer, ...]:
         """The most probable offer of each effect."""
         return tuple(e.offer for e in self.effects)
 
     @cached_property
     def evidence(self) -> float:
         """Log evidence of the chosen offers together, their priors included."""
-        return self.bank.evidence(self.chosen)
+        return self.bank.evidence(self.offers)
 
 
 def find_explanation(
@@ -83,10 +83,10 @@ def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
     """Return some offers as certain effects, with the coefficients that they have together."""
     offers = [bank.offers[n] for n in known]
     made = []
-    for n, offer, values in zip(known, offers, bank.joint(offers)[1], strict=True):
+    for n, offer, values in zip(known, offers, bank.solve_together(offers)[1], strict=True):
         q, mean = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
         q[n] = 1.0
-        np.add.at(mean, list(offer.places), values)
+        np.add.at(mean, list(offer.column_numbers), values)
         made.append(SingleEffect(bank.offers, q, mean))
     return made
 
@@ -100,7 +100,7 @@ def _add_effects(
         count = len(effects)
         none = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
         effects.append(SingleEffect(bank.offers, *none))
-        effects = [e for e in _sweep_effects(bank, effects, shut) if e.there > 0.5]
+        effects = [e for e in _sweep_effects(bank, effects, shut) if e.presence > 0.5]
         if len(effects) <= count:
             break
     return Explanation(bank, tuple(effects))
@@ -116,7 +116,7 @@ def _sweep_effects(
             was = effects[k]
             rest = taken - was.mean
             others = Others.of([*effects[:k], *effects[k + 1 :]], shut)
-            now = bank.single(bank.along - bank.gram @ rest, others)
+            now = bank.compute_single_effect(bank.along - bank.gram @ rest, others)
             moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
             effects[k], taken = now, rest + now.mean
         if moved < UNLIKELY:
@@ -126,5 +126,5 @@ def _sweep_effects(
 
 def _drop_superfluous(found: Explanation) -> Explanation:
     """Drop effects that the others make superfluous, the least first."""
-    kept = found.bank.worth_their_price(found.chosen)
+    kept = found.bank.worth_their_price(found.offers)
     return Explanation(found.bank, tuple(found.effects[k] for k in kept))

@@ -47,12 +47,12 @@ class ExplainedSession:
     linear: Resampling | None = None
 
     @property
-    def chosen(self) -> tuple[Term, ...]:
+    def chosen_terms(self) -> tuple[Term, ...]:
         """The terms in the model, as they were offered."""
         return tuple(t for f in self.found for t in f.terms)
 
     @property
-    def need(self) -> float:
+    def needed_evidence(self) -> float:
         """Log Bayes factor from which on a candidate is more likely there than not."""
         return NONE + math.log(max(len(self.candidates), 1))
 
@@ -80,7 +80,9 @@ def judge_noise_and_fit(
     else:
         first, at = linearise_model(model, session, before.fit), FitColumns(before.fit)
     held = {t.key for f in found for t in f.terms}
-    judged, weights = noise_step.noise_from_residual(first, at.of(distinct_terms(candidates, held)))
+    judged, weights = noise_step.noise_from_residual(
+        first, at.prior_columns(distinct_terms(candidates, held))
+    )
     noise = judged if known is None else noise_step.limit_by_repeats(known, judged)
     fitted = fit_model(
         first.model,
@@ -100,7 +102,7 @@ def drop_idle(fitted: ModelFit) -> ModelFit:
     idle = {e.key for e in model.effects if e.through_others}
     if not idle or any(e.loaded for e in model.effects if e.key not in idle):
         return fitted
-    return fit_model(model.without(idle), fitted.session, near=fitted, **fitted.judged)
+    return fit_model(model.without(idle), fitted.session, near=fitted, **fitted.noise_arguments)
 
 
 def widen_prior(found: FoundEffect) -> FoundEffect:

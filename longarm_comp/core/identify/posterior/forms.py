@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
-from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.identify.discover.functions import DENSE, LOOKS
@@ -57,7 +57,7 @@ def refine_form(
         candidates: their values of the scales are the tried ones.
         moved: other terms of the model, in forms that were found better since it was fitted.
     """
-    marginal = FitColumns(fit).without({t.key for t in (term, *moved)}, moved)
+    marginal = FitColumns(fit).marginal_without({t.key for t in (term, *moved)}, moved)
 
     def evidence(terms: Sequence[Term]) -> np.ndarray:
         each = [Candidate(term.name, (t,)) for t in terms]
@@ -121,7 +121,7 @@ def measure_agreement(fit: ModelFit, residual: np.ndarray) -> float:
 
     No row counts more than one at the limit of an outlier does.
     """
-    white = np.nan_to_num(residual / (fit.uneven(fit.session)[:, None] * fit.sigma))
+    white = np.nan_to_num(residual / (fit.stated_noise_ratio(fit.session)[:, None] * fit.sigma))
     return float(-0.5 * np.minimum((white**2).sum(axis=1), OUTLIER**2).sum())
 
 
@@ -130,14 +130,12 @@ def _agree_by_form(
 ) -> np.ndarray:
     """Return (T,) `measure_agreement` of the rows with each of the other forms `then` of a term."""
     columns = FitColumns(fit)
-    columns.of(then)  # all at once: much faster
+    columns.prior_columns(then)  # all at once: much faster
     fitted = {t.key: t for t in fit.model.terms}
-    rest = fit.residual + shift_of(fit, columns, [now, *(fitted[t.key] for t in moved)])
+    rest = fit.residual + columns.shift_by([now, *(fitted[t.key] for t in moved)])
     if moved:
-        rest = rest - shift_of(fit, columns, moved)
-    return np.array(
-        [measure_agreement(fit, rest - shift_of(fit, columns, [each])) for each in then]
-    )
+        rest = rest - columns.shift_by(moved)
+    return np.array([measure_agreement(fit, rest - columns.shift_by([each])) for each in then])
 
 
 def _set_scales(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:

@@ -17,7 +17,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms
-from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalise_first
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.calibration.plausible import INCREDIBLE
@@ -62,14 +62,14 @@ def make_offers(
         kept = {_variant(f.terms) for f in found}
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
     raw = _stack_columns(fitted, listed)
-    marginal = FitColumns(fitted).without({t.key for f in found for t in f.terms})
+    marginal = FitColumns(fitted).marginal_without({t.key for f in found for t in f.terms})
     beside, sizes = _besides_findings(fitted, library, found, tolerances, near)
     columns = np.concatenate([beside, raw.b], axis=1)
     if counts is not None:
         root = np.sqrt(np.repeat(counts[fitted.weights > 0], fitted.width))
         marginal = Marginal(root[:, None] * marginal.a, root * marginal.y)
         columns = root[:, None] * columns
-    gram, along = marginal.normal(columns)
+    gram, along = marginal.project_products(columns)
     own = gram[beside.shape[1] :, beside.shape[1] :]
     moving, plain = _make_offers_that_move(fitted.model.arm, np.diag(own), raw, listed)
     every = OfferBank(plain, own, along[beside.shape[1] :], raw.lower, raw.upper)
@@ -176,7 +176,7 @@ def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candid
         (c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,)) for c in each
     ]
     raw = _stack_columns(fitted, listed)
-    gram, along = marginal.normal(raw.b)
+    gram, along = marginal.project_products(raw.b)
     kept, offers = _make_offers_that_move(fitted.model.arm, np.diag(gram), raw, listed)
     made = np.zeros(len(listed))
     made[kept] = OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like).scores
@@ -220,7 +220,7 @@ def _besides_findings(
     every = np.ones((len(tolerances), 1))
     usual = [t for t in distinct_terms(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made, sizes = [FitColumns(fitted).white(usual)], [every * shares]
+    made, sizes = [FitColumns(fitted).white_columns(usual)], [every * shares]
     if any(tolerance.compliance for tolerance in tolerances):
         little, size = background_columns(FitColumns(near or fitted), library, tolerances)
         made.append(little)
@@ -228,11 +228,13 @@ def _besides_findings(
     held = {t.key: t for t in fitted.model.terms}
     moving = [held[t.key] for f in found for t in f.terms if t.key in held and t.scales()]
     ends = [e for t in moving for form in np.unique(forms) for e in _scale_ends(t, float(form))]
-    FitColumns(fitted).of([end for pair in ends for end in pair])  # all at once: much faster
+    FitColumns(fitted).prior_columns(
+        [end for pair in ends for end in pair]
+    )  # all at once: much faster
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
-            shift = shift_of(fitted, FitColumns(fitted), terms)
+            shift = FitColumns(fitted).shift_by(terms)
             made.append(fitted.whiten_columns(shift[:, :, None] * ways[:, None, :]))
             sizes.append(forms[:, None] * np.ones(ways.shape[1]))
             for term in terms:
@@ -246,10 +248,10 @@ def _undecided_row_columns(fitted: ModelFit, term: Term, tolerance: float) -> np
     """Return (N, d, k) columns of single rows that a form's tolerance changes by more than its
     share."""
     columns = FitColumns(fitted)
-    largest = np.abs(shift_of(fitted, columns, [term])).max()
+    largest = np.abs(columns.shift_by([term])).max()
     made = []
     for up, down in _scale_ends(term, tolerance):
-        change = (shift_of(fitted, columns, [up]) - shift_of(fitted, columns, [down])) / 2
+        change = (columns.shift_by([up]) - columns.shift_by([down])) / 2
         rows = np.flatnonzero(np.abs(change).max(axis=1) > tolerance * largest)
         alone = np.zeros((*change.shape, len(rows)))
         alone[rows, :, np.arange(len(rows))] = change[rows]
@@ -301,7 +303,7 @@ def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColum
     widths = prior_widths(slots)
     whole = [term for t, term in enumerate(terms) if t not in of_term]
     where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}
-    shifts = [fitted.whiten_columns(columns.shift([term])[..., None]) for term in whole]
+    shifts = [fitted.whiten_columns(columns.shift_by([term])[..., None]) for term in whole]
     most = np.array([INCREDIBLE if s.owner.searched else np.inf for s in slots])
     free = np.full(len(whole), np.inf)
     first: dict[object, int] = {}
@@ -310,7 +312,7 @@ def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColum
         for k, s in enumerate(slots)
     ]
     return _StackedColumns(
-        np.concatenate([columns.white([terms[t] for t in of_term]), *shifts], axis=1),
+        np.concatenate([columns.white_columns([terms[t] for t in of_term]), *shifts], axis=1),
         where,
         np.concatenate([np.maximum([s.parameter.lower for s in slots] / widths, -most), -free]),
         np.concatenate([np.minimum([s.parameter.upper for s in slots] / widths, most), free]),

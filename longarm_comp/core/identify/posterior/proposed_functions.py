@@ -57,7 +57,9 @@ def propose_functions(
     marginals = [_marginalise_without(fit, found, some, library, tolerance) for some in gone]
     ranked: list[list[_Ranked]] = [[] for _ in gone]
     for bank in make_banks(fit):
-        looked = bank.shortlist(_mask_other_columns(fit, found), [left for _, left in marginals])
+        looked = bank.shortlist_candidates(
+            _mask_other_columns(fit, found), [left for _, left in marginals]
+        )
         for (marginal, _), kinds, mine in zip(marginals, looked, ranked, strict=True):
             mine += _rank_bank(bank, marginal, kinds)
     few = SHORTLIST // 2 if found else SHORTLIST
@@ -122,7 +124,7 @@ def _rank_by_odds(
     bank: Bank, marginal: Marginal, few: Sequence[FunctionCandidate]
 ) -> list[tuple[float, FunctionCandidate]]:
     """Return the log odds of each candidate with it, the best first."""
-    worth = bank.evidences(marginal, few).tolist()
+    worth = bank.log_odds_of(marginal, few).tolist()
     return sorted(zip(worth, few, strict=True), key=lambda each: -each[0])
 
 
@@ -139,7 +141,7 @@ def _make_proposed(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction
 
     One prior standard deviation of each moves the rows by one noise, rms, times its decay.
     """
-    scales = np.array(candidate.decay) / bank.sizes(candidate)
+    scales = np.array(candidate.decay) / bank.unit_shifts(candidate)
     terms = tuple(
         make_term(place, f.text, f.domain, float(scale))
         for (place, f), scale in zip(candidate.members, scales, strict=True)

@@ -20,11 +20,7 @@ from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.model_tolerance import (
-    FORMS,
-    TOLERANCES,
-    ModelTolerance,
-)
+from longarm_comp.core.identify.model_tolerance import FORMS, TOLERANCES, ModelTolerance
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.explained import (
     NEAR,
@@ -34,11 +30,7 @@ from longarm_comp.core.identify.posterior.explained import (
     widen_prior,
 )
 from longarm_comp.core.identify.posterior.forms import find_better_forms, measure_agreement
-from longarm_comp.core.identify.posterior.found import (
-    NONE,
-    FoundEffect,
-    ProposedFunction,
-)
+from longarm_comp.core.identify.posterior.found import NONE, FoundEffect, ProposedFunction
 from longarm_comp.core.identify.posterior.offered_effects import (
     IMPOSSIBLE,
     Explained,
@@ -66,12 +58,14 @@ class ExplanationSearch:
     functions: tuple[ProposedFunction, ...] = ()
     nameless: bool = False
 
-    def repeat(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
+    def repeat_until_best(
+        self, state: ExplainedSession, functions: bool = False
+    ) -> ExplainedSession:
         """Explain and fit while that is better; with `functions`, propose new ones each time."""
         for _ in range(ROUNDS):
-            self._scan(state)
+            self._scan_steps(state)
             if functions:
-                tolerance = self.standing(state.fit, state.found)[1]
+                tolerance = self.weigh_tolerances(state.fit, state.found)[1]
                 self.functions = propose_functions(
                     state.fit, state.found, self.candidates, tolerance
                 )
@@ -84,7 +78,7 @@ class ExplanationSearch:
             if taken is None:
                 break
             taken = self._move_forms(taken)
-            if not self._rose(state, taken):
+            if not self._is_better(state, taken):
                 break
             state = taken
         return state
@@ -101,35 +95,37 @@ class ExplanationSearch:
         except JobError:
             return None
 
-    def odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
+    def compare_odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
         """Return the log odds of `other` against `one`: the mean of those at the noise of
         either."""
         made = []
-        for judged in (one.fit.judged, other.fit.judged):
+        for judged in (one.fit.noise_arguments, other.fit.noise_arguments):
             fits = (
                 fit_model(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other)
             )
             mine, theirs = (
-                self.evidence(f, e.found) for f, e in zip(fits, (one, other), strict=True)
+                self.evidence_of_all(f, e.found) for f, e in zip(fits, (one, other), strict=True)
             )
             made.append(theirs - mine)
         return sum(made) / len(made)
 
-    def standing(
+    def weigh_tolerances(
         self, fitted: ModelFit, found: Sequence[FoundEffect]
     ) -> tuple[float, ModelTolerance]:
         """Return the log evidence of an explanation at its best tolerance, and that tolerance."""
         every = self.offer_by_tolerance(fitted, found, others=False)
-        return max((bank.pruned, bank.tolerance) for bank in every)
+        return max((bank.evidence_pruned, bank.tolerance) for bank in every)
 
-    def evidence(self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit) -> float:
+    def evidence_of_all(
+        self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit
+    ) -> float:
         """Return the log evidence of all effects of an explanation in the model.
 
         None of them is dropped: the columns tell little about the arm without an effect that is
         large.
         """
         every = self.offer_by_tolerance(fitted, found, others=False, **near)
-        return max(bank.standing for bank in every)
+        return max(bank.evidence_of_known for bank in every)
 
     def other_compliance(self, state: ExplainedSession) -> float:
         """Return how much every other part yields (`ModelTolerance.compliance`), once the names are
@@ -139,7 +135,7 @@ class ExplanationSearch:
         """
         soft = any(t.elastic for f in state.found for t in f.terms)
         every = self.offer_by_tolerance(state.fit, state.found, others=False)
-        best = max(every, key=lambda b: b.pruned - b.tolerance.log_prior * soft)
+        best = max(every, key=lambda b: b.evidence_pruned - b.tolerance.log_prior * soft)
         return best.tolerance.compliance
 
     def evidence_refitted(
@@ -158,12 +154,14 @@ class ExplanationSearch:
             return -math.inf
         try:
             model = put_found(self.base, state.fit.model, found)
-            begun = fit_model(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
+            begun = fit_model(
+                model, self.session, close=NEAR, near=state.fit, **state.fit.noise_arguments
+            )
         except JobError:
             return -math.inf
         if best_places:
-            return self.standing(begun, found)[0]
-        return self.evidence(begun, found, near=state.fit)
+            return self.weigh_tolerances(begun, found)[0]
+        return self.evidence_of_all(begun, found, near=state.fit)
 
     def offer_by_tolerance(
         self,
@@ -192,18 +190,18 @@ class ExplanationSearch:
         are not tried.
         """
         left = self.offer_by_tolerance(state.fit, state.found)
-        first = max(left, key=lambda bank: bank.standing)
+        first = max(left, key=lambda bank: bank.evidence_of_known)
         left.remove(first)
-        best = first.explain()
+        best = first.find_best()
         while left:
             likeliest = max(left, key=lambda bank: bank.evidence_of(best))
             if likeliest.evidence_of(best) < best.evidence + math.log(IMPOSSIBLE):
                 break
             left.remove(likeliest)
-            best = max(best, likeliest.explain(best.effects), key=lambda e: e.evidence)
-        return best if best.evidence >= first.standing + BETTER else None
+            best = max(best, likeliest.find_best(best.effects), key=lambda e: e.evidence)
+        return best if best.evidence >= first.evidence_of_known + BETTER else None
 
-    def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:
+    def _is_better(self, before: ExplainedSession, now: ExplainedSession) -> bool:
         """Tell whether the explanation in the model, once fitted, is better than the one before.
 
         The columns are those of small changes. Where two effects need each other, as a load needs a
@@ -212,11 +210,11 @@ class ExplanationSearch:
         same one with more effects.
         """
         was = before.fit
-        again = fit_model(was.model, self.session, close=NEAR, begun=was, **now.fit.judged)
-        least = self.evidence(again, before.found, near=now.fit) + BETTER
-        return self.evidence(now.fit, now.found) > least
+        again = fit_model(was.model, self.session, close=NEAR, begun=was, **now.fit.noise_arguments)
+        least = self.evidence_of_all(again, before.found, near=now.fit) + BETTER
+        return self.evidence_of_all(now.fit, now.found) > least
 
-    def _scan(self, state: ExplainedSession) -> None:
+    def _scan_steps(self, state: ExplainedSession) -> None:
         """Replace the scanned candidates by the steps that the residual shows now."""
         need = NONE + math.log(max(len(self.candidates), 1))
         shown = [c for kind in self.stepped for c in scan_steps(state.fit, kind, need)]
