@@ -141,7 +141,7 @@ def _held_out(diagnosis: Diagnosis, sigma_mm: tuple[float, float, float] | None)
         )
         for name, e in errors.items()
     ]
-    before, after = diagnosis.compared
+    before, after = diagnosis.compared_stages
     intervals = (diagnosis.seen_gain.ci95, diagnosis.commanded_gain.ci95)
     seen, commanded = (
         (1e3 * low, 1e3 * high) if after != "calibrated" else None for low, high in intervals

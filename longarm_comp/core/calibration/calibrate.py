@@ -77,8 +77,13 @@ class Errors:
         numbers: np.ndarray | None = None,
         spread: np.ndarray | None = None,
     ) -> Errors:
-        """Summarise (N, 3) errors in m, (M, 3) turns in rad, the (N,) numbers of the rows, and (K,)
-        distances from touched points in m.
+        """Summarise the errors of a model at some rows.
+
+        Args:
+            error: (N, 3) measured - predicted positions of the tip, m.
+            turn: (M, 3) rotations from predicted to measured tip, rad.
+            numbers: (N,) numbers of the rows, for `worst`; from 0 on where None.
+            spread: (K,) distances of the tip from touched points, m.
         """
         mean_turn = None
         about = float(spread.mean()) if spread is not None and len(spread) else None
@@ -89,17 +94,17 @@ class Errors:
         length = np.linalg.norm(error, axis=1)
         numbers = np.arange(len(error)) if numbers is None else numbers
         return cls(
-            len(error),
-            float(length.mean()),
-            float(np.sqrt((length**2).mean())),
-            float(np.percentile(length, 95)),
-            float(length.max()),
-            float(np.abs(error[:, 2]).mean()),
-            float(error.var(axis=0).mean()),
-            mean_turn,
-            float(np.median(length)),
-            tuple((int(numbers[k]), float(length[k])) for k in np.argsort(-length)[:WORST]),
-            about,
+            n=len(error),
+            mean=float(length.mean()),
+            rms=float(np.sqrt((length**2).mean())),
+            p95=float(np.percentile(length, 95)),
+            max=float(length.max()),
+            mean_abs_z=float(np.abs(error[:, 2]).mean()),
+            variance=float(error.var(axis=0).mean()),
+            angle=mean_turn,
+            median=float(np.median(length)),
+            worst=tuple((int(numbers[k]), float(length[k])) for k in np.argsort(-length)[:WORST]),
+            spread=about,
         )
 
 

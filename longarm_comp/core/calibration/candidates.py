@@ -34,6 +34,7 @@ class Candidate:
 
     @property
     def where(self) -> tuple[str, ...]:
+        """The places of its terms, each once."""
         return tuple(dict.fromkeys(t.where for t in self.terms))
 
     @property
@@ -48,6 +49,7 @@ class Candidate:
         return f"{self.name} ({', '.join(self.where)}{', ' + form if form else ''})"
 
     def slots(self, arm: Arm) -> tuple[Slot, ...]:
+        """Return the parameters of its terms that are fitted on an arm."""
         return slots_of(arm, self.terms)
 
 
@@ -116,6 +118,11 @@ def list_candidates(
         testable += usable + _join_places(usable)
     stepped = tuple(kind for kind in tried if issubclass(kind, Effect) and kind.stepped)
     return Library(tuple(testable), tuple(missing), stepped)
+
+
+def list_variants(terms: Iterable[Term]) -> tuple[object, ...]:
+    """Return what tells terms apart: effect, place and form, but not the values of parameters."""
+    return tuple(t.variant for t in terms)
 
 
 def distinct_terms(

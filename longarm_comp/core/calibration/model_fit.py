@@ -53,6 +53,7 @@ class ModelFit:
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
+        """The p parameters that were fitted, in the order of `columns` and `covariance`."""
         return self.model.slots
 
     @cached_property

@@ -13,14 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.spatial import (
-    ZERO,
-    Frame,
-    exp_large,
-    roll_pitch_yaw,
-    scale,
-    tangent,
-)
+from longarm_comp.core.arm.spatial import ZERO, Frame, exp_large, roll_pitch_yaw, scale, tangent
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import number_sightings
 from longarm_comp.core.calibration.placement import (
@@ -34,12 +27,7 @@ from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import ELSEWHERE
-from longarm_comp.core.effects.placements import (
-    BasePose,
-    RigidMotion,
-    TipOffset,
-    TipOrientation,
-)
+from longarm_comp.core.effects.placements import BasePose, RigidMotion, TipOffset, TipOrientation
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 

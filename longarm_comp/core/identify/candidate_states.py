@@ -33,7 +33,7 @@ class TriedCandidate(ReportPart):
 
 
 @dataclass(frozen=True)
-class Smallest:
+class SmallestSize:
     """The smallest size of a candidate that would be accepted.
 
     Attributes:
@@ -51,7 +51,7 @@ class Smallest:
 
 def find_smallest_sizes(
     fit: ModelFit, candidates: Sequence[Candidate], threshold: float
-) -> tuple[Smallest, ...]:
+) -> tuple[SmallestSize, ...]:
     """Compute the smallest visible size of each candidate, on top of everything that was fitted.
 
     The smallest size is the one whose expected log Bayes factor reaches the threshold, noise apart.
@@ -66,7 +66,7 @@ def find_smallest_sizes(
         threshold: log Bayes factor to reach.
 
     Returns:
-        One `Smallest` per candidate, in their order.
+        One `SmallestSize` per candidate, in their order.
     """
     columns = FitColumns(fit)
     marginal = columns.marginal_without(())
@@ -90,13 +90,13 @@ def find_smallest_sizes(
         else:
             size = math.inf
         length = rms_shift(fit, raw)
-        made.append(Smallest(candidate, factor, size, size * length if length else math.inf))
+        made.append(SmallestSize(candidate, factor, size, size * length if length else math.inf))
     return tuple(made)
 
 
-def best_forms(tried: Sequence[Smallest]) -> dict[Label, Smallest]:
+def best_forms(tried: Sequence[SmallestSize]) -> dict[Label, SmallestSize]:
     """Choose the form that scores best, by effect and place."""
-    best: dict[Label, Smallest] = {}
+    best: dict[Label, SmallestSize] = {}
     for one in tried:
         at = one.candidate.name, ", ".join(one.candidate.where)
         if at not in best or one.log_bayes_factor > best[at].log_bayes_factor:
@@ -108,7 +108,7 @@ def judge_candidates(
     search: ExplainedSession,
     findings: Sequence[Finding],
     written: Collection[tuple[str, str]],
-    tried: Sequence[Smallest],
+    tried: Sequence[SmallestSize],
     not_testable: Sequence[tuple[str, str]],
 ) -> list[TriedCandidate]:
     """Judge every candidate: one record per effect and place, best first, the untestable last.
@@ -149,7 +149,7 @@ def judge_candidates(
     ]
 
 
-def _judge_unused(need: float, findings: Sequence[Finding], one: Smallest) -> tuple[State, str]:
+def _judge_unused(need: float, findings: Sequence[Finding], one: SmallestSize) -> tuple[State, str]:
     """Return the state of a candidate that is not in the model, and the reason."""
     value = one.log_bayes_factor
     alike = [f for f in findings if one.candidate.name in f.names[1:]]

@@ -18,7 +18,7 @@ from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.candidate_states import (
-    Smallest,
+    SmallestSize,
     TriedCandidate,
     find_smallest_sizes,
     judge_candidates,
@@ -34,13 +34,7 @@ from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import (
-    CALIBRATED,
-    NETWORK,
-    WITH_FUNCTIONS,
-    Fold,
-    Proof,
-)
+from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, WITH_FUNCTIONS, Fold, Proof
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -137,7 +131,7 @@ class Diagnosis:
         return 1.0 - math.prod(none) if not self.structure.flag else 1.0 - self.structure.p_value
 
     @cached_property
-    def smallest(self) -> tuple[Smallest, ...]:
+    def smallest(self) -> tuple[SmallestSize, ...]:
         """Score and smallest visible size of every candidate that is not in the model."""
         held = {t.key for t in self.search.chosen_terms}
         library = self.search.candidates
@@ -169,7 +163,7 @@ class Diagnosis:
         return "set" if any(f.open for f in self.findings) else "named"
 
     @property
-    def compared(self) -> tuple[str, str]:
+    def compared_stages(self) -> tuple[str, str]:
         """The stages before and after what was added: without an addition, nominal and
         calibrated."""
         if self.network is not None:
@@ -179,12 +173,12 @@ class Diagnosis:
     @property
     def seen_gain(self) -> Gain:
         """The gain between the two stages compared, in errors as the instrument sees them."""
-        return Gain.of(*(self.proof.errors[stage] for stage in self.compared))
+        return Gain.of(*(self.proof.errors[stage] for stage in self.compared_stages))
 
     @property
     def commanded_gain(self) -> Gain:
         """The gain between the two stages compared, in errors as a command would have them."""
-        return Gain.of(*(self.proof.commanded[stage] for stage in self.compared))
+        return Gain.of(*(self.proof.commanded[stage] for stage in self.compared_stages))
 
     @property
     def summary(self) -> str:
@@ -224,7 +218,7 @@ def _describe_findings(found: Diagnosis) -> str:
 
 def _describe_change(found: Diagnosis) -> str:
     """Say the errors before and after, also where only orientations were measured."""
-    before, after = (found.proof.rows[stage] for stage in found.compared)
+    before, after = (found.proof.rows[stage] for stage in found.compared_stages)
     if not before.n:
         return f"{before.mean_text} -> {after.mean_text}"
     return describe_improvement(found.seen_gain, found.commanded_gain)

@@ -38,28 +38,27 @@ OF_NOISE = 0.1
 
 
 class ModelTolerance(NamedTuple):
-    """What may move the rows besides an explanation, and is no finding.
+    """An assumption on what moves the rows besides an explanation, and is no finding.
 
     Attributes:
         form: share of its own shift by which the form of an effect in the model may err.
         compliance: how much every part yields, as a share of `BACKGROUND_COMPLIANCE`. A finding
-            that
-            yields must exceed it, because the parts of one arm are stiff alike. 0: only what is
-            found yields.
+            that yields must exceed it, because the parts of one arm are stiff alike. 0: only what
+            is found yields.
     """
 
     form: float
     compliance: float
 
     @property
-    def soft(self) -> bool:
-        """Whether every part yields by more than a little, which is a cause without a name."""
+    def is_soft(self) -> bool:
+        """True where every part yields by more than a little, which is a cause without a name."""
         return self.compliance in SOFT
 
     @property
     def log_prior(self) -> float:
         """Log prior relative to that of an arm whose parts yield by no more than a little."""
-        return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.soft else 0.0
+        return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.is_soft else 0.0
 
     @property
     def elastic_share(self) -> float:

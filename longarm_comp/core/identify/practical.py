@@ -44,10 +44,10 @@ class Gain:
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
         """Compute the gain from the (M, 3) errors of two models on the same rows; zeros without
         rows."""
-        return cls.between(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
+        return cls.of_lengths(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
 
     @classmethod
-    def between(cls, long: np.ndarray, short: np.ndarray) -> Gain:
+    def of_lengths(cls, long: np.ndarray, short: np.ndarray) -> Gain:
         """Compute the gain from the (M,) lengths of the errors of two models on the same rows."""
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))

@@ -24,7 +24,7 @@ from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.identify.posterior.explained import NEAR, ExplainedSession
-from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, keys_of
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -106,7 +106,7 @@ def describe_worsening(before: np.ndarray, after: np.ndarray) -> str:
     longest = np.maximum(before, after)
     worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
     for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
-        gain = Gain.between(before[rows], after[rows])
+        gain = Gain.of_lengths(before[rows], after[rows])
         if gain.ci95[1] < 0.0:
             change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} mm"
             return f"{change} at {len(rows)} {said}"
@@ -179,7 +179,7 @@ def _replace_found(search: ExplainedSession, found: Sequence[FoundEffect]) -> Mo
     model = search.fit.model
     known = {t.variant: t for t in model.terms}
     terms = {t.key: known.get(t.variant, t) for f in found for t in f.terms}
-    gone = {t.key for f in search.found for t in f.terms}
+    gone = keys_of(search.found)
     other = model.without(gone | set(terms)).plus(*terms.values())
     small = {s.identity for s in other.slots if s.owner.key in terms}
     beyond = tuple(b for b in model.beyond if b[0] not in small)
@@ -227,7 +227,7 @@ class _Rows:
 
     @property
     def in_order(self) -> dict[str, np.ndarray]:
-        """By model name, in the order of the rows."""
+        """The errors by model name, in the order of the rows."""
         made = {}
         for name, parts in self._parts.items():
             order = np.argsort(np.concatenate([at for at, _ in parts]))

@@ -131,20 +131,14 @@ def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = No
     worth = size > WORTH * float(np.linalg.norm(noise))
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
     inputs = tuple(dict.fromkeys(name for group, *_ in strong for name in group.inputs))
-    flag = p < SIGNIFICANT and worth and size > smallest_that_matters(fit)
+    if not (p < SIGNIFICANT and worth and size > smallest_that_matters(fit)):
+        return Structure(False, p, (), 0.0, 1.0)
     rss_named = float(residual @ residual)
     white_base = fit.whiten_columns(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)
     there = rss_base - float(rich @ rich)
     share = 1.0 if there <= 0 else float(np.clip((rss_base - rss_named) / there, 0.0, 1.0))
-    return Structure(
-        flag,
-        p,
-        inputs if flag else (),
-        size if flag else 0.0,
-        share if flag else 1.0,
-        found[0][0].at if flag else "",
-    )
+    return Structure(True, p, inputs, size, share, found[0][0].at)
 
 
 def smallest_that_matters(fit: ModelFit) -> float:

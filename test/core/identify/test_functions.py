@@ -37,8 +37,8 @@ from longarm_comp.core.identify.discover.causes import (
 )
 from longarm_comp.core.identify.discover.functions import Functions, make_switch
 from longarm_comp.core.identify.discover.inputs import (
-    Argument,
-    Arguments,
+    FunctionInput,
+    FunctionInputs,
     count_levels,
     read_camera_inputs,
 )
@@ -327,8 +327,11 @@ def test_seats_that_flip_in_few_rows_are_no_outliers() -> None:
 
 def test_of_three_positions_only_lines_are_tried() -> None:
     three, many = np.tile([0.0, 0.5, 1.0], 20), np.linspace(-1.0, 1.0, 60)
-    of = (Argument("q1", three, count_levels(three)), Argument("q2", many, count_levels(many)))
-    made = Functions(Arguments(of, (), 2))
+    of = (
+        FunctionInput("q1", three, count_levels(three)),
+        FunctionInput("q2", many, count_levels(many)),
+    )
+    made = Functions(FunctionInputs(of, (), 2))
     shapes = {factor for function in made.listed for factor in function.factors}
     assert {type(s) for s in shapes if s.of == "q2"} > {Linear, Legendre, Switch, Square}
     flat = [s for s in shapes if s.of == "q1"]
@@ -351,7 +354,7 @@ def test_poses_lie_in_the_gap_of_a_switch() -> None:
 
 def test_a_ramp_fills_the_gap_of_the_data() -> None:
     values = np.array([0.0, 0.1, 0.2, 0.6, 0.7, 1.0])
-    made = make_switch(Argument("q1", values, 6), 0.3)
+    made = make_switch(FunctionInput("q1", values, 6), 0.3)
     assert (made.threshold, made.half) == pytest.approx((0.4, 0.2))
     np.testing.assert_allclose(made.at(values), [-1, -1, -1, 1, 1, 1], atol=1e-12)
     assert float(made.at(0.4)) == pytest.approx(0.0)

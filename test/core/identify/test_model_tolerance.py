@@ -144,7 +144,7 @@ def test_what_gives_way_is_kept_where_it_may_for_another_load() -> None:
 def test_an_arm_of_which_every_part_is_soft_has_no_soft_part() -> None:
     """Its parts yield by half of what a finding does: no name, and the model holds them."""
     diagnosis = found(0.5)
-    assert diagnosis.search.tolerance.soft
+    assert diagnosis.search.tolerance.is_soft
     assert not [f for f in diagnosis.findings if f.probability >= 0.95 and not f.open]
     test = rows_of(giving_way(0.5), 60, seed=7)
     left = np.linalg.norm(errors(diagnosis.model, test), axis=1).mean()

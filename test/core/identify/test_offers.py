@@ -117,7 +117,7 @@ def test_a_form_that_moved_off_the_library_stays_on_offer() -> None:
     fitted, found = planted()
     other = [Candidate("joint_gain", (JointGain(2),))]
     bank = make_offers(fitted, other, (), (found,), [ModelTolerance(0.0, False)])[0]
-    assert [bank.things[n].where for n in bank.known] == [("joint 5",)]
+    assert [bank.candidates[n].where for n in bank.known] == [("joint 5",)]
     assert bank.bank.offers[bank.known[0]].log_prior == pytest.approx(math.log(0.95))
 
 

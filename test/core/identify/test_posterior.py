@@ -26,7 +26,7 @@ from longarm_comp.core.identify.posterior.ascent import find_explanation
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
-from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
+from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 
@@ -52,7 +52,7 @@ def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.
     sizes, chances = (1.0, 4.0), (math.log(0.6), math.log(0.4))
     upper = np.array([0.4, np.inf, np.inf])
     offer = single("a", 0, sizes=sizes, chances=chances)
-    found = bank(y, columns, [offer], upper).compute_single_effect(columns.T @ y, Others())
+    found = bank(y, columns, [offer], upper).compute_single_effect(columns.T @ y, OtherEffects())
     b = np.linspace(-40.0, 0.4, 400_001)
     likelihood = b * (columns[:, 0] @ y) - 0.5 * b * b * (columns[:, 0] @ columns[:, 0])
     odds = 0.0
@@ -153,7 +153,7 @@ def test_functions_at_one_place_are_one_cause(across: np.ndarray) -> None:
     there = of.evidence(offers[:2]) - of.evidence(offers[1:2])
     assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.again)
     assert there == pytest.approx(alone + math.log(0.5) - math.log(30 / 3))
-    others = Others(*(frozenset({each}) for each in (2, 1, "no name", "joint 1")))
+    others = OtherEffects(*(frozenset({each}) for each in (2, 1, "no name", "joint 1")))
     beside = of.compute_single_effect(x.T @ y, others)
     assert beside.q[0] / (1.0 - beside.presence) == pytest.approx(math.exp(there))
 
@@ -186,7 +186,7 @@ def test_a_single_effect_that_is_whole_has_the_odds_of_its_likelihood(across: np
     y = 0.55 * across[:, 0] + 0.1 * across[:, 1]
     whole = single("whole", 0, fixed=True)
     found = bank(y, across[:, :1], [whole], UNBOUND[:1]).compute_single_effect(
-        across[:, :1].T @ y, Others()
+        across[:, :1].T @ y, OtherEffects()
     )
     log_odds = 0.55 * 81.0 - 0.5 * 81.0 + math.log(0.1) - NONE
     assert math.log(found.presence / (1.0 - found.presence)) == pytest.approx(log_odds, abs=1e-6)
@@ -204,10 +204,10 @@ def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarra
     assert gap == pytest.approx(math.log(3.0))
     rest = of.along - of.gram @ [2.0, 0.0]
     a = frozenset({"a"})
-    beside = of.compute_single_effect(rest, Others(held=a, names=a))
+    beside = of.compute_single_effect(rest, OtherEffects(held=a, names=a))
     assert beside.q[1] == pytest.approx(3.0 * beside.q[2])
     assert beside.q[0] == 0.0
-    shut = of.compute_single_effect(rest, Others(frozenset({1}), a, a))
+    shut = of.compute_single_effect(rest, OtherEffects(frozenset({1}), a, a))
     assert shut.q[1] == 0.0
     assert shut.q[2] == pytest.approx(1.0 / 5.0, abs=0.01)
 
@@ -223,7 +223,9 @@ def test_others_leave_their_places_and_names_where_they_are_more_likely_there_th
     offers = [single("a", 0), single("b", 1, site="joint 1")]
     each = [SingleEffect(offers, np.array(q), np.zeros(2)) for q in ([0.4, 0.0], [0.0, 0.6])]
     shut = frozenset({7})
-    assert Others.of(each, shut) == Others(shut, *(frozenset({x}) for x in ("b", "b", "joint 1")))
+    assert OtherEffects.of(each, shut) == OtherEffects(
+        shut, *(frozenset({x}) for x in ("b", "b", "joint 1"))
+    )
 
 
 def test_a_restart_leaves_a_local_optimum() -> None:

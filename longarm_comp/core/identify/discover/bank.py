@@ -76,7 +76,7 @@ class FunctionCandidate:
     log_prior: float
 
 
-class Bank:
+class FunctionBank:
     """All candidates of one side, the arm's or the camera's: components times functions.
 
     Args:
@@ -104,8 +104,12 @@ class Bank:
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
     def log_odds_of(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
-        """Return the (C,) log odds of candidates on top of a marginal, on all rows, priors
-        included."""
+        """Return the (C,) log odds of each candidate against none, priors included.
+
+        Args:
+            marginal: the columns that are there already, on all inliers (`marginalise_columns`).
+            listed: the C candidates, each judged alone.
+        """
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
         for count in np.unique(counts).tolist():
@@ -145,6 +149,7 @@ class Bank:
         return columns[self.fit.weights > 0].reshape(-1, len(members))
 
     def _rms_shift(self, white: np.ndarray) -> np.ndarray:
+        """Return the (r,) rms over the rows of whitened columns (dM, r), at least 1e-150."""
         rows = max(len(white) // self.fit.width, 1)
         return np.asarray(np.sqrt(np.maximum((white**2).sum(0) / rows, 1e-300)))
 
@@ -204,7 +209,8 @@ class Bank:
         alone = [g.functions[0] for g in self._single]
         for sharp in (False, True):
             prior = [
-                self._log_prior(g) if g.family.sharp == sharp else -np.inf for g in self._single
+                self._log_prior(g) if g.family.has_threshold == sharp else -np.inf
+                for g in self._single
             ]
             best = _largest_entries(worth[:, alone] + np.array(prior))
             yield [self._make_candidate([(k, alone[n])], self._single[n]) for k, n in best]
@@ -332,19 +338,19 @@ def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
     return [divmod(int(i), table.shape[1]) for i in np.sort(few) if np.isfinite(flat[i])]
 
 
-def make_banks(fit: ModelFit) -> tuple[Bank, ...]:
+def make_banks(fit: ModelFit) -> tuple[FunctionBank, ...]:
     """Make the banks of the arm's side and, where positions are measured, of the camera's."""
     arm, rows = fit.model.arm, fit.session
     spots = [Spot(place, name) for place in _list_places(arm) for name in components(arm)]
     spots, units = _keep_moving(fit, spots)
-    made = [Bank(fit, spots, units, Functions(read_arm_inputs(arm, fit.posture, rows)))]
+    made = [FunctionBank(fit, spots, units, Functions(read_arm_inputs(arm, fit.posture, rows)))]
     if rows.plain:
         points, ways = fit.model.measured_at(fit.posture), views(arm)
         for some, of in ((AXES, SeenCoordinate), ([w for w in ways if w not in AXES], None)):
             if some:
                 seen = Functions(read_camera_inputs(points, rows), of)
                 made.append(
-                    Bank(fit, *_keep_moving(fit, [Spot(CAMERA, way) for way in some]), seen)
+                    FunctionBank(fit, *_keep_moving(fit, [Spot(CAMERA, way) for way in some]), seen)
                 )
     return tuple(made)
 

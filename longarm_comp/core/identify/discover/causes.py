@@ -50,7 +50,7 @@ class Cause:
             a circumstance that no command knows.
     """
 
-    terms: tuple[words.Found, ...]
+    terms: tuple[Found, ...]
     where: tuple[str, ...]
     names: tuple[tuple[str, float], ...]
     formula: str
@@ -82,31 +82,33 @@ def list_causes(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Cause, ...
 def _describe_cause(fit: ModelFit, found: FoundEffect) -> Cause:
     places = {t.key for t in found.terms}
     held = [(i, s) for i, s in enumerate(fit.slots) if s.owner.key in places]
-    terms = tuple(s.owner for _, s in held if isinstance(s.owner, words.Found))
-    amounts, shift = [], np.zeros(fit.residual.shape)
+    terms = tuple(s.owner for _, s in held if isinstance(s.owner, Found))
+    amounts, figures, shift = [], [], np.zeros(fit.residual.shape)
     for term, (i, slot) in zip(terms, held, strict=True):
-        value = slot.value
-        error = float(fit.standard_errors[i])
+        value, error, unit = slot.value, float(fit.standard_errors[i]), slot.parameter.unit
+        ci95 = value - 1.96 * error, value + 1.96 * error
+        amounts.append(Coefficient(term.where, term.of.formula, value, ci95, unit))
+        figures.append((value, error, unit))
         shift = shift + value * fit.columns[..., i]
-        amounts.append((term.where, term.of.formula, value, error, slot.parameter.unit))
     size = np.linalg.norm(shift * fit.metres, axis=1)
+    likely = [r for r in found.rivals if r.probability > 1 - CREDIBLE]
     return Cause(
-        terms,
-        _list_places(terms, found),
-        tuple((r.name, r.probability) for r in found.rivals if r.probability > 1 - CREDIBLE),
-        words.formula(terms, [(v, e, u) for _, _, v, e, u in amounts]),
-        words.reading(terms),
-        tuple(words.domain(terms)),
-        tuple(dict.fromkeys(s.of for t in terms for s in t.of.factors)),
-        tuple(Coefficient(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
-        found.log_bayes_factor,
-        found.presence,
-        (float(np.sqrt((size**2).mean())), float(size.max())),
-        all(t.commandable for t in terms),
+        terms=terms,
+        where=_list_places(terms, found),
+        names=tuple((r.name, r.probability) for r in likely),
+        formula=words.formula(terms, figures),
+        reading=words.reading(terms),
+        domain=tuple(words.domain(terms)),
+        inputs=tuple(dict.fromkeys(shape.of for shape in _list_shapes(terms))),
+        amounts=tuple(amounts),
+        log_evidence=found.log_bayes_factor,
+        probability=found.presence,
+        tip_m=(float(np.sqrt((size**2).mean())), float(size.max())),
+        compensated=all(t.commandable for t in terms),
     )
 
 
-def _list_places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]:
+def _list_places(terms: Sequence[Found], found: FoundEffect) -> tuple[str, ...]:
     """Return where a cause may act: the place in the model, then others of the credible set."""
     first = " and ".join(dict.fromkeys(t.where for t in terms))
     other = [" and ".join(dict.fromkeys(places)) for places in found.where]

@@ -28,7 +28,7 @@ from longarm_comp.core.effects.shapes import (
     Threshold,
     Wave,
 )
-from longarm_comp.core.identify.discover.inputs import Argument, Arguments
+from longarm_comp.core.identify.discover.inputs import FunctionInput, FunctionInputs
 
 ANALYTIC = 0.25
 """By how much the Legendre coefficients of a physical function of one joint fall from one order to
@@ -61,8 +61,8 @@ class FunctionFamily(Enum):
     OWN_JOINT = "smooth in a joint, along its axis"
 
     @property
-    def sharp(self) -> bool:
-        """Whether functions of this kind have a threshold."""
+    def has_threshold(self) -> bool:
+        """True for functions that jump or bend at a threshold."""
         return self in (FunctionFamily.SWITCH, FunctionFamily.CONTACT)
 
 
@@ -99,13 +99,12 @@ class Functions:
         listed: the functions.
         groups: those that are fitted together at one component.
         each_joint: sets of (commanded joint, function) that are fitted together, each function
-            along
-            its joint's own axis.
+            along its joint's own axis.
         own_joint: by commanded joint, the smooth function of its position along its own axis, as by
             a hose, a spring or a gear without a form of its own.
     """
 
-    def __init__(self, inputs: Arguments, of: type[Quantity] | None = None) -> None:
+    def __init__(self, inputs: FunctionInputs, of: type[Quantity] | None = None) -> None:
         self.inputs, self._of = inputs, of
         self.listed: list[Function] = []
         self.groups: list[FunctionGroup] = []
@@ -143,6 +142,7 @@ class Functions:
         return values
 
     def _values_of_shape(self, shape: Shape) -> np.ndarray:
+        """Return the (N,) values of a shape, each computed once."""
         if shape not in self._shapes:
             self._shapes[shape] = np.asarray(shape.at(self.inputs.by_name[shape.of].values))
         return self._shapes[shape]
@@ -165,10 +165,10 @@ class Functions:
         for one in inputs:
             self._add_group(FunctionFamily.LINEAR, self.add_function(_make_linear(one)))
         for one in inputs:
-            if not one.curves:
+            if not one.shows_curves:
                 continue
             for kind in (Square, SignedSquare):
-                if (kind is Square and not one.far) or one.low < 0 < one.high:
+                if (kind is Square and not one.is_far_from_zero) or one.low < 0 < one.high:
                     self._add_group(FunctionFamily.SQUARE, self.add_function(kind(*one.domain)))
             for order in list_orders(one):
                 pair = [self.add_function(kind(*one.domain, order)) for kind in (Cosine, Sine)]
@@ -214,14 +214,14 @@ class Functions:
                 if len(made) > 1:
                     self.each_joint.append(tuple(made))
 
-    def _add_smooth_pair(self, a: Argument, b: Argument) -> None:
+    def _add_smooth_pair(self, a: FunctionInput, b: FunctionInput) -> None:
         """Add a smooth function of two inputs: joint positions, or inputs that all joints share."""
         numbers, decay = [], []
         for i in range(TOTAL + 1):
             for j in range(TOTAL + 1 - i):
                 if i + j == 0 or i >= max(a.levels - 1, 2) or j >= max(b.levels - 1, 2):
                     continue
-                if (i > 1 and not a.curves) or (j > 1 and not b.curves):
+                if (i > 1 and not a.shows_curves) or (j > 1 and not b.shows_curves):
                     continue
                 factors = [Legendre(*one.domain, n) for one, n in ((a, i), (b, j)) if n]
                 numbers.append(self.add_function(*factors))
@@ -230,16 +230,16 @@ class Functions:
             self._add_group(FunctionFamily.SMOOTH_PAIR, *numbers, decay=decay)
 
 
-def _make_linear(one: Argument) -> Shape:
+def _make_linear(one: FunctionInput) -> Shape:
     """Return the input itself, about the middle of its range where that is far from zero.
 
     An input that no command knows is also centred, so that its omission from a command makes no
     mean error.
     """
-    return Legendre(*one.domain, 1) if one.far or not one.told else Linear(*one.domain)
+    return Legendre(*one.domain, 1) if one.is_far_from_zero or not one.told else Linear(*one.domain)
 
 
-def make_switch(one: Argument, threshold: float) -> Switch:
+def make_switch(one: FunctionInput, threshold: float) -> Switch:
     """Return a switch at a threshold, as a ramp over the gap that the data have there."""
     below = one.values[one.values < threshold]
     above = one.values[one.values >= threshold]
@@ -248,7 +248,7 @@ def make_switch(one: Argument, threshold: float) -> Switch:
     return Switch(*one.domain, middle, max(half, 1e-4 * (one.high - one.low)))
 
 
-def list_orders(one: Argument) -> list[float]:
+def list_orders(one: FunctionInput) -> list[float]:
     """Return the harmonics of an input that are tried."""
     if one.smooth:
         return []
@@ -258,7 +258,7 @@ def list_orders(one: Argument) -> list[float]:
     return [n * math.pi / span for n in range(2, LOOKS + 2)]
 
 
-def list_thresholds(one: Argument) -> list[float]:
+def list_thresholds(one: FunctionInput) -> list[float]:
     """Return the thresholds of an input that are tried: inner quantiles of its values."""
     if one.smooth:
         return []
@@ -266,7 +266,7 @@ def list_thresholds(one: Argument) -> list[float]:
     return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
 
 
-def vary_shape(shape: Shape, one: Argument, width: float) -> list[Shape]:
+def vary_shape(shape: Shape, one: FunctionInput, width: float) -> list[Shape]:
     """Return the same shape with `DENSE` other thresholds or orders around it.
 
     Args:

@@ -39,7 +39,7 @@ SEEN = "seen_"
 
 
 @dataclass(frozen=True)
-class Argument:
+class FunctionInput:
     """One quantity at N rows.
 
     Attributes:
@@ -75,18 +75,18 @@ class Argument:
         return self.name, self.low, self.high
 
     @property
-    def far(self) -> bool:
-        """Whether it is far from zero compared with its range, as the time of day in seconds is."""
+    def is_far_from_zero(self) -> bool:
+        """True far from zero compared with the range, as the time of day in seconds is."""
         return abs(self.low + self.high) > 2 * _FAR * (self.high - self.low)
 
     @property
-    def curves(self) -> bool:
-        """Whether the data can show more than a straight line in it."""
+    def shows_curves(self) -> bool:
+        """True where it took so many values that more than a straight line could show."""
         return self.levels > FEW_LEVELS
 
 
 @dataclass(frozen=True)
-class Arguments:
+class FunctionInputs:
     """The quantities that a discovered function may depend on; no two of them agree at every row.
 
     Attributes:
@@ -95,23 +95,23 @@ class Arguments:
         joints: number of commanded joints.
     """
 
-    all: tuple[Argument, ...]
+    all: tuple[FunctionInput, ...]
     shared: tuple[str, ...]
     joints: int
 
     @cached_property
-    def by_name(self) -> dict[str, Argument]:
+    def by_name(self) -> dict[str, FunctionInput]:
         """Arguments by name."""
         return {i.name: i for i in self.all}
 
 
-def read_arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
+def read_arm_inputs(arm: Arm, posture: Posture, session: Session) -> FunctionInputs:
     """Read the quantities of the arm's side at the rows of a session."""
     rows = len(session)
     columns = tuple(
         "warmth" if n == "temperature_c" else n for n in session.columns if is_column(n)
     )
-    made: list[Argument] = []
+    made: list[FunctionInput] = []
     read: list[tuple[str, Quantity, np.ndarray]] = []
     widest: dict[type, float] = {}
     for name in _list_names(arm, session, columns):
@@ -127,7 +127,9 @@ def read_arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
             continue
         _add_distinct(made, name, values, arm)
     kept = {i.name for i in made} - {ORDER}
-    return Arguments(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
+    return FunctionInputs(
+        tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n
+    )
 
 
 def _least_span(
@@ -145,15 +147,15 @@ def _least_span(
     return max(share, found.resolution)
 
 
-def read_camera_inputs(points: np.ndarray, session: Session) -> Arguments:
+def read_camera_inputs(points: np.ndarray, session: Session) -> FunctionInputs:
     """Read the quantities of the measuring side: the seen point (N, 3) m, and recorded columns."""
-    made: list[Argument] = []
+    made: list[FunctionInput] = []
     for axis, values in zip("xyz", points.T, strict=True):
         _add_distinct(made, f"{SEEN}{axis}", values, None)
     for name, values in session.context().columns.items():
         if is_column(name):
             _add_distinct(made, name, np.asarray(values), None)
-    return Arguments(tuple(made), (), 0)
+    return FunctionInputs(tuple(made), (), 0)
 
 
 def _list_names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str]:
@@ -172,7 +174,9 @@ def _list_names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterato
     yield from (f"distance_{a}_{b}" for a in (0, *rows) for b in rows if b > a + 1)
 
 
-def _add_distinct(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -> None:
+def _add_distinct(
+    made: list[FunctionInput], name: str, values: np.ndarray, arm: Arm | None
+) -> None:
     """Add a quantity if it varies and agrees with none of those before."""
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
     largest = float(np.abs(values).max(initial=0.0))
@@ -189,7 +193,7 @@ def _add_distinct(made: list[Argument], name: str, values: np.ndarray, arm: Arm 
     smooth = name.startswith(SEEN)
     told = not is_column(name) or is_told(name)
     levels = count_levels(values)
-    made.append(Argument(name, np.ascontiguousarray(values), levels, circular, smooth, told))
+    made.append(FunctionInput(name, np.ascontiguousarray(values), levels, circular, smooth, told))
 
 
 def count_levels(values: np.ndarray) -> int:

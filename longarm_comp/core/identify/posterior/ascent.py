@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, Others, SingleEffect
+from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 
 SWEEPS = 30
@@ -57,6 +57,9 @@ def find_explanation(
         known: the offers that were found before.
         begun: what explains the same offers already. The ascent also starts from it, and there is
             no restart.
+
+    Returns:
+        The explanation of highest evidence, without effects that are not worth their price.
     """
     most = len(known) + AT_ONCE
     starts = [_add_effects(bank, (), frozenset(), most)]
@@ -94,7 +97,13 @@ def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
 def _add_effects(
     bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
 ) -> Explanation:
-    """Add single effects until a new one is probably absent."""
+    """Add single effects, one at a time, until a new one is probably absent.
+
+    Args:
+        start: the effects to begin with.
+        shut: numbers of the offers that no effect may be.
+        most: number of effects at which to stop.
+    """
     effects = list(start)
     while len(effects) < most:
         count = len(effects)
@@ -109,13 +118,14 @@ def _add_effects(
 def _sweep_effects(
     bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
 ) -> list[SingleEffect]:
+    """Update each effect by what the others leave, until no probability changes any more."""
     taken = np.sum([e.mean for e in effects], axis=0)
     for _ in range(SWEEPS):
         moved = 0.0
         for k in reversed(range(len(effects))):
             was = effects[k]
             rest = taken - was.mean
-            others = Others.of([*effects[:k], *effects[k + 1 :]], shut)
+            others = OtherEffects.of([*effects[:k], *effects[k + 1 :]], shut)
             now = bank.compute_single_effect(bank.along - bank.gram @ rest, others)
             moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
             effects[k], taken = now, rest + now.mean

@@ -15,7 +15,7 @@ from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
-from longarm_comp.core.identify.posterior.found import NONE, FoundEffect
+from longarm_comp.core.identify.posterior.found import NONE, FoundEffect, keys_of
 from longarm_comp.core.identify.posterior.resampled import Resampling
 from longarm_comp.core.model.model import Model
 
@@ -71,15 +71,23 @@ def judge_noise_and_fit(
     Args:
         model: holds what was found.
         candidates: the library.
-        before: what was fitted before; the columns are those of its fit.
+        before: what was fitted before; the columns of the library are computed at its fit, not at
+            one of the geometry alone.
+        found: the effects that the model holds besides the geometry.
         known: the noise by repeats, if there are any.
+
+    Returns:
+        The explained session, whose noise is no more than repeats allow.
+
+    Raises:
+        InputError, JobError: as `fit_model`.
     """
     if before is None or not found:
         first = fit_model(model, session)
         at = FitColumns(first)
     else:
         first, at = linearise_model(model, session, before.fit), FitColumns(before.fit)
-    held = {t.key for f in found for t in f.terms}
+    held = keys_of(found)
     judged, weights = noise_step.noise_from_residual(
         first, at.prior_columns(distinct_terms(candidates, held))
     )

@@ -117,9 +117,13 @@ def _search_scales(
 
 
 def measure_agreement(fit: ModelFit, residual: np.ndarray) -> float:
-    """Return the log likelihood of all rows by their residual (N, d).
+    """Return the log likelihood of all rows, outliers too, up to a constant.
 
     No row counts more than one at the limit of an outlier does.
+
+    Args:
+        fit: gives the noise of the channels.
+        residual: (N, d) measured - predicted by some model, m or rad.
     """
     white = np.nan_to_num(residual / (fit.stated_noise_ratio(fit.session)[:, None] * fit.sigma))
     return float(-0.5 * np.minimum((white**2).sum(axis=1), OUTLIER**2).sum())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -63,7 +63,7 @@ class Rival:
 
     @property
     def unnamed(self) -> bool:
-        """Whether it is a function without a name."""
+        """True for a function without a name, False for an effect of the library."""
         return not self.candidate.terms[0].searched
 
 
@@ -109,12 +109,12 @@ class FoundEffect:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether neither its presence nor its absence is credible."""
+        """True where neither its presence nor its absence has a probability of 95 %."""
         return 1.0 - CREDIBLE <= self.presence < CREDIBLE
 
     @property
     def unnamed(self) -> bool:
-        """Whether it is a function without a name."""
+        """True for a function without a name, False for an effect of the library."""
         return not self.terms[0].searched
 
     @property
@@ -199,10 +199,21 @@ class FoundEffect:
         )
 
 
+def keys_of(found: Iterable[FoundEffect]) -> set[tuple[str, str]]:
+    """Return the keys (effect, place) of the terms of found effects."""
+    return {t.key for f in found for t in f.terms}
+
+
 def replace_effect(
     found: Sequence[FoundEffect], number: int, rival: FoundEffect
 ) -> tuple[FoundEffect, ...]:
-    """Put a rival in the place of one effect, and of all other effects of the rival's name."""
+    """Put a rival in the place of one effect, and of all other effects of the rival's name.
+
+    Args:
+        found: the effects of an explanation.
+        number: position of the effect that the rival replaces.
+        rival: it comes first in the new explanation.
+    """
     rest = (f for k, f in enumerate(found) if k != number)
     return (rival, *(f for f in rest if rival.unnamed or f.name != rival.name))
 

@@ -64,8 +64,8 @@ class Offer:
 
 
 @dataclass(frozen=True)
-class Others:
-    """What the other effects leave to one effect to choose from.
+class OtherEffects:
+    """The other effects, as far as they limit what one effect may choose.
 
     Attributes:
         shut: offers that are excluded.
@@ -80,12 +80,12 @@ class Others:
     sites: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> Others:
+    def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> OtherEffects:
         """Summarise some other effects; names and sites are those of the probable ones."""
         there = [e for e in effects if e.presence > 0.5]
         return cls(
             shut,
-            frozenset(key for e in effects for key in e.held),
+            frozenset(key for e in effects for key in e.held_places),
             frozenset(e.offer.name for e in there),
             frozenset(e.offer.site for e in there if e.offer.site),
         )
@@ -123,7 +123,7 @@ class SingleEffect:
         return self._offer_of(self.best)
 
     @cached_property
-    def held(self) -> frozenset[Hashable]:
+    def held_places(self) -> frozenset[Hashable]:
         """Places that it probably takes."""
         chance: dict[Hashable, float] = {}
         for number in np.flatnonzero(self.q > UNLIKELY).tolist():

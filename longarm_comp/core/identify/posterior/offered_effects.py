@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit, softmax
 
-from longarm_comp.core.calibration.candidates import Candidate, Term
+from longarm_comp.core.calibration.candidates import Candidate, Term, list_variants
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.identify.discover.inputs import count_levels
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
@@ -22,6 +22,7 @@ from longarm_comp.core.identify.posterior.found import (
     NONE,
     FoundEffect,
     Rival,
+    keys_of,
     smallest_set,
 )
 from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
@@ -39,8 +40,8 @@ tolerance, may be worth forty log units (the touches of an iiwa 14 need more tha
 
 
 @dataclass(frozen=True)
-class Explained:
-    """The result of the posterior.
+class PosteriorResult:
+    """The posterior over the offers of one bank: the best explanation, split by probability.
 
     Attributes:
         found: single effects that are there with a probability of at least 95 %.
@@ -61,7 +62,7 @@ class OfferedEffects:
 
     Attributes:
         fitted: the fit.
-        things: candidates, in the order of the bank's offers.
+        candidates: candidates, in the order of the bank's offers.
         bank: the offers.
         widths: (K,) units of the bank's columns.
         known: numbers of the offers that were found before.
@@ -70,18 +71,21 @@ class OfferedEffects:
     """
 
     fitted: ModelFit
-    things: Sequence[Candidate]
+    candidates: Sequence[Candidate]
     bank: OfferBank
     widths: np.ndarray
     known: tuple[int, ...]
     base: float
     tolerance: ModelTolerance
 
-    def find_best(self, begun: Sequence[SingleEffect] | None = None) -> Explained:
+    def find_best(self, begun: Sequence[SingleEffect] | None = None) -> PosteriorResult:
         """Compute the posterior over the offers.
 
         Args:
             begun: effects that explain the same offers, as the start of the search.
+
+        Returns:
+            The explanation of highest evidence: its effects that are credible, and the others.
         """
         best = find_explanation(self.bank, self.known, begun)
         offers = self._drop_idle_places(best.offers)
@@ -97,7 +101,7 @@ class OfferedEffects:
         ]
         found = tuple(f for f in every if f.presence >= CREDIBLE)
         doubtful = tuple(f for f in every if f.presence < CREDIBLE)
-        return Explained(found, doubtful, self.base + evidence, best.effects)
+        return PosteriorResult(found, doubtful, self.base + evidence, best.effects)
 
     def single_effects(self) -> tuple[FoundEffect, ...]:
         """Return the effects of the best explanation, each with the names that share its
@@ -111,7 +115,7 @@ class OfferedEffects:
         ).effects:
             shares: dict[str, tuple[float, Candidate]] = {}
             for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
-                terms = self.things[n].terms
+                terms = self.candidates[n].terms
                 alike = [Candidate(terms[0].name, terms)]
                 alike += [
                     self._candidate_of_name(name, terms) for name in self._list_aliases(terms)
@@ -129,7 +133,7 @@ class OfferedEffects:
             )
         return tuple(made)
 
-    def evidence_of(self, explained: Explained) -> float:
+    def evidence_of(self, explained: PosteriorResult) -> float:
         """Return the log evidence of the effects of an explanation by another tolerance."""
         offers = []
         for effect in explained.effects:
@@ -158,20 +162,17 @@ class OfferedEffects:
         Args:
             found: the effects, in the order of the fit's explanation.
             banks: offers by tolerance, this one among them. What one effect explains, a larger
-                error of
-                another effect's form may explain too.
+                error of another effect's form may explain too.
 
         Returns:
             The effects with their credible sets, and those that may be there besides.
         """
         offers = [self.bank.offers[n] for n in self.known]
-        number = {
-            tuple(t.variant for t in self.things[n].terms): k for k, n in enumerate(self.known)
-        }
+        number = {list_variants(self.candidates[n].terms): k for k, n in enumerate(self.known)}
         fitted = {t.key: t for t in self.fitted.model.terms}
         made = []
         for f in found:
-            k = number.get(tuple(t.variant for t in f.terms))
+            k = number.get(list_variants(f.terms))
             if k is not None:
                 rest = [*offers[:k], *offers[k + 1 :]]
                 without = max(b.base + b.bank.evidence(rest) for b in banks)
@@ -182,7 +183,7 @@ class OfferedEffects:
                     log_prior=offers[k].log_prior,
                 )
                 made.append(self._add_rivals(f, offers, k))
-        held = {t.key for f in found for t in f.terms}
+        held = keys_of(found)
         besides = self.find_best(as_certain(self.bank, self.known)).doubtful
         left = (f for f in besides if held.isdisjoint(t.key for t in f.terms))
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
@@ -246,7 +247,7 @@ class OfferedEffects:
         others = [*offers[:k], *offers[k + 1 :]]
         may, most = [], []
         for n, whole in enumerate(self.bank.offers):
-            named = self.things[n].terms[0].searched and whole.name != offers[k].name
+            named = self.candidates[n].terms[0].searched and whole.name != offers[k].name
             rest = [o for o in others if not named or o.name != whole.name]
             offer = whole.beside(frozenset(key for o in rest for key in o.keys))
             if offer is None:
@@ -299,7 +300,7 @@ class OfferedEffects:
         self, number: int, offer: Offer, values: np.ndarray | None = None
     ) -> tuple[Term, ...]:
         """Return the terms of an offer, or of what is left of it, with some coefficients."""
-        held = {t.key: t for t in self.things[number].terms}
+        held = {t.key: t for t in self.candidates[number].terms}
         if values is None:
             return tuple(held[key] for key in offer.keys)  # type: ignore[index]
         terms, start = [], 0
@@ -323,7 +324,7 @@ class OfferedEffects:
         free = {
             n
             for n, k in self._first_number.items()
-            if self.things[k].terms[0].free_levels >= levels
+            if self.candidates[k].terms[0].free_levels >= levels
         }
         few = free if levels else set()
         return tuple(sorted((self._aliases.get(name, set()) | few) - {name}))
@@ -343,11 +344,11 @@ class OfferedEffects:
         Where it is not on offer there, its first offer is returned.
         """
         there: dict[str, Term] = {}
-        for offer in self.things:
+        for offer in self.candidates:
             for term in offer.terms if offer.name == name else ():
                 there.setdefault(term.where, term)
         if not all(t.where in there for t in at):
-            return self.things[self._first_number[name]]
+            return self.candidates[self._first_number[name]]
         terms = []
         for mine in at:
             term = there[mine.where]
@@ -358,7 +359,7 @@ class OfferedEffects:
     @cached_property
     def _first_number(self) -> dict[str, int]:
         """The number of the first candidate of every name."""
-        return {c.name: n for n, c in reversed(list(enumerate(self.things)))}
+        return {c.name: n for n, c in reversed(list(enumerate(self.candidates)))}
 
     @cached_property
     def _aliases(self) -> dict[str, set[str]]:
@@ -370,9 +371,11 @@ class OfferedEffects:
         arm = self.fitted.model.arm
         read = [arm.commanded[k] for k in self.fitted.session.read_joints]
         for name, number in self._first_number.items():
-            term = self.things[number].terms[0]
+            term = self.candidates[number].terms[0]
             for other in set(term.aliases) & set(self._first_number):
-                if not tell_apart(arm, read, term, self.things[self._first_number[other]].terms[0]):
+                if not tell_apart(
+                    arm, read, term, self.candidates[self._first_number[other]].terms[0]
+                ):
                     made.setdefault(name, set()).add(other)
                     made.setdefault(other, set()).add(name)
         return made

@@ -16,13 +16,19 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms
+from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms, list_variants
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalise_first
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.model_tolerance import ModelTolerance, background_columns
-from longarm_comp.core.identify.posterior.found import NONE, UNNAMED, FoundEffect, ProposedFunction
+from longarm_comp.core.identify.posterior.found import (
+    NONE,
+    UNNAMED,
+    FoundEffect,
+    ProposedFunction,
+    keys_of,
+)
 from longarm_comp.core.identify.posterior.offer import Offer
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
@@ -59,10 +65,10 @@ def make_offers(
     """
     listed = _list_with_prices(fitted.model.arm, library, functions, found)
     if not others:
-        kept = {_variant(f.terms) for f in found}
-        listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
+        kept = {list_variants(f.terms) for f in found}
+        listed = [entry for entry in listed if list_variants(entry[0].terms) in kept]
     raw = _stack_columns(fitted, listed)
-    marginal = FitColumns(fitted).marginal_without({t.key for f in found for t in f.terms})
+    marginal = FitColumns(fitted).marginal_without(keys_of(found))
     beside, sizes = _besides_findings(fitted, library, found, tolerances, near)
     columns = np.concatenate([beside, raw.b], axis=1)
     if counts is not None:
@@ -76,8 +82,8 @@ def make_offers(
     free = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
     moving, plain = [moving[n] for n in free], [plain[n] for n in free]
     things = [listed[n][0] for n in moving]
-    at = {_variant(c.terms): n for n, c in enumerate(things)}
-    known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
+    at = {list_variants(c.terms): n for n, c in enumerate(things)}
+    known = tuple(at[list_variants(f.terms)] for f in found if list_variants(f.terms) in at)
     banks = []
     for tolerance, size in zip(tolerances, sizes, strict=True):
         evidence, s, t = marginalise_first(gram, along, size)
@@ -110,9 +116,9 @@ def _list_with_prices(
     for function in functions:
         thing = Candidate(function.terms[0].name, function.terms)
         listed.append((thing, math.log(UNNAMED) + function.log_prior, AMPLITUDES, even))
-    offered_now = {_variant(c.terms) for c, _, _, _ in listed}
+    offered_now = {list_variants(c.terms) for c, _, _, _ in listed}
     for f in found:
-        if _variant(f.terms) not in offered_now:
+        if list_variants(f.terms) not in offered_now:
             prior = share - math.log(forms[f.name]) if f.name in forms else math.log(UNNAMED)
             prior = prior if f.log_prior is None else f.log_prior
             sizes = (AMPLITUDES, even) if f.unnamed and not f.loose else (SIZES, CHANCES)
@@ -131,10 +137,6 @@ def _scale_to_stiffness(offer: Offer, candidate: Candidate, tolerance: ModelTole
     if offer.fixed or not candidate.terms[0].elastic:
         return offer
     return dataclasses.replace(offer, sizes=tuple(tolerance.elastic_share * s for s in offer.sizes))
-
-
-def _variant(terms: Sequence[Term]) -> tuple[object, ...]:
-    return tuple(t.variant for t in terms)
 
 
 def _make_offers_that_move(
@@ -293,6 +295,10 @@ class _StackedColumns(NamedTuple):
 
 
 def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColumns:
+    """Stack the columns of the listed candidates' terms, each variant once.
+
+    First come the columns of parameters, then one column, the shift, of each term without any.
+    """
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     slots = slots_of(fitted.model.arm, terms)
     of_term: dict[int, list[int]] = {}
@@ -312,10 +318,12 @@ def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColum
         for k, s in enumerate(slots)
     ]
     return _StackedColumns(
-        np.concatenate([columns.white_columns([terms[t] for t in of_term]), *shifts], axis=1),
-        where,
-        np.concatenate([np.maximum([s.parameter.lower for s in slots] / widths, -most), -free]),
-        np.concatenate([np.minimum([s.parameter.upper for s in slots] / widths, most), free]),
-        np.concatenate([widths, np.ones(len(whole))]),
-        np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
+        b=np.concatenate([columns.white_columns([terms[t] for t in of_term]), *shifts], axis=1),
+        where=where,
+        lower=np.concatenate(
+            [np.maximum([s.parameter.lower for s in slots] / widths, -most), -free]
+        ),
+        upper=np.concatenate([np.minimum([s.parameter.upper for s in slots] / widths, most), free]),
+        widths=np.concatenate([widths, np.ones(len(whole))]),
+        like=np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
     )

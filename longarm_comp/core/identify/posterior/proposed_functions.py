@@ -19,7 +19,7 @@ from longarm_comp.core.effects.shapes import Function, Shape, Threshold, Wave
 from longarm_comp.core.identify.discover.bank import (
     CAMERA,
     SHORTLIST,
-    Bank,
+    FunctionBank,
     FunctionCandidate,
     make_banks,
     make_term,
@@ -27,7 +27,7 @@ from longarm_comp.core.identify.discover.bank import (
 )
 from longarm_comp.core.identify.discover.functions import DENSE, vary_shape
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction
+from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, keys_of
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
 
 REFINED = 4
@@ -63,7 +63,7 @@ def propose_functions(
         for (marginal, _), kinds, mine in zip(marginals, looked, ranked, strict=True):
             mine += _rank_bank(bank, marginal, kinds)
     few = SHORTLIST // 2 if found else SHORTLIST
-    offered: dict[FunctionCandidate, Bank] = {}
+    offered: dict[FunctionCandidate, FunctionBank] = {}
     for mine in ranked:
         better = sorted((one for one in mine if one.worth > 0), key=lambda one: -one.worth)
         offered |= {one.candidate: one.bank for one in better[:few]}
@@ -94,12 +94,12 @@ class _Ranked(NamedTuple):
 
     worth: float
     candidate: FunctionCandidate
-    bank: Bank
+    bank: FunctionBank
     first: bool = False
 
 
 def _rank_bank(
-    bank: Bank, marginal: Marginal, kinds: Sequence[Sequence[FunctionCandidate]]
+    bank: FunctionBank, marginal: Marginal, kinds: Sequence[Sequence[FunctionCandidate]]
 ) -> list[_Ranked]:
     """Return the best candidates of a bank on top of a marginal, also with other thresholds."""
     made, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
@@ -116,12 +116,12 @@ def _rank_bank(
 
 def _mask_other_columns(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
     """Return a mask (p,) of the columns of a fit that do not belong to some effects."""
-    of = {t.key for f in found for t in f.terms}
+    of = keys_of(found)
     return np.array([s.owner.key not in of for s in fit.slots], dtype=bool)
 
 
 def _rank_by_odds(
-    bank: Bank, marginal: Marginal, few: Sequence[FunctionCandidate]
+    bank: FunctionBank, marginal: Marginal, few: Sequence[FunctionCandidate]
 ) -> list[tuple[float, FunctionCandidate]]:
     """Return the log odds of each candidate with it, the best first."""
     worth = bank.log_odds_of(marginal, few).tolist()
@@ -136,7 +136,7 @@ def _is_constant_shift(candidate: FunctionCandidate) -> bool:
     return still and all(a or b for a, b in zip(rigid, seen, strict=True))
 
 
-def _make_proposed(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction:
+def _make_proposed(bank: FunctionBank, candidate: FunctionCandidate) -> ProposedFunction:
     """Return the terms of a candidate, with its log prior.
 
     One prior standard deviation of each moves the rows by one noise, rms, times its decay.
@@ -150,7 +150,7 @@ def _make_proposed(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction
 
 
 def _refine_shapes(
-    bank: Bank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
+    bank: FunctionBank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
 ) -> Iterator[tuple[float, FunctionCandidate]]:
     """Yield each candidate with better thresholds or frequencies, sought closer and closer to the
     best."""
@@ -168,7 +168,7 @@ def _refine_shapes(
 
 
 def _vary_candidate(
-    bank: Bank, candidate: FunctionCandidate, width: float
+    bank: FunctionBank, candidate: FunctionCandidate, width: float
 ) -> Iterator[FunctionCandidate]:
     """Yield the candidate with thresholds or frequencies near its own."""
     factors = dict.fromkeys(f for _, function in candidate.members for f in function.factors)

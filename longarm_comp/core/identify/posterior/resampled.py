@@ -21,7 +21,7 @@ from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.holdout import resample
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, Rival
+from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, Rival, keys_of
 from longarm_comp.core.identify.posterior.offers import make_offers
 
 SAMPLES = 12
@@ -134,8 +134,7 @@ class Resampling:
 
     @cached_property
     def _geometry(self) -> Marginal:
-        places = {t.key for f in self.found for t in f.terms}
-        return FitColumns(self.fit).marginal_without(places)
+        return FitColumns(self.fit).marginal_without(keys_of(self.found))
 
     def _shift(self, terms: Sequence[Term]) -> np.ndarray:
         """Return the (m,) shift of the rows by terms beyond the geometry, in units of the noise."""

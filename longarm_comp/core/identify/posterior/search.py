@@ -33,8 +33,8 @@ from longarm_comp.core.identify.posterior.forms import find_better_forms, measur
 from longarm_comp.core.identify.posterior.found import NONE, FoundEffect, ProposedFunction
 from longarm_comp.core.identify.posterior.offered_effects import (
     IMPOSSIBLE,
-    Explained,
     OfferedEffects,
+    PosteriorResult,
 )
 from longarm_comp.core.identify.posterior.offers import make_offers
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
@@ -47,7 +47,20 @@ ROUNDS = 8
 
 @dataclass
 class ExplanationSearch:
-    """A search, which goes from explanation to explanation, each better than the one before."""
+    """A search, which goes from explanation to explanation, each better than the one before.
+
+    An explanation is the set of effects that are in the model besides the geometry.
+
+    Attributes:
+        base: the declared model with its geometry terms, into which found effects are put.
+        session: the rows that are explained.
+        candidates: the library; steps that the residual shows are added and taken out.
+        known: the noise by repeats; None where there are too few.
+        stepped: effects whose steps are scanned (`step_scan.py`).
+        say: called with what was found, in words.
+        functions: functions without a name that are on offer.
+        nameless: whether an arm of which every part is soft may be an explanation.
+    """
 
     base: Model
     session: Session
@@ -61,7 +74,15 @@ class ExplanationSearch:
     def repeat_until_best(
         self, state: ExplainedSession, functions: bool = False
     ) -> ExplainedSession:
-        """Explain and fit while that is better; with `functions`, propose new ones each time."""
+        """Explain and fit in turn, as long as the fitted explanation is better than before.
+
+        Args:
+            state: the explained session to begin with.
+            functions: whether functions without a name are proposed anew in each round.
+
+        Returns:
+            The best explained session, which is `state` itself where none is better.
+        """
         for _ in range(ROUNDS):
             self._scan_steps(state)
             if functions:
@@ -86,7 +107,15 @@ class ExplanationSearch:
     def fit_with(
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
-        """Fit the model with these effects; None where the fit diverges."""
+        """Fit the base model with some effects in the place of those of a state.
+
+        Args:
+            state: gives the values to begin with, and the columns by which noise is judged.
+            found: the effects.
+
+        Returns:
+            The explained session; None where the fit diverges.
+        """
         model = put_found(self.base, state.fit.model, found)
         try:
             return judge_noise_and_fit(
@@ -112,7 +141,17 @@ class ExplanationSearch:
     def weigh_tolerances(
         self, fitted: ModelFit, found: Sequence[FoundEffect]
     ) -> tuple[float, ModelTolerance]:
-        """Return the log evidence of an explanation at its best tolerance, and that tolerance."""
+        """Find the model tolerance at which an explanation has the highest evidence.
+
+        Effects, and places of them, that are not worth their price do not count.
+
+        Args:
+            fitted: the fit that holds the effects.
+            found: the effects.
+
+        Returns:
+            That log evidence, and the tolerance.
+        """
         every = self.offer_by_tolerance(fitted, found, others=False)
         return max((bank.evidence_pruned, bank.tolerance) for bank in every)
 
@@ -177,13 +216,13 @@ class ExplanationSearch:
         tried = [
             tolerance
             for tolerance in TOLERANCES
-            if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.soft)
+            if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.is_soft)
         ]
         return make_offers(
             fitted, self.candidates, self.functions, found, tried, others=others, near=near
         )
 
-    def _explain_better(self, state: ExplainedSession) -> Explained | None:
+    def _explain_better(self, state: ExplainedSession) -> PosteriorResult | None:
         """Return the best explanation by any tolerance, or None if the present one is as good.
 
         The likeliest tolerance is tried first.  Those by which the best explanation is impossible

@@ -22,7 +22,7 @@ import numpy as np
 from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_prior_mass, prior_root
 from longarm_comp.core.identify.model_tolerance import FORMS
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
-from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
+from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.offer_table import OfferTable, Products
 
 
@@ -96,16 +96,16 @@ class OfferBank:
             return False
         (k,) = offer.column_numbers
         squares = np.diag(self.gram)
-        product = squares[k] * squares[self._named] * (1.0 - FORMS[1] ** 2)
-        return bool((self.gram[k, self._named] ** 2 > np.maximum(product, 0.0)).any())
+        product = squares[k] * squares[self._named_columns] * (1.0 - FORMS[1] ** 2)
+        return bool((self.gram[k, self._named_columns] ** 2 > np.maximum(product, 0.0)).any())
 
     @cached_property
-    def _named(self) -> np.ndarray:
+    def _named_columns(self) -> np.ndarray:
         """Columns of named effects that have a single column."""
         alone = (o.column_numbers for o in self.offers if not o.site and len(o.column_numbers) == 1)
         return np.array([k for (k,) in alone], dtype=int)
 
-    def compute_single_effect(self, along: np.ndarray, others: Others) -> SingleEffect:
+    def compute_single_effect(self, along: np.ndarray, others: OtherEffects) -> SingleEffect:
         """Compute the effect that explains what the others leave.
 
         Args:
