@@ -18,8 +18,8 @@ from bench.calibration_peers import by_finite_differences, pybotics
 from bench.comparison import Result, alone, beside, missing
 from bench.subprocess_cost import Cost, cost_of
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import Errors, geometry
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import Errors, geometry_terms
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
@@ -50,7 +50,7 @@ def synthetic_session(
 
 def _start(arm: Arm, session: Session, *, rigid: bool = False) -> Model:
     base = Model(arm) if rigid else declared_model(arm)
-    return base.plus(*geometry(arm, session))
+    return base.plus(*geometry_terms(arm, session))
 
 
 def _held_out_mm(model: Model, session: Session) -> float:
@@ -65,7 +65,7 @@ def fit_once(samples: int, name: str = "demo", rigid: bool = False) -> dict[str,
     arm = _arm(name)
     session = synthetic_session(arm, samples, rigid=rigid)
     start, used = _start(arm, session, rigid=rigid), time.process_time()
-    fitted = fit(start, session)
+    fitted = fit_model(start, session)
     return {
         "cpu_s": time.process_time() - used,
         "iterations": fitted.iterations,
@@ -143,7 +143,7 @@ def beside_scipy(samples: int = 300, repeats: int = 3, *, rigid: bool = False) -
         session = synthetic_session(arm, samples, seed, rigid=rigid)
         start, sigma = _start(arm, session, rigid=rigid), NOISE_M
         begin = time.perf_counter()
-        mine = fit(start, session)
+        mine = fit_model(start, session)
         ours.append(time.perf_counter() - begin)
         begin = time.perf_counter()
         other = by_finite_differences(start, session, sigma)
@@ -172,7 +172,7 @@ def beside_pybotics(samples: int = 300, repeats: int = 2) -> Result:
             session = synthetic_session(arm, samples, seed, rigid=True)
             start = _start(arm, session, rigid=True)
             begin = time.perf_counter()
-            mine = fit(start, session)
+            mine = fit_model(start, session)
             ours.append(time.perf_counter() - begin)
             left.append(_held_out_mm(mine.model, held_out))
             theirs.append(pybotics(arm, session, held_out))

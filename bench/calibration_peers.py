@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from bench.peer_environment import python_of
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.model_fit import priors
+from longarm_comp.core.calibration.model_fit import prior_widths
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model
@@ -32,7 +32,7 @@ class Calibrated:
 
 def by_finite_differences(model: Model, session: Session, sigma: float) -> Model:
     """SciPy's ``least_squares`` (trf, 2-point) on the same posterior: residuals and priors."""
-    scale, context = priors(model.slots), session.context()
+    scale, context = prior_widths(model.slots), session.context()
 
     def residual(u: np.ndarray) -> np.ndarray:
         predicted = model.with_values(u * scale).measured(session.q, context)

@@ -14,7 +14,7 @@ from bench.arms import demo_arm
 from bench.calibration import synthetic_session
 from bench.comparison import Result, beside
 from bench.subprocess_cost import Cost, cost_of
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.plays import Backlash
@@ -29,7 +29,7 @@ def diagnose_once(samples: int, kinds: int = len(LIBRARY), seed: int = 0) -> dic
     session = synthetic_session(demo_arm(), samples, seed, hidden=HIDDEN)
     begin, used = time.perf_counter(), time.process_time()
     found = diagnose(demo_arm(), session, kinds=LIBRARY[:kinds], seed=seed)
-    candidates = library(demo_arm(), session.context(), LIBRARY[:kinds]).testable
+    candidates = list_candidates(demo_arm(), session.context(), LIBRARY[:kinds]).testable
     return {
         "wall_s": time.perf_counter() - begin,
         "cpu_s": time.process_time() - used,

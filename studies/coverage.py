@@ -18,11 +18,11 @@ import numpy as np
 
 from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.left_out import about_the_mean
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.left_out import subtract_point_means
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.uncertainty import uncertainty
+from longarm_comp.core.calibration.uncertainty import measure_uncertainty
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
@@ -89,7 +89,7 @@ def judge(
         clean: (N, 3) m, the rows' points without noise: then the tip alone is judged.
         commanded: whether errors are those that a command would leave.
     """
-    known, seen = uncertainty(fitted), rows.take(rows.located)
+    known, seen = measure_uncertainty(fitted), rows.take(rows.located)
     model = fitted.model
     off = (commanded_errors if commanded else errors)(model, seen)
     if clean is not None:
@@ -103,14 +103,14 @@ def judge(
 
 def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     """Hold touches against a fit that has not seen their places: tips against their mean."""
-    known, touched = uncertainty(fitted), rows.labels["touch"]
+    known, touched = measure_uncertainty(fitted), rows.labels["touch"]
     model = fitted.model
     slots = [s for s in model.slots if isinstance(s.owner, Effect)]
     slots += slots_of(model.arm, known.absent)
     names = [slot.identity for slot in slots]
     tip, columns = model.columns(posture(model, rows), slots)
-    off, alone = about_the_mean(tip, touched)
-    moved, _ = about_the_mean(columns, touched)
+    off, alone = subtract_point_means(tip, touched)
+    moved, _ = subtract_point_means(columns, touched)
     return _judge(name, off[~alone], known.carry_to_tip(moved[~alone], names), known)
 
 
@@ -236,9 +236,9 @@ def _verdict(share: float, between: tuple[float, float], mine: Sequence[LeftOutR
 
 def _fit_terms(arm: Arm, rows: Session, terms: Terms) -> ModelFit:
     """Geometry, then further terms on top of it."""
-    *_, (_, geometry) = stages(declared_model(arm), rows)
+    *_, (_, geometry) = fit_stages(declared_model(arm), rows)
     more = terms(arm)
-    return fit(geometry.model.plus(*more), rows) if more else geometry
+    return fit_model(geometry.model.plus(*more), rows) if more else geometry
 
 
 def _rigid(arm: Arm) -> tuple[Effect | Bias, ...]:

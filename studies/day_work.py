@@ -17,8 +17,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.learner import Learner
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
@@ -358,6 +358,6 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
 
 def identify(known: Model, session: Session, setting: DaySetting) -> ModelFit:
     """Fit what is known again, with what it lacks."""
-    base = dict(stages(known, session))["geometry"].model
-    candidates = library(setting.arm, session.context(), setting.kinds, base.terms)
+    base = dict(fit_stages(known, session))["geometry"].model
+    candidates = list_candidates(setting.arm, session.context(), setting.kinds, base.terms)
     return explain_session(base, session, candidates.testable).fit

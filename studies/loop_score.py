@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.calibration.calibrate import declared_model, geometry
-from longarm_comp.core.calibration.candidates import Term, library
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import declared_model, geometry_terms
+from longarm_comp.core.calibration.candidates import Term, list_candidates
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY
@@ -115,8 +115,8 @@ def _best(
 def _fit_terms(
     setting: LoopSetting, terms: Sequence[Term], rows: Session, robust: bool
 ) -> ModelFit:
-    model = declared_model(setting.arm).plus(*geometry(setting.arm, rows), *terms)
-    return fit(model, rows, sigma=setting.sigma, robust=robust)
+    model = declared_model(setting.arm).plus(*geometry_terms(setting.arm, rows), *terms)
+    return fit_model(model, rows, sigma=setting.sigma, robust=robust)
 
 
 def _misfit(fitted: ModelFit) -> float:
@@ -126,7 +126,7 @@ def _misfit(fitted: ModelFit) -> float:
 
 def _forms(setting: LoopSetting, name: str) -> list[tuple[Term, ...]]:
     """Each form of an effect at all of its places, and all compatible forms together."""
-    known = library(setting.arm, setting.train.context(), (BUILT_IN[name],))
+    known = list_candidates(setting.arm, setting.train.context(), (BUILT_IN[name],))
     most = max(len(c.terms) for c in known.testable)
     forms = [c.terms for c in known.testable if len(c.terms) == most]
     every = tuple(t for form in forms for t in form)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import declared_model, geometry
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import declared_model, geometry_terms
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.plan import grid, sobol
@@ -131,8 +131,8 @@ class _Gauge:
         self.sound = self._see(None)
         session = Session.record(plan, self.sound)
         model = declared_model(arm)
-        base = model.plus(*geometry(arm, session))
-        self.fit: ModelFit = fit(base, session, sigma=sigma, robust=False)
+        base = model.plus(*geometry_terms(arm, session))
+        self.fit: ModelFit = fit_model(base, session, sigma=sigma, robust=False)
         self.marginal = Marginal(self.fit.design, self.fit.data)
 
     def _see(self, effect: Hidden | None) -> np.ndarray:

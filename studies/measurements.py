@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import PRINTED, Anchor
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -116,7 +116,7 @@ def errors_by_rows(arm: Arm, seed: int, counts: Sequence[int] = ROWS) -> dict[st
             q_, pose_, names = (part[:count] for part in rows_of)
             taken = _Rows(q_, pose_, names, np.random.default_rng([seed, count]))
             session = Session.record(taken.q, source=kind, **read(taken))
-            *_, (_, fitted) = stages(declared_model(sited), session)
+            *_, (_, fitted) = fit_stages(declared_model(sited), session)
             said = fitted.model.tip(fresh_q)
             if kind == "touch":
                 turn, shift = kabsch(said, fresh, np.ones(len(said)))

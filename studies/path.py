@@ -21,8 +21,8 @@ from longarm_comp.cli import options, outputs
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.path import CompensatedPath, compensate_path
@@ -111,9 +111,9 @@ class StudiedArm:
         clean = true.tip(q, TrueContext(behind=side[:, None] * half))
         seen = clean + NOISE_M * rng.standard_normal((ROWS, 3))
         rows = Session.record(q, seen, approach=side, source=f"arm {number}")
-        *_, (_, geometry) = stages(declared_model(arm), rows)
+        *_, (_, geometry) = fit_stages(declared_model(arm), rows)
         terms = [t for name in names for t in effect_class(name, "study path").for_arm(arm)]
-        fitted = fit(geometry.model.plus(*terms), rows)
+        fitted = fit_model(geometry.model.plus(*terms), rows)
         return cls(arm, true, half, with_uncertainty(fitted))
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.plan import Plan, grid, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
@@ -87,8 +87,8 @@ def one_arm(
                 xyz = xyz + SIGMA_M * noise.standard_normal(xyz.shape)
                 session = Session.record(plan.q, xyz, approach=plan.approach, source=way)
                 if known:
-                    base = dict(stages(declared_model(arm), session))["geometry"].model
-                    model = fit(base.plus(*JointCompliance.for_arm(arm)), session).model
+                    base = dict(fit_stages(declared_model(arm), session))["geometry"].model
+                    model = fit_model(base.plus(*JointCompliance.for_arm(arm)), session).model
                 else:
                     model = diagnose(arm, session).model
                 error = np.linalg.norm(model.tip(fresh) - where, axis=1).mean()

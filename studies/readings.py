@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.candidates import library
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.candidates import list_candidates
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance as SoftJoint
@@ -100,13 +100,13 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         assert isinstance(hidden, JointCompliance)
         session = measure(arm, [hidden], rng, rows, load_kg)
         soft = SoftJoint(joint, compliance=float(hidden.compliance[arm.commanded.index(joint)]))
-        fitted = fit(declared_model(arm).plus(soft, *geometry(arm, session)), session)
-        kinds = library(arm, session.context()).testable
+        fitted = fit_model(declared_model(arm).plus(soft, *geometry_terms(arm, session)), session)
+        kinds = list_candidates(arm, session.context()).testable
         there = (FoundEffect((soft,), 1.0, 0.0),)
         every = make_offers(fitted, kinds, (), there, TOLERANCES)
-        of = max(every, key=lambda each: each.standing)
+        of = max(every, key=lambda each: each.evidence_of_known)
         bank, own = of.bank, of.bank.offers[of.known[0]]
-        (k,) = own.places
+        (k,) = own.column_numbers
         seen = bank.gram[:, k] * (soft.compliance / of.widths[k])
         clean = OfferBank(bank.offers, bank.gram, seen, bank.lower, bank.upper, bank.like)
         worth: dict[str, float] = {}
@@ -176,8 +176,8 @@ def tip(arm: Arm, rows: int = 150) -> dict[str, Any]:
     q = sobol(arm, rows, rng).q
     measured = measure_session(true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders())
     session = measured.session()
-    terms = (*(ServoDroop(row) for row in ServoDroop.rows(arm)), *geometry(arm, session))
-    model = fit(declared_model(arm).plus(*terms), session).model
+    terms = (*(ServoDroop(row) for row in ServoDroop.rows(arm)), *geometry_terms(arm, session))
+    model = fit_model(declared_model(arm).plus(*terms), session).model
     q = sobol(arm, 100, rng).q
     side = np.repeat(rng.choice([-1.0, 1.0], (100, 1)), arm.n, axis=1)
     context, known = TrueContext(approach=side), Session.record(q, 0 * q[:, :3], approach=side)

@@ -21,11 +21,11 @@ from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import (
     Errors,
+    copy_known_values,
     declared_model,
     errors,
-    frames,
-    geometry,
-    start_from,
+    geometry_terms,
+    placement_terms,
 )
 from longarm_comp.core.calibration.fit import fit_together
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -90,10 +90,10 @@ def ladder(parts: Sequence[Measured], found: Sequence[Diagnosis], say: Say) -> l
     def every(make: Callable[[Measured], Terms]) -> list[Terms]:
         return [make(part) for part in parts]
 
-    framed = every(lambda p: frames(p.arm, p.train))
-    zeros = every(lambda p: (*frames(p.arm, p.train), *JointZero.for_arm(p.arm)))
-    rigid = every(lambda p: geometry(p.arm, p.train))
-    torsion = every(lambda p: (*geometry(p.arm, p.train), *JointCompliance.for_arm(p.arm)))
+    framed = every(lambda p: placement_terms(p.arm, p.train))
+    zeros = every(lambda p: (*placement_terms(p.arm, p.train), *JointZero.for_arm(p.arm)))
+    rigid = every(lambda p: geometry_terms(p.arm, p.train))
+    torsion = every(lambda p: (*geometry_terms(p.arm, p.train), *JointCompliance.for_arm(p.arm)))
     lateral = [(*t, *BearingTilt.for_arm(p.arm)) for t, p in zip(torsion, parts, strict=True)]
     rungs = {
         "frames_only": framed,
@@ -120,7 +120,7 @@ def _fit_rung(
     for k, (part, added) in enumerate(zip(parts, terms, strict=True)):
         model = declared_model(part.arm).plus(*added)
         held = place_bases(model, part.train) if start is None else start[k].model
-        models.append(start_from(held, model))
+        models.append(copy_known_values(held, model))
     pairs = [(m, p.train) for m, p in zip(models, parts, strict=True)]
     return fit_together(pairs, _own)
 

@@ -24,8 +24,8 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.calibration.calibrate import Errors, declared_model, geometry
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.calibrate import Errors, declared_model, geometry_terms
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.data.plan import grid, paper_grid, random_joints
 from longarm_comp.core.data.session import Session
@@ -112,8 +112,8 @@ def gaussian_process(q: np.ndarray, residual: np.ndarray, context: Context, seed
 
 def with_effects(declared: Model, session: Session) -> Model:
     """Calibrated, with the effects found on the training rows (`explain_session`)."""
-    base = declared.plus(*geometry(declared.arm, session))
-    candidates = library(declared.arm, session.context(), declared=base.terms).testable
+    base = declared.plus(*geometry_terms(declared.arm, session))
+    candidates = list_candidates(declared.arm, session.context(), declared=base.terms).testable
     return explain_session(base, session, candidates).fit.model
 
 

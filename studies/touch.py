@@ -19,8 +19,8 @@ import numpy as np
 from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import PRINTED
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, LongarmError
@@ -88,11 +88,11 @@ def _judge_places(name: str, arm: Arm, session: Session, say: Callable[[str], No
     for place in np.unique(location):
         say(f"{name}, {place}")
         train, held = session.take(location != place), session.take(location == place)
-        fits = dict(stages(declared_model(arm), train))
+        fits = dict(fit_stages(declared_model(arm), train))
         models = {"nominal": fits["frames_only"].model, "rigid": fits["geometry"].model}
         try:
             found = diagnose(arm, train, test=held)
-            models["diagnosed"] = fit(found.model, train).model
+            models["diagnosed"] = fit_model(found.model, train).model
             names = tuple(f"{f.name} {', '.join(f.where)}" for f in found.findings)
         except LongarmError as error:
             say(f"{name}, {place}: {error}")

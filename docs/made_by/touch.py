@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.standing import frames, place_frames
+from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.standing import place_frames, placement_terms
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.read import read_session
@@ -95,8 +95,8 @@ def touch_postures(figure: Figure) -> None:
     """Rows of a real arm that all touched one socket."""
     arm = Arm.load(EXAMPLE / "arm.yaml")
     session = read_session(EXAMPLE / "panda_3.csv", arm)
-    start = place_frames(declared_model(arm).plus(*frames(arm, session)), session)
-    known = fit(start, session).model
+    start = place_frames(declared_model(arm).plus(*placement_terms(arm, session)), session)
+    known = fit_model(start, session).model
     names, counts = np.unique(session.labels["touch"], return_counts=True)
     rows = np.flatnonzero(session.labels["touch"] == names[np.argmax(counts)])
     tips = known.tip(session.q[rows])

@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import KnownDistance
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
@@ -84,7 +84,7 @@ class TouchLog:
         if np.isfinite(whole.reading(KINDS["touch"])).sum() < ENOUGH:
             return None
         try:
-            *_, (_, fitted) = stages(declared_model(self.arm), whole)
+            *_, (_, fitted) = fit_stages(declared_model(self.arm), whole)
         except LongarmError:
             return None
         return spreads(fitted.model, whole)

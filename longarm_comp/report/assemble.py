@@ -11,7 +11,7 @@ from longarm_comp.core.data.commanded import not_commanded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import Cause
-from longarm_comp.core.identify.findings import left_in_words
+from longarm_comp.core.identify.findings import describe_structure
 from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
 from longarm_comp.report import record
 from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
@@ -35,7 +35,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
         candidates=diagnosis.candidates,
         structure_left=record.StructureLeft(
             flag=structure.flag,
-            text=left_in_words(structure),
+            text=describe_structure(structure),
             p_value=None if structure.sign else structure.p_value,
             share_explained=structure.share_explained,
             inputs=structure.inputs,
@@ -62,7 +62,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             record.Doubtful(
                 effect=f.name,
                 where=list(dict.fromkeys(t.where for t in f.terms)),
-                probability=f.there,
+                probability=f.presence,
             )
             for f in diagnosis.search.doubtful
         ],
@@ -141,7 +141,7 @@ def _held_out(diagnosis: Diagnosis, sigma_mm: tuple[float, float, float] | None)
         )
         for name, e in errors.items()
     ]
-    before, after = diagnosis.compared
+    before, after = diagnosis.compared_stages
     intervals = (diagnosis.seen_gain.ci95, diagnosis.commanded_gain.ci95)
     seen, commanded = (
         (1e3 * low, 1e3 * high) if after != "calibrated" else None for low, high in intervals
@@ -168,7 +168,7 @@ def _left_out_by_commands(diagnosis: Diagnosis) -> list[str]:
 def _list_outliers(diagnosis: Diagnosis) -> list[record.Outlier]:
     fit, rows = diagnosis.fit, list[record.Outlier]()
     points = fit.session.labels.get("point", np.full(len(fit.session), ""))
-    noise = fit.uneven(fit.session)[:, None] * fit.sigma
+    noise = fit.stated_noise_ratio(fit.session)[:, None] * fit.sigma
     for row in fit.outliers:
         length = float(np.linalg.norm(fit.residual[row] * fit.metres))
         ratio = float(np.max(np.abs(fit.residual[row]) / noise[row]))

@@ -12,12 +12,12 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration import plausible
-from longarm_comp.core.calibration.calibrate import Rung, ladder, stages
+from longarm_comp.core.calibration.calibrate import Rung, fit_ladder, fit_stages
 from longarm_comp.core.calibration.candidates import Term
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import Place, list_undetermined, places
+from longarm_comp.core.calibration.standing import Place, list_places, list_undetermined
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
@@ -124,7 +124,7 @@ class Calibration:
     @property
     def places(self) -> tuple[Place, ...]:
         """The places of base and sensors by the rows, with their uncertainty."""
-        return places(self.fit)
+        return list_places(self.fit)
 
     @property
     def not_helping(self) -> tuple[str, ...]:
@@ -160,8 +160,8 @@ class Calibration:
         first, last = self.rungs[0], self.rungs[-1]
         before, after = (r.commanded if r.commanded.n else r.held_out for r in (first, last))
         return (
-            f"held-out mean error as commanded {before.said} ({first.name}) -> "
-            f"{after.said} ({last.name}), "
+            f"held-out mean error as commanded {before.mean_text} ({first.name}) -> "
+            f"{after.mean_text} ({last.name}), "
             f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
         )
 
@@ -218,7 +218,7 @@ def calibrate(
     Raises:
         InputError: the session was refused; an effect has no place on this arm or needs an input
             that was not recorded.
-        JobError: a fit diverged, or may not be believed (`plausible.refuse`).
+        JobError: a fit diverged, or may not be believed (`plausible.refuse_implausible`).
     """
     whole = inputs.admit_session(session, arm, note=note)
     chosen = [_terms_of(effect, arm, whole, note) for effect in effects]
@@ -226,7 +226,7 @@ def calibrate(
     train, held_out = blocked_split(whole, fraction, rng=seed)
     steps, tell = 5 + len(chosen), inputs.teller(progress)
     done = iter(range(steps))
-    rungs = ladder(
+    rungs = fit_ladder(
         arm,
         train,
         held_out,
@@ -239,18 +239,18 @@ def calibrate(
     size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
     tell("all rows", (steps - 1) / steps)
     if kind is None:
-        final = fit(last, whole)
+        final = fit_model(last, whole)
     else:
-        *_, (_, final) = stages(declared_model(arm, deflection=deflection), whole, kind=kind)
+        *_, (_, final) = fit_stages(declared_model(arm, deflection=deflection), whole, kind=kind)
         if chosen:
             terms = [term for _, each in chosen for term in each]
-            final = fit(final.model.plus(*terms), whole, usual=kind.noise)
+            final = fit_model(final.model.plus(*terms), whole, usual=kind.noise)
         final = fold_directions(final)
-    left_out = held_out.take(plausible.believed_rows(final, held_out))
+    left_out = held_out.take(plausible.mark_believed_rows(final, held_out))
     plainer = {"placed frames alone": rungs[1].model, "the declared arm": rungs[0].model}
-    aside = plausible.refuse(
+    aside = plausible.refuse_implausible(
         final,
-        size(last, train.take(plausible.believed_rows(final, train))),
+        size(last, train.take(plausible.mark_believed_rows(final, train))),
         size(last, left_out),
         {than: size(model, left_out) for than, model in plainer.items()},
         unit,

@@ -28,7 +28,7 @@ from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
-from longarm_comp.core.identify.run_ups import as_fitted
+from longarm_comp.core.identify.run_ups import with_fitted_run_ups
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -271,7 +271,7 @@ def after(given: Context, arrived: History) -> Context:
 def last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
     """Return the joints (n,) at the end of a session, and their history."""
     session = history if isinstance(history, Session) else read_session(history, model.arm)
-    session = as_fitted(session, model)
+    session = with_fitted_run_ups(session, model)
     return session.q[-1], History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.calibration.uncertainty import uncertainty
+from longarm_comp.core.calibration.uncertainty import measure_uncertainty
 from longarm_comp.core.data.admission import FEW_POSES
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
@@ -81,7 +81,7 @@ class DiagnosisResult:
         found = self.diagnosis
         of_it = [r for r in (found.train, found.held_out) if r.source == found.train.source]
         ends = [ended for rows in of_it if (ended := rows.ended_s) is not None]
-        known = uncertainty(found.fit)
+        known = measure_uncertainty(found.fit)
         return replace(found.model, uncertainty=known, ended_s=max(ends, default=None))
 
     @property
@@ -134,7 +134,7 @@ class DiagnosisResult:
             (slot.term, slot.parameter.name): (found.intervals[k].low, found.intervals[k].high)
             for k, slot in enumerate(model.slots)
         }
-        added = {t.key for t in found.search.chosen}
+        added = {t.key for t in found.search.chosen_terms}
         known = () if before is None else (*before.geometry, *before.effects, *before.camera)
         held = {(t.effect, t.where): t.origin for t in known}
         new = f"{found.verdict}, session {self.session_hash[:16]}, seed {found.seed}"

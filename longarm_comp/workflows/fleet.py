@@ -18,7 +18,7 @@ from pathlib import Path
 from pydantic import TypeAdapter
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.kind_of_arm import table
+from longarm_comp.core.calibration.kind_of_arm import describe_table
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import check_regular, write_text
@@ -205,7 +205,7 @@ def fleet(
 def _read_table(path: Path) -> object:
     """Return the DH table, which arms of one kind share; the path of a file that is refused."""
     try:
-        return table(Arm.load(path))
+        return describe_table(Arm.load(path))
     except LongarmError:
         return path
 

@@ -17,7 +17,7 @@ from longarm_comp.core.data.admission import FEW_POSES, admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import file_hash
-from longarm_comp.core.identify.run_ups import as_fitted
+from longarm_comp.core.identify.run_ups import with_fitted_run_ups
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, store
@@ -86,7 +86,7 @@ def admit_session(
     """
     session = given if isinstance(given, Session) else read_session(given, arm)
     if model is not None:
-        session = as_fitted(session, model)
+        session = with_fitted_run_ups(session, model)
     admission = admit(session, arm, model, min_poses, judge=judge)
     where = session.source if isinstance(given, Session) else given
     for finding in admission.findings:

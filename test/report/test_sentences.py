@@ -19,10 +19,10 @@ import pytest
 from drawn_reports import drawn, in_doubt, justin, panda_3, panda_7, real
 from report_pages import Page
 
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify import diagnosis
-from longarm_comp.core.identify.practical import gains, tip_shift
+from longarm_comp.core.identify.practical import compute_gains, measure_tip_shift
 from longarm_comp.core.identify.proof import WITH_FUNCTIONS
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, record, words
@@ -46,15 +46,15 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     (drift,) = (f for f in found.findings if f.name == "camera_drift")
     places = {t.key for t in drift.terms}
     fullest = [(list(fold.fits.values())[-1], fold.rows) for fold in found.folds]
-    ((seen, commanded),) = gains(fullest, [places])
+    ((seen, commanded),) = compute_gains(fullest, [places])
     rate = np.array([getattr(drift.terms[0], axis) for axis in "xyz"])
     hours = fitted.session.columns["t_s"] / 3600
     tip_m = hours * np.linalg.norm(rate)
-    assert tip_shift(fitted, places) == pytest.approx(tip_m, rel=1e-6, abs=1e-7)
+    assert measure_tip_shift(fitted, places) == pytest.approx(tip_m, rel=1e-6, abs=1e-7)
     left = []
     for kept, rows in fullest:
         bare = dataclasses.replace(kept.model, biases=())
-        again = fit(bare, kept.session, **kept.judged)
+        again = fit_model(bare, kept.session, **kept.noise_arguments)
         left.append(np.linalg.norm(errors(again.model, rows), axis=1))
     left = np.concatenate(left).mean()
     assert seen.before == pytest.approx(left, rel=0.02)
@@ -90,7 +90,7 @@ def told(request: pytest.FixtureRequest) -> list[Told]:
     every = [drawn(seed, rich[seed % len(rich)]) for seed in seeds if rich]
     made = []
     with pytest.MonkeyPatch.context() as patched:  # what no sentence here is about
-        patched.setattr(diagnosis, "detectable", lambda *_: ())
+        patched.setattr(diagnosis, "find_smallest_sizes", lambda *_: ())
         for found in (*bases, *every):
             report = build_report(found, "0" * 64)
             made.append((report, Page(rendered(report.for_people(), Detail(), {}))))

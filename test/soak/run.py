@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.dummy_predictor import train_dummy
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import declared_model, stages
+from longarm_comp.core.calibration.calibrate import declared_model, fit_stages
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
@@ -121,7 +121,7 @@ def _calibrated(arm: Arm, seed: int) -> Model:
     q = random_joints(arm, 60, rng)
     seen = TrueArm(arm).tip(q) + NOISE_M * rng.standard_normal((len(q), 3))
     rows = Session.record(q, seen)
-    return with_uncertainty(dict(stages(declared_model(arm), rows))["geometry"])
+    return with_uncertainty(dict(fit_stages(declared_model(arm), rows))["geometry"])
 
 
 @contextmanager

@@ -115,7 +115,7 @@ def test_no_stiffness_is_negative_and_the_torso_is_one(justin_data: Path) -> Non
     parts = justin(justin_data)
     terms = [
         (
-            *real.geometry(p.arm, p.train),
+            *real.geometry_terms(p.arm, p.train),
             *real.JointCompliance.for_arm(p.arm),
             *real.BearingTilt.for_arm(p.arm),
         )

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from touching import ARM, EXAMPLE, SOCKETS, errors_of_the_drawing, touching
 
 import longarm_comp as la
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -56,7 +56,7 @@ def test_real_arms_are_calibrated_by_touch(name: str) -> None:
     left: dict[str, list[np.ndarray]] = {"frames_only": [], "geometry": []}
     for place in np.unique(session.labels["location"]):
         held = session.labels["location"] == place
-        fits = dict(stages(declared_model(arm), session.take(~held)))
+        fits = dict(fit_stages(declared_model(arm), session.take(~held)))
         for rung, found in left.items():
             found.append(spreads(fits[rung].model, session.take(held)))
     nominal, rigid = (1e3 * np.concatenate(found).mean() for found in left.values())

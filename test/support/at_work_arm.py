@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 from small_arm import ARM
 
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.plays import FrictionHysteresis
@@ -43,5 +43,5 @@ def fitted() -> Model:
     tip = true_tip(q, np.repeat(side[:, None], ARM.n, axis=1))
     seen = tip + NOISE * rng.standard_normal(tip.shape)
     session = Session.record(q, seen, approach=side)
-    base = dict(stages(declared_model(ARM), session))["geometry"].model
-    return with_uncertainty(fit(base.plus(FrictionHysteresis(JOINT)), session))
+    base = dict(fit_stages(declared_model(ARM), session))["geometry"].model
+    return with_uncertainty(fit_model(base.plus(FrictionHysteresis(JOINT)), session))

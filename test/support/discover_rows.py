@@ -6,7 +6,7 @@ import numpy as np
 from hidden_arm import white
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import declared_model, stages
+from longarm_comp.core.calibration.calibrate import declared_model, fit_stages
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
@@ -34,5 +34,5 @@ def measured(arm: Arm, hidden: tuple[HiddenEffect, ...], n: int, seed: int) -> S
 
 
 def calibrated(arm: Arm, session: Session) -> ModelFit:
-    *_, (_, fitted) = stages(declared_model(arm), session)
+    *_, (_, fitted) = fit_stages(declared_model(arm), session)
     return fitted

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from small_arm import ARM
 
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.declared_model import declared_model
@@ -69,5 +69,5 @@ def files_of_a_gain(folder: Path) -> tuple[Path, Path, Path]:
 
 def calibrated(rows: Session) -> ModelFit:
     """The fit of the geometry to some rows."""
-    *_, (_, fitted) = stages(declared_model(ARM), rows)
+    *_, (_, fitted) = fit_stages(declared_model(ARM), rows)
     return fitted

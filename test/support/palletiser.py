@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.calibrate import geometry_terms
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model
 
@@ -56,7 +56,7 @@ horizon when joint 2 moves."""
 
 def truth(rng: np.random.Generator) -> Model:
     """An arm as it was made: errors of its drawing's tolerances."""
-    drawn = Model(PALLETISER).plus(*(t for t in geometry(PALLETISER, rows(np.zeros((4, 6))))))
+    drawn = Model(PALLETISER).plus(*(t for t in geometry_terms(PALLETISER, rows(np.zeros((4, 6))))))
     sizes = [0.0 if s.parameter.unknown else 0.3 * s.parameter.width for s in drawn.slots]
     return drawn.with_values(np.array(sizes) * rng.standard_normal(len(sizes)))
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import declared_model, geometry, ladder
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import declared_model, fit_ladder, geometry_terms
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraRadial
@@ -66,8 +66,8 @@ class Twin:
 
     def calibrated(self) -> Model:
         """Geometry only, on top of the declared sag."""
-        return fit(
-            declared_model(self.arm).plus(*geometry(self.arm, self.samples)), self.samples
+        return fit_model(
+            declared_model(self.arm).plus(*geometry_terms(self.arm, self.samples)), self.samples
         ).model
 
     def with_network(self, model: Model, ensemble: int) -> float:
@@ -106,7 +106,7 @@ def test_calibrated_and_network(
 def test_the_right_effects_leave_a_twentieth(data_dir: Path, samples: int) -> None:
     """Calibrated with the effects that are in the twin, started from nothing."""
     twin = Twin.load(data_dir, f"paper_twin_{samples}").with_run_ups(0.0524)
-    base = declared_model(twin.arm).plus(*geometry(twin.arm, twin.samples))
+    base = declared_model(twin.arm).plus(*geometry_terms(twin.arm, twin.samples))
     rows = [1, 2, 4, 5, 6]
     first = base.plus(
         *JointGain.for_arm(twin.arm),
@@ -116,10 +116,10 @@ def test_the_right_effects_leave_a_twentieth(data_dir: Path, samples: int) -> No
         CameraRadial(),
         *TelescopeClearance.for_arm(twin.arm),
     )
-    smooth = fit(first, twin.samples).model
+    smooth = fit_model(first, twin.samples).model
     steps = ServoQuantisation.for_arm(twin.arm)
     coarse = [s for s in steps if s.steps_per_turn == 1000]
-    full = fit(smooth.plus(*coarse), twin.samples).model
+    full = fit_model(smooth.plus(*coarse), twin.samples).model
     assert twin.share(smooth) < 0.15
     assert twin.share(full) <= 0.05
 
@@ -127,7 +127,7 @@ def test_the_right_effects_leave_a_twentieth(data_dir: Path, samples: int) -> No
 def test_one_joint_compliance(data_dir: Path) -> None:
     """The ladder ends at the noise where the missing effect is declared, and not before."""
     twin = Twin.load(data_dir, "one_joint_compliance_300")
-    rungs = ladder(
+    rungs = fit_ladder(
         twin.arm, twin.samples, twin.test, [("joint_compliance", JointCompliance.for_arm(twin.arm))]
     )
     left = {

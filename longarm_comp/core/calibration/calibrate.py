@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, choose_sizes
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import frames, place_as_seen, place_frames
+from longarm_comp.core.calibration.standing import place_as_seen, place_frames, placement_terms
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
@@ -62,7 +62,7 @@ class Errors:
         return lengths | {"variance_mm2": 1e6 * self.variance}
 
     @property
-    def said(self) -> str:
+    def mean_text(self) -> str:
         """Return the mean with its unit: mm, or mrad where only orientations were measured."""
         if self.n or self.angle is None:
             return f"{1e3 * self.mean:.2f} mm"
@@ -77,8 +77,13 @@ class Errors:
         numbers: np.ndarray | None = None,
         spread: np.ndarray | None = None,
     ) -> Errors:
-        """Summarise (N, 3) errors in m, (M, 3) turns in rad, the (N,) numbers of the rows, and (K,)
-        distances from touched points in m.
+        """Summarise the errors of a model at some rows.
+
+        Args:
+            error: (N, 3) measured - predicted positions of the tip, m.
+            turn: (M, 3) rotations from predicted to measured tip, rad.
+            numbers: (N,) numbers of the rows, for `worst`; from 0 on where None.
+            spread: (K,) distances of the tip from touched points, m.
         """
         mean_turn = None
         about = float(spread.mean()) if spread is not None and len(spread) else None
@@ -89,17 +94,17 @@ class Errors:
         length = np.linalg.norm(error, axis=1)
         numbers = np.arange(len(error)) if numbers is None else numbers
         return cls(
-            len(error),
-            float(length.mean()),
-            float(np.sqrt((length**2).mean())),
-            float(np.percentile(length, 95)),
-            float(length.max()),
-            float(np.abs(error[:, 2]).mean()),
-            float(error.var(axis=0).mean()),
-            mean_turn,
-            float(np.median(length)),
-            tuple((int(numbers[k]), float(length[k])) for k in np.argsort(-length)[:WORST]),
-            about,
+            n=len(error),
+            mean=float(length.mean()),
+            rms=float(np.sqrt((length**2).mean())),
+            p95=float(np.percentile(length, 95)),
+            max=float(length.max()),
+            mean_abs_z=float(np.abs(error[:, 2]).mean()),
+            variance=float(error.var(axis=0).mean()),
+            angle=mean_turn,
+            median=float(np.median(length)),
+            worst=tuple((int(numbers[k]), float(length[k])) for k in np.argsort(-length)[:WORST]),
+            spread=about,
         )
 
 
@@ -118,13 +123,13 @@ class Rung:
     commanded: Errors
 
 
-def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
+def geometry_terms(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     """Return what is always fitted: base placements, markers, joint zeros, DH rows, cylinders."""
     own = (*JointZero.for_arm(arm), *DhError.for_arm(arm), *CylinderPins.for_arm(arm))
-    return (*frames(arm, session), *own)
+    return (*placement_terms(arm, session), *own)
 
 
-def stages(
+def fit_stages(
     model: Model,
     session: Session,
     progress: Callable[[str], None] | None = None,
@@ -133,31 +138,33 @@ def stages(
     """Fit frames only, joint zeros, and full geometry on top of a model, each from the last.
 
     The frames are placed in closed form first.  The last fit is what every command calls
-    calibrated.  Errors are those of `fit`.
+    calibrated.  Errors are those of `fit_model`.
 
     Args:
         progress: called with each name before it is fitted.
         kind: what other arms of the kind tell about the full geometry.
     """
-    base = frames(model.arm, session)
+    base = placement_terms(model.arm, session)
     start = placed = place_frames(model, session)
     borne = through_others(model.arm) if any(e.loaded for e in model.effects) else ()
     for name, terms in (
         ("frames_only", base),
         ("joint_zeros", (*base, *JointZero.for_arm(model.arm))),
-        ("geometry", (*geometry(model.arm, session), *borne)),
+        ("geometry", (*geometry_terms(model.arm, session), *borne)),
     ):
         if progress is not None:
             progress(name)
         whole, usual = model.with_missing(terms), None
         if kind is not None and name == "geometry":
             whole, usual, start = kind.apply_to(whole), kind.noise, placed
-        fitted = fit(start_from(start, whole), session, usual=usual)
+        fitted = fit_model(copy_known_values(start, whole), session, usual=usual)
         if name == "geometry":
             tried = [fitted.model.beyond]
             while (beyond := _find_beyond(fitted.model)) not in tried:
                 tried.append(beyond)
-                fitted = fit(dataclasses.replace(fitted.model, beyond=beyond), session, usual=usual)
+                fitted = fit_model(
+                    dataclasses.replace(fitted.model, beyond=beyond), session, usual=usual
+                )
         start = fitted.model
         yield name, fitted
 
@@ -167,7 +174,7 @@ def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
 
     A part far beyond its tolerance pays for that only once.  Otherwise any effect that moves the
     tip as the part does would be worth what the part's prior costs.  A fit with these parts may
-    give others, so `stages` repeats both until the same parts come again.
+    give others, so `fit_stages` repeats both until the same parts come again.
     """
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]
@@ -177,7 +184,7 @@ def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
     return tuple((s.identity, f) for s, f in zip(slots, sizes, strict=True) if f != 1.0)
 
 
-def ladder(
+def fit_ladder(
     arm: Arm,
     train: Session,
     held_out: Session,
@@ -195,7 +202,7 @@ def ladder(
         train, held_out: rows to fit, and rows to judge by, which are never fitted.
         effects: (name, terms) rungs above the full geometry, cumulative.
         deflection: whether declared beams sag, in all rungs.
-        progress, kind: as in `stages`.
+        progress, kind: as in `fit_stages`.
 
     Raises:
         InputError: too few rows, or an input that an effect needs is missing.
@@ -213,17 +220,17 @@ def ladder(
 
     base = declared_model(arm, deflection=deflection)
     rungs = [rung("nominal", place_as_seen(base, train).model, None)]
-    for name, fitted in stages(base, train, progress, kind):
+    for name, fitted in fit_stages(base, train, progress, kind):
         rungs.append(rung(name, fitted.model, fitted))
     for name, terms in effects:
         if progress is not None:
             progress(name)
-        fitted = fit(rungs[-1].model.plus(*terms), train)
+        fitted = fit_model(rungs[-1].model.plus(*terms), train)
         rungs.append(rung(name, fitted.model, fitted))
     return rungs
 
 
-def start_from(known: Model, model: Model) -> Model:
+def copy_known_values(known: Model, model: Model) -> Model:
     """Return a model with the values of a known one, where they share a parameter."""
     values = {s.identity: s.value for s in known.slots}
     return model.with_values(np.array([values.get(s.identity, s.value) for s in model.slots]))

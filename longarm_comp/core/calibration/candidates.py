@@ -34,6 +34,7 @@ class Candidate:
 
     @property
     def where(self) -> tuple[str, ...]:
+        """The places of its terms, each once."""
         return tuple(dict.fromkeys(t.where for t in self.terms))
 
     @property
@@ -48,6 +49,7 @@ class Candidate:
         return f"{self.name} ({', '.join(self.where)}{', ' + form if form else ''})"
 
     def slots(self, arm: Arm) -> tuple[Slot, ...]:
+        """Return the parameters of its terms that are fitted on an arm."""
         return slots_of(arm, self.terms)
 
 
@@ -66,7 +68,7 @@ class Library:
     stepped: tuple[type[Effect], ...] = ()
 
 
-def library(
+def list_candidates(
     arm: Arm,
     context: Context,
     kinds: Sequence[type[Effect] | type[Bias]] | None = None,
@@ -113,12 +115,17 @@ def library(
             usable.append(Candidate(kind.name, tuple(group)))
         if not usable:
             missing.append((kind.name, why))
-        testable += usable + _families(usable)
+        testable += usable + _join_places(usable)
     stepped = tuple(kind for kind in tried if issubclass(kind, Effect) and kind.stepped)
     return Library(tuple(testable), tuple(missing), stepped)
 
 
-def distinct(
+def list_variants(terms: Iterable[Term]) -> tuple[object, ...]:
+    """Return what tells terms apart: effect, place and form, but not the values of parameters."""
+    return tuple(t.variant for t in terms)
+
+
+def distinct_terms(
     candidates: Iterable[Candidate], but: Container[tuple[str, str]] = ()
 ) -> tuple[Term, ...]:
     """Return each term of the candidates once, without those at some places."""
@@ -130,7 +137,7 @@ def distinct(
     return tuple(made.values())
 
 
-def _families(singles: list[Candidate]) -> list[Candidate]:
+def _join_places(singles: list[Candidate]) -> list[Candidate]:
     """Return one candidate per form with all places together, where an effect has several
     places."""
     by_form: dict[tuple[tuple[str, object], ...], list[Term]] = {}

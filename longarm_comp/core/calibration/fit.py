@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from longarm_comp.core.calibration import linear
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.calibration.session_problem import SessionProblem
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
@@ -39,7 +39,7 @@ AMISS = 1.0
 which a step is shortened: a standard error, squared, for the cost is in units of the noise."""
 
 
-def fit(
+def fit_model(
     model: Model,
     session: Session,
     *,
@@ -77,17 +77,19 @@ def fit(
     return _fit_parts([part], close)[0]
 
 
-def compare_unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
-    """Compute residual and design of a model as it is at a session; `near` as in `fit`."""
+def linearise_model(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
+    """Compute residual and design of a model as it is at a session; `near` as in `fit_model`."""
     part = SessionProblem(model, session, robust=False, near=near)
-    part.weigh(1)
-    return part.finish(np.diag(priors(model.slots) ** 2))
+    part.judge_rows(1)
+    return part.make_fit(np.diag(prior_widths(model.slots) ** 2))
 
 
 def fit_together(
     parts: Sequence[tuple[Model, Session]], own: Callable[[Slot], bool]
 ) -> list[ModelFit]:
-    """Fit several arms that share a part of their chain (two arms on one torso); errors as `fit`.
+    """Fit several arms that share a part of their chain, as two arms on one torso.
+
+    Errors are those of `fit_model`.
 
     Args:
         parts: a starting model and a session each.
@@ -108,7 +110,7 @@ def _fit_parts(
     cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, GAUSS_NEWTON_STEPS + 1):
         for part in parts:
-            part.weigh(step)
+            part.judge_rows(step)
         try:
             gram, moment, square = problem.normal_equations()
             posterior = linear.solve_products(gram, moment, *problem.bounds)
@@ -125,7 +127,7 @@ def _fit_parts(
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
             if not holds:
-                part.differentiate()
+                part.update_design()
         if holds and (step_size <= close).all() and (step > 2 or not adapting):
             converged = True
             break
@@ -140,14 +142,16 @@ def _fit_parts(
     if back or close <= CLOSE:
         for part in parts:
             if back:
-                part.move(best[part.mine], close=False)
-            part.differentiate()
+                part.move_to(best[part.own_places], close=False)
+            part.update_design()
         posterior = linear.solve_products(*problem.normal_equations()[:2])
     covariance = posterior.covariance * np.outer(scale, scale)
     for part in parts:
         if part.sigma is None:
             part.noise = part.estimate_noise()
-    return [p.finish(covariance[np.ix_(p.mine, p.mine)], step, converged) for p in parts]
+    return [
+        p.make_fit(covariance[np.ix_(p.own_places, p.own_places)], step, converged) for p in parts
+    ]
 
 
 class _JointProblem:
@@ -172,9 +176,9 @@ class _JointProblem:
                     place[key] = len(place)
                     slots.append(slot)
                 places.append(place[key])
-            part.mine = np.array(places, dtype=int)
+            part.own_places = np.array(places, dtype=int)
         self.start = np.array([s.value for s in slots], dtype=float)
-        self.scale = priors(tuple(slots))
+        self.scale = prior_widths(tuple(slots))
         self.centre = np.where([s.parameter.unknown for s in slots], self.start, 0.0)
         ends = [[s.parameter.lower, s.parameter.upper] for s in slots]
         self.limits = np.array(ends).reshape(-1, 2).T
@@ -186,19 +190,19 @@ class _JointProblem:
         p = len(self.scale)
         gram, moment, square = np.zeros((p, p)), np.zeros(p), 0.0
         for part in self.parts:
-            a, y = part.linearise(self.scale[part.mine], self.centre[part.mine])
-            gram[np.ix_(part.mine, part.mine)] += a.T @ a
-            moment[part.mine] += a.T @ y
+            a, y = part.linearise_rows(self.scale[part.own_places], self.centre[part.own_places])
+            gram[np.ix_(part.own_places, part.own_places)] += a.T @ a
+            moment[part.own_places] += a.T @ y
             square += float(y @ y)
         return gram, moment, square
 
-    def _cost(self, values: np.ndarray) -> float:
+    def _compute_cost(self, values: np.ndarray) -> float:
         prior = (((values - self.centre) / self.scale) ** 2).sum()
-        return sum(part.cost() for part in self.parts) + float(prior)
+        return sum(part.compute_cost() for part in self.parts) + float(prior)
 
-    def _move(self, values: np.ndarray, near: bool) -> None:
+    def _move_to(self, values: np.ndarray, near: bool) -> None:
         for part in self.parts:
-            part.move(values[part.mine], near)
+            part.move_to(values[part.own_places], near)
 
     def step_towards(
         self, goal: np.ndarray, now: np.ndarray, gram: np.ndarray, moment: np.ndarray, near: bool
@@ -217,22 +221,24 @@ class _JointProblem:
         Raises:
             JobError: the fit is not finite however short the step.
         """
-        before, failed = self._cost(now), None
+        before, failed = self._compute_cost(now), None
         share, aside = 1.0, None
         while share > SHORTEST:
             values = now + share * (goal - now) + (0.0 if aside is None else share**2 * aside)
             values = np.clip(values, *self.limits)
             try:
-                self._move(values, near)
-                after = self._cost(values)
+                self._move_to(values, near)
+                after = self._compute_cost(values)
                 if after <= before + AMISS:
                     return values, after
                 if aside is None:
-                    self._move(now, near)
+                    self._move_to(now, near)
                     bend = np.zeros(len(now))
                     for part in self.parts:
-                        step = (goal - now)[part.mine]
-                        bend[part.mine] += part.bend(step, self.scale[part.mine], near)
+                        step = (goal - now)[part.own_places]
+                        bend[part.own_places] += part.project_curvature(
+                            step, self.scale[part.own_places], near
+                        )
                     bent = linear.solve_products(gram, moment - bend, *self.bounds).u
                     aside = self.centre + bent * self.scale - goal
                     continue
@@ -241,5 +247,5 @@ class _JointProblem:
             share *= 0.5
         if failed is not None:
             raise failed
-        self._move(now, near)
+        self._move_to(now, near)
         return now, before

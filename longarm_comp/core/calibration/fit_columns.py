@@ -8,7 +8,7 @@ import numpy as np
 
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.measurement import equations, shifts
 from longarm_comp.core.model.model import slots_of
 
@@ -23,31 +23,44 @@ class FitColumns:
         self.model, self._fitted = fitted.model, fitted
         self._known, self._shifts, self._white = fitted.known_columns
 
-    def of(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return (N, d, k) columns of some terms, each times its prior standard deviation."""
+    def prior_columns(self, terms: Sequence[Term]) -> np.ndarray:
+        """Compute the design columns of the parameters of some terms.
+
+        Args:
+            terms: the terms, in the model or not; the k parameters of all follow one another.
+
+        Returns:
+            (N, d, k) change of the d channels at the N rows by one prior standard deviation of each
+            parameter, m or rad.
+        """
         slots = slots_of(self.model.arm, terms)
         keys = [(*s.owner.variant, s.parameter.name) for s in slots]
         new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
         if new:
             session, at, slots = self._fitted.session, self._fitted.posture, tuple(new.values())
-            columns = equations(self.model, session, at, slots).columns * priors(slots)
+            columns = equations(self.model, session, at, slots).columns * prior_widths(slots)
             self._known.update(zip(new, np.moveaxis(columns, -1, 0), strict=True))
         if not keys:
             return np.zeros((*self._fitted.residual.shape, 0))
         return np.stack([self._known[key] for key in keys], axis=-1)
 
-    def shift(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the (N, d) sum of the shifts by terms without parameters, m or rad."""
-        keys = [t.variant for t in terms]
-        new = {k: t for k, t in zip(keys, terms, strict=True) if k not in self._shifts}
+    def shift_by(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return the (N, d) shift of the rows by terms at their values, m or rad."""
+        slots = slots_of(self.model.arm, terms)
+        values = np.array([s.value for s in slots]) / prior_widths(slots)
+        whole = [t for t in terms if not slots_of(self.model.arm, [t])]
+        new = {t.variant: t for t in whole if t.variant not in self._shifts}
         if new:
             session, at = self._fitted.session, self._fitted.posture
             found = shifts(self.model, session, at, list(new.values()))
             self._shifts.update(zip(new, np.moveaxis(found, -1, 0), strict=True))
-        return np.sum([self._shifts[key] for key in keys], axis=0)
+        fixed = sum(self._shifts[t.variant] for t in whole)
+        return np.asarray(self.prior_columns(terms) @ values + fixed)
 
-    def without(self, places: Container[tuple[str, str]], instead: Sequence[Term] = ()) -> Marginal:
-        """Return the evidence on top of the fit, with the terms at some places removed from it.
+    def marginal_without(
+        self, places: Container[tuple[str, str]], instead: Sequence[Term] = ()
+    ) -> Marginal:
+        """Marginalise the fit's own columns, but not those of the terms at some places.
 
         A term with parameters leaves with its columns; one without gives its shift back to the
         data.  A term that acts through others stays at its value, because the removed terms tell
@@ -56,34 +69,30 @@ class FitColumns:
         Args:
             places: keys of the terms that are removed.
             instead: terms with parameters that are put in.
+
+        Returns:
+            The marginal, on top of which the evidence of other columns is computed.
         """
         fitted = self._fitted
         fixed = np.array([s.owner.through_others for s in fitted.slots], dtype=bool)
         kept = [k for k, s in enumerate(fitted.slots) if s.owner.key not in places and not fixed[k]]
-        values = (fitted.model.values / priors(fitted.slots))[fixed]
+        values = (fitted.model.values / prior_widths(fitted.slots))[fixed]
         data = fitted.data - fitted.design[:, fixed] @ values
         for term in fitted.model.terms:
             if term.key in places and not slots_of(fitted.model.arm, [term]):
-                data = data + fitted.whiten_columns(self.shift([term])[..., None])[:, 0]
+                data = data + fitted.whiten_columns(self.shift_by([term])[..., None])[:, 0]
         if not instead:
             return Marginal(fitted.design[:, kept], data, fitted.gram[np.ix_(kept, kept)])
-        return Marginal(np.concatenate([fitted.design[:, kept], self.white(instead)], axis=1), data)
+        return Marginal(
+            np.concatenate([fitted.design[:, kept], self.white_columns(instead)], axis=1), data
+        )
 
-    def white(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return (m, k) columns of some terms side by side, in units of the noise."""
+    def white_columns(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return `prior_columns` in units of the noise, (m, k) with m = d times the inliers."""
         key = tuple(term.variant for term in terms)
         if key not in self._white:
-            self._white[key] = self._fitted.whiten_columns(self.of(terms))
+            self._white[key] = self._fitted.whiten_columns(self.prior_columns(terms))
         return self._white[key]
-
-
-def shift_of(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np.ndarray:
-    """Return the (N, d) shift of the rows by fitted terms, m or rad."""
-    slots = slots_of(fitted.model.arm, terms)
-    values = np.array([s.value for s in slots]) / priors(slots)
-    moved = columns.of(terms) @ values
-    fixed = [t for t in terms if not slots_of(fitted.model.arm, [t])]
-    return np.asarray(moved + columns.shift(fixed) if fixed else moved)
 
 
 def rms_shift(fitted: ModelFit, shift: np.ndarray) -> float:

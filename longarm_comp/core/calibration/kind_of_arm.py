@@ -80,14 +80,16 @@ class KindOfArm:
             terms: dict[tuple[object, ...], Effect] = {}
             for slot, value in zip(slots.values(), share, strict=True):
                 key = (slot.owner.name, *slot.owner.placement.items())
-                term = terms.get(key) or _at_zero(slot.owner)  # type: ignore[arg-type]
+                term = terms.get(key) or _with_zero_values(slot.owner)  # type: ignore[arg-type]
                 terms[key] = term.with_values({slot.parameter.name: value * slot.parameter.width})
             directions.append(KindDirection(number, tuple(terms.values())))
         return cls(tuple(directions), rest, noise or {})
 
     def apply_to(self, model: Model) -> Model:
         """Return a model of the further arm whose geometry has this prior."""
-        parts = {t.key: _at_zero(t) for d in self.directions for t in d.terms if not t.geometry}
+        parts = {
+            t.key: _with_zero_values(t) for d in self.directions for t in d.terms if not t.geometry
+        }
         whole = model.with_missing(parts.values()).with_missing(self.directions)
         return dataclasses.replace(whole, tolerances=self.rest)
 
@@ -119,7 +121,7 @@ def fold_directions(fit: ModelFit) -> ModelFit:
     )
 
 
-def table(arm: Arm) -> tuple[tuple[object, ...], ...]:
+def describe_table(arm: Arm) -> tuple[tuple[object, ...], ...]:
     """Return the rows that arms of one kind have in common."""
     return tuple(tuple(repr(getattr(j, name)) for name in _TABLE) for j in arm.joints)
 
@@ -159,5 +161,5 @@ def _shrink(values: np.ndarray) -> tuple[np.ndarray, float]:
     return ways, float(np.sqrt(weight * mean))
 
 
-def _at_zero(term: Effect) -> Effect:
+def _with_zero_values(term: Effect) -> Effect:
     return term.with_values({p.name: 0.0 for p in term.declared()})

@@ -12,8 +12,7 @@ import math
 import numpy as np
 from scipy.stats import f
 
-from longarm_comp.core.calibration.linear import whiten
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.set_aside import SIGNIFICANT
 from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.errors import JobError
@@ -35,8 +34,7 @@ def check_lasting(fit: ModelFit) -> None:
     lengths = fit.noise_m > 0
     common = np.sqrt((fit.noise_m[lengths] ** 2).mean()) if lengths.any() else 1.0
     sigma = np.where(lengths, common / np.where(lengths, fit.metres, 1.0), fit.sigma)
-    both = np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1)
-    white = whiten(both, fit.weights, sigma, 0.0, fit.session.measured)
+    white = fit.whiten_with_residual(sigma)
     a, residual = white[:, :-1], white[:, -1].copy()
     fitted = np.linalg.qr(np.vstack([a, np.eye(a.shape[1])]))[0][: len(a)]
     residual -= fitted @ (fitted.T @ residual)
@@ -80,12 +78,12 @@ def _falls_by_row(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) 
         residual: (M, d, 1).
     """
 
-    def behind(each: np.ndarray) -> np.ndarray:
+    def sum_from_row_on(each: np.ndarray) -> np.ndarray:
         return np.cumsum(each[::-1], axis=0)[::-1]
 
-    along = behind(np.einsum("ndk,ndo->nk", moving, residual))
-    across = behind(np.einsum("ndp,ndk->npk", fitted, moving))
-    own = behind(np.einsum("ndk,ndl->nkl", moving, moving))
+    along = sum_from_row_on(np.einsum("ndk,ndo->nk", moving, residual))
+    across = sum_from_row_on(np.einsum("ndp,ndk->npk", fitted, moving))
+    own = sum_from_row_on(np.einsum("ndk,ndl->nkl", moving, moving))
     size, ways = np.linalg.eigh(own - np.swapaxes(across, 1, 2) @ across)
     parts = np.einsum("nkl,nk->nl", ways, along) ** 2 / (np.maximum(size, 0.0) + 1.0)
     return np.asarray(parts.sum(axis=1))

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.calibration.linear import whiten
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
 PARTS, SMALL = 4, 20
@@ -50,25 +49,24 @@ class LeftOut:
 
         A touched point is not known, so its rows are judged against their mean.
         """
-        kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
+        kept = np.flatnonzero((fit.weights > 0) & fit.has_point)
         if len(kept) < 2:
             return None
         touched = fit.session.labels["touch"][kept] if not fit.session.located.any() else None
-        both = np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1)
-        white = whiten(both, fit.weights, fit.sigma, 0.0, fit.session.measured)
+        white = fit.whiten_with_residual(fit.sigma)
         whole = white.reshape((fit.weights > 0).sum(), fit.width, -1)
         here = np.searchsorted(np.flatnonzero(fit.weights > 0), kept)
         gram = np.einsum("ncp,ncq->pq", whole[..., :-1], whole[..., :-1])
         gram += np.eye(len(gram))
         length = fit.sigma[:3] / np.sqrt(fit.weights[kept])[:, None]
-        judged = np.unique(np.linspace(0, len(kept) - 1, MOST).round().astype(int))
+        judged = choose_evenly(np.arange(len(kept)), MOST)
         errors, covariances, counts, amid = [], [], [], []
         places = None
         if touched is not None:  # points of known distances are one tool's: one place
             places = touched.copy()
             for first, second, *_ in fit.session.touch_distances:
                 places[places == second] = first
-        for division, share, near in _divisions(fit.session.q[kept], places):
+        for division, share, near in _divide_rows(fit.session.q[kept], places):
             for part in np.unique(division):
                 out = division == part
                 a = whole[here[out]]
@@ -78,7 +76,7 @@ class LeftOut:
                 rows = a[:, :3] * length[out][..., None]
                 mine = np.isin(np.flatnonzero(out), judged)
                 if touched is not None:
-                    rows, alone = about_the_mean(rows, touched[out])
+                    rows, alone = subtract_point_means(rows, touched[out])
                     mine &= ~alone
                 moved = rows[mine, :, :-1]
                 errors.append(rows[mine, :, -1] + moved @ shift)
@@ -87,7 +85,7 @@ class LeftOut:
                 amid.append(np.full(mine.sum(), near))
         return cls(*(np.concatenate(each) for each in (errors, covariances, counts, amid)))
 
-    def explain(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
+    def find_least_errors(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
         """Find the least errors that bring 90 % of the rows inside.
 
         An error that no parameter explains is the same everywhere, and no larger than rows amid the
@@ -105,7 +103,7 @@ class LeftOut:
         counts = 2.0 ** np.arange(0.0, math.log2(len(self.error)) + 1.0, 0.5)
         alike, structure = float(counts[-1]), size.max() ** 2 / 3.0 * np.eye(3)  # at worst
         for count in counts:
-            further = self._structure(noise, count, float(size.max()))
+            further = self._find_structure(noise, count, float(size.max()))
             if further is None:  # more than any row amid the others errs
                 continue
             radius = sizes(count * self.covariance[amid] + noise + further)[1]
@@ -115,7 +113,7 @@ class LeftOut:
                 break
         return alike, structure
 
-    def _structure(self, noise: np.ndarray, alike: float, largest: float) -> np.ndarray | None:
+    def _find_structure(self, noise: np.ndarray, alike: float, largest: float) -> np.ndarray | None:
         """Find the least further covariance (3, 3) m^2 that brings 90 % of the rows inside.
 
         Its shape is that of the errors; None where its size would be more than `largest`, m.
@@ -125,20 +123,20 @@ class LeftOut:
         size = np.linalg.norm(self.error, axis=1)
         wanted = LEVEL * (self.count.sum() + 1.0)
 
-        def enough(square: float) -> bool:
+        def holds_enough(square: float) -> bool:
             inside = size <= sizes(alike * self.covariance + noise + square * shape)[1]
             return bool(self.count @ inside >= wanted)
 
         low, high = 0.0, largest**2
-        if enough(low) or not enough(high):
-            return 0.0 * shape if enough(low) else None
+        if holds_enough(low) or not holds_enough(high):
+            return 0.0 * shape if holds_enough(low) else None
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            low, high = (low, middle) if enough(middle) else (middle, high)
+            low, high = (low, middle) if holds_enough(middle) else (middle, high)
         return high * shape
 
 
-def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def subtract_point_means(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Subtract from rows (N, ...) the mean of those that touched the same point.
 
     They are scaled so that independent noise keeps its variance.
@@ -154,7 +152,7 @@ def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, n
     return (rows - (sums / count[beside])[which]) / np.sqrt(kept), count[which] == 1
 
 
-def _divisions(
+def _divide_rows(
     q: np.ndarray, places: np.ndarray | None = None
 ) -> Iterator[tuple[np.ndarray, float, bool]]:
     """Yield divisions of the rows into parts (N,) to leave out, a row's weight in each division,

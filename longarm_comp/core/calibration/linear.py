@@ -33,7 +33,7 @@ class Posterior:
     effective: float
 
 
-def solve(
+def solve_posterior(
     a: np.ndarray, y: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
 ) -> Posterior:
     """Return the MAP estimate of ``y = A u + e``, e and u unit normal, u within any bounds (p,).
@@ -50,7 +50,7 @@ def solve_products(
     lower: np.ndarray | None = None,
     upper: np.ndarray | None = None,
 ) -> Posterior:
-    """Solve as `solve`, given the products ``A'A`` (p, p) and ``A'y`` (p,)."""
+    """Solve as `solve_posterior`, given the products ``A'A`` (p, p) and ``A'y`` (p,)."""
     p = len(gram)
     factor = np.linalg.cholesky(gram + np.eye(p))
     right = solve_triangular(factor, moment, lower=True)
@@ -83,10 +83,10 @@ class Marginal:
     @property
     def evidence(self) -> float:
         """The log evidence of the columns already there, up to a constant of the data."""
-        return float(-0.5 * self.y @ self.py - np.log(np.diag(self._factor[0])).sum())
+        return float(-0.5 * self.y @ self.projected_data - np.log(np.diag(self._factor[0])).sum())
 
     @cached_property
-    def py(self) -> np.ndarray:
+    def projected_data(self) -> np.ndarray:
         """The (m,) projected data P y."""
         return self.y - self.a @ self._coefficients
 
@@ -94,20 +94,20 @@ class Marginal:
         """Return P b: the part of b that the columns already there cannot (cheaply) explain."""
         return b - self.a @ self._solve(self.a.T @ b)
 
-    def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project_products(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
         cross = self.a.T @ b
         s = b.T @ b - cross.T @ self._solve(cross)
-        return (s + s.T) / 2, b.T @ self.py
+        return (s + s.T) / 2, b.T @ self.projected_data
 
     def _solve(self, right: np.ndarray) -> np.ndarray:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
 
 
-def marginalise(
+def marginalise_first(
     gram: np.ndarray, along: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Marginalise the first k of some columns, in the products of all (`Marginal.normal`).
+    """Marginalise the first k columns, in the products of all (`Marginal.project_products`).
 
     Args:
         gram, along: (K, K) and (K,) products of the columns with themselves and with the data.
@@ -136,7 +136,7 @@ def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
 
 
-def root_of(like: np.ndarray) -> np.ndarray:
+def prior_root(like: np.ndarray) -> np.ndarray:
     """Return a root R (..., k, k) of the prior covariance: coefficients are R w, w unit normal.
 
     Coefficients of one group are correlated by `ALIKE`.
@@ -144,13 +144,15 @@ def root_of(like: np.ndarray) -> np.ndarray:
     Args:
         like: (..., k) group numbers; coefficients of one group are like each other.
     """
-    return np.linalg.cholesky(np.where(np.eye(like.shape[-1]) > 0, 1.0, ALIKE * _same(like)))
+    return np.linalg.cholesky(
+        np.where(np.eye(like.shape[-1]) > 0, 1.0, ALIKE * _in_same_group(like))
+    )
 
 
 def log_prior_mass(lower: np.ndarray, upper: np.ndarray, like: np.ndarray) -> np.ndarray:
     """Return (...) the log of the prior mass between bounds (..., k); the prior is that of
-    `root_of`."""
-    same = _same(like)
+    `prior_root`."""
+    same = _in_same_group(like)
     mates = same.sum(-1)
     alone = log_mass(lower, upper)
     if (mates == 1).all():
@@ -161,7 +163,7 @@ def log_prior_mass(lower: np.ndarray, upper: np.ndarray, like: np.ndarray) -> np
     return np.asarray((np.where(mates > 1, together, alone) / mates).sum(-1))
 
 
-def _same(like: np.ndarray) -> np.ndarray:
+def _in_same_group(like: np.ndarray) -> np.ndarray:
     return np.asarray(like[..., :, None] == like[..., None, :])
 
 
@@ -185,12 +187,12 @@ def choose_sizes(
     Args:
         mean: the coefficients.
         sizes, chances: (..., k, s) prior standard deviations, and their log probabilities.
-        like: as in `root_of`; no two are alike where None.
+        like: as in `prior_root`; no two are alike where None.
     """
     if like is None:
         like = np.arange(mean.shape[-1])
-    same = _same(like)
-    white = np.linalg.solve(root_of(like), mean[..., None])
+    same = _in_same_group(like)
+    white = np.linalg.solve(prior_root(like), mean[..., None])
     share = chances / same.sum(-1)[..., None]
     tried = same @ (share - 0.5 * (white / sizes) ** 2 - np.log(sizes))
     best = tried.argmax(axis=-1)[..., None]
@@ -207,7 +209,7 @@ MAD = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
 
 
-def whiten(
+def whiten_rows(
     columns: np.ndarray,
     weights: np.ndarray,
     sigma: np.ndarray,
@@ -254,7 +256,7 @@ def weigh_rows(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -
     return uneven**-2.0 if worth > 0 else alike
 
 
-def inliers(
+def mark_inliers(
     residual: np.ndarray, measured: np.ndarray, sigma: np.ndarray | None = None
 ) -> np.ndarray:
     """Return (N,) 1, or 0 for rows beyond `OUTLIER` robust standard deviations, of (N, d)
@@ -264,27 +266,27 @@ def inliers(
     known noise; only channels that were measured count.
     """
     held = np.where(measured, residual, np.nan)
-    centre = median(held)
-    robust = MAD * median(np.abs(held - centre))
+    centre = channel_medians(held)
+    robust = MAD * channel_medians(np.abs(held - centre))
     if sigma is not None and np.isfinite(sigma).all():
         robust = np.maximum(robust, sigma)
     worst = np.abs(held - centre) / np.maximum(robust, 1e-12)
     return (np.nan_to_num(worst).max(axis=1) <= OUTLIER).astype(float)
 
 
-def spread(
+def estimate_noise(
     residual: np.ndarray, weights: np.ndarray, effective: float, measured: np.ndarray
 ) -> np.ndarray:
     """Return (d,) noise per channel from weighted residuals; all share the degrees of freedom.
 
     It is infinite for a channel that no inlier holds.
     """
-    count = freedom(weights, effective, measured)
+    count = degrees_of_freedom(weights, effective, measured)
     sigma = np.maximum(np.sqrt((weights[:, None] * residual**2).sum(0) / count), 1e-7)
     return np.where(measured[weights > 0].any(0), sigma, np.inf)
 
 
-def freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.ndarray:
+def degrees_of_freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.ndarray:
     """Return (d,) degrees of freedom: a channel's inliers less its share of fitted parameters.
 
     It is at least 1, if the channel has any inlier.
@@ -299,7 +301,7 @@ def freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.n
     return np.maximum(count - effective * share, np.clip(count, 1e-12, 1.0))
 
 
-def median(values: np.ndarray) -> np.ndarray:
+def channel_medians(values: np.ndarray) -> np.ndarray:
     """Return (d,) medians of (N, d) over what is not NaN; 0 for an empty column."""
     if not np.isnan(values).any():
         return np.asarray(np.median(values, axis=0))
@@ -307,7 +309,7 @@ def median(values: np.ndarray) -> np.ndarray:
     return np.array([np.median(column) if len(column) else 0.0 for column in columns])
 
 
-def mean(values: np.ndarray) -> np.ndarray:
+def channel_means(values: np.ndarray) -> np.ndarray:
     """Return (d,) means of (N, d) over what is not NaN; 0 for an empty column."""
     held = np.isfinite(values)
     return np.asarray(np.where(held, values, 0.0).sum(0) / np.maximum(held.sum(0), 1))

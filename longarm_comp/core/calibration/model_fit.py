@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.calibration.linear import whiten
+from longarm_comp.core.calibration.linear import whiten_rows
 from longarm_comp.core.data.measurement import metres
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, Slot
@@ -53,6 +53,7 @@ class ModelFit:
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
+        """The p parameters that were fitted, in the order of `columns` and `covariance`."""
         return self.model.slots
 
     @cached_property
@@ -61,8 +62,8 @@ class ModelFit:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def judged(self) -> dict[str, Any]:
-        """The noise and weights of the rows, as arguments for another `fit` of the same rows."""
+    def noise_arguments(self) -> dict[str, Any]:
+        """The noise and weights of the rows: arguments for another `fit_model` of these rows."""
         return {"sigma": self.sigma, "rho": self.rho, "weights": self.weights}
 
     @property
@@ -72,15 +73,24 @@ class ModelFit:
 
     def whiten_columns(self, columns: np.ndarray) -> np.ndarray:
         """Map (N, d, k) columns per unit to (dM, k) of the M inliers, in units of the noise."""
-        return whiten(columns, self.weights, self.sigma, self.rho, self.session.measured)
+        return whiten_rows(columns, self.weights, self.sigma, self.rho, self.session.measured)
 
-    def uneven(self, rows: Session) -> np.ndarray:
+    def whiten_with_residual(self, sigma: np.ndarray) -> np.ndarray:
+        """Return (dM, p + 1) prior-scaled columns, then the residual, in units of a noise (d,).
+
+        Rows count by their weights, and each alone: correlation of the noise is left aside.
+        """
+        columns = self.columns * prior_widths(self.slots)
+        both = np.concatenate([columns, self.residual[..., None]], axis=-1)
+        return whiten_rows(both, self.weights, sigma, 0.0, self.session.measured)
+
+    def stated_noise_ratio(self, rows: Session) -> np.ndarray:
         """Return (M,) stated noise of rows over the usual one; 1 if the fit did not believe it."""
         believed = not np.isin(self.weights, (0.0, 1.0)).all()
         return rows.uneven(self.session.claimed) if believed else np.ones(len(rows))
 
     @cached_property
-    def pointed(self) -> np.ndarray:
+    def has_point(self) -> np.ndarray:
         """The (N,) rows that hold all three coordinates of the tip: a position or a touched
         point."""
         if self.session.blocks[0].kind not in ("position", "touch"):
@@ -110,7 +120,7 @@ class ModelFit:
         length."""
         return np.where(np.isfinite(self.sigma), self.sigma, 0.0) * self.metres
 
-    def lengths(self, white: np.ndarray) -> np.ndarray:
+    def to_lengths(self, white: np.ndarray) -> np.ndarray:
         """Map whitened data (dM,) of the M inliers to lengths at the tip (M, d), m."""
         count = self.weights[self.weights > 0][:, None]
         return white.reshape(-1, self.width) * self.noise_m / np.sqrt(count)
@@ -118,7 +128,7 @@ class ModelFit:
     @cached_property
     def design(self) -> np.ndarray:
         """The (dM, p) whitened, prior-scaled design."""
-        return self.whiten_columns(self.columns * priors(self.slots))
+        return self.whiten_columns(self.columns * prior_widths(self.slots))
 
     @cached_property
     def gram(self) -> np.ndarray:
@@ -132,6 +142,11 @@ class ModelFit:
         return self.whiten_columns(data[..., None])[:, 0]
 
 
-def priors(slots: tuple[Slot, ...]) -> np.ndarray:
-    """Return the (p,) prior standard deviations."""
+def choose_evenly(rows: np.ndarray, most: int) -> np.ndarray:
+    """Choose at most so many of the numbers of rows (N,), evenly from the first to the last."""
+    return np.asarray(rows[np.unique(np.linspace(0, len(rows) - 1, most).round().astype(int))])
+
+
+def prior_widths(slots: tuple[Slot, ...]) -> np.ndarray:
+    """Return the (p,) prior standard deviations of parameters, each in the parameter's unit."""
     return np.array([s.parameter.width for s in slots], dtype=float)

@@ -11,8 +11,14 @@ from scipy.special import expit, fdtri
 from scipy.stats import norm
 
 from longarm_comp.core.calibration import linear
-from longarm_comp.core.calibration.linear import BEFOREHAND, MAD, OUTLIER, mean, median
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.linear import (
+    BEFOREHAND,
+    MAD,
+    OUTLIER,
+    channel_means,
+    channel_medians,
+)
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
@@ -58,7 +64,7 @@ class NoiseEstimate:
     degrees: float
 
 
-def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
+def noise_from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
     """Estimate the noise from repeats of a pose that was reached from the same side, if enough.
 
     The model's prediction for a pose is subtracted, so that the scatter is the same by any model.
@@ -78,9 +84,9 @@ def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
 
 
 def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray]:
-    """Return (d,) standard deviation of repeats, as in `from_repeats`, and degrees of freedom."""
+    """Return the (d,) scatter of repeats, as of `noise_from_repeats`, and degrees of freedom."""
     seen = session.take(session.seen)
-    keys = np.column_stack([sightings(seen), seen.approach])
+    keys = np.column_stack([number_sightings(seen), seen.approach])
     _, group = np.unique(keys, axis=0, return_inverse=True)
     if seen.plain:
         values = seen.xyz
@@ -98,8 +104,10 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
     first = np.unique(whole, axis=0, return_index=True)[1]
     copy = ~np.isin(np.arange(len(seen)), first)
     values = np.where(copy[:, None], np.nan, values)
-    scatter, share = _deviations(values, group.reshape(-1))
-    robust = MAD * median(np.abs(scatter)) / np.sqrt(np.maximum(mean(share), 1e-9))
+    scatter, share = _deviations_from_group(values, group.reshape(-1))
+    robust = (
+        MAD * channel_medians(np.abs(scatter)) / np.sqrt(np.maximum(channel_means(share), 1e-9))
+    )
     kept = (np.nan_to_num(np.abs(scatter)) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
     degrees = np.nansum(share[kept], axis=0)
     size = np.sqrt(np.nansum(scatter[kept] ** 2, axis=0) / np.maximum(degrees, 1e-9))
@@ -136,7 +144,7 @@ def _share_by_shape(fit: ModelFit) -> SensorShare:
     The residual is normal with one covariance in the frame of the measurements, or in that of the
     tip. In the latter case the sensor has what scatters alike in all directions.
     """
-    sign, kept = "turns with the tool, as no sensor's noise does", (fit.weights > 0) & fit.pointed
+    sign, kept = "turns with the tool, as no sensor's noise does", (fit.weights > 0) & fit.has_point
     if kept.sum() < LEAST_ROWS or fit.session.blocks[0].kind != "position":
         return SensorShare(1.0, 1.0, sign)
     residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
@@ -165,13 +173,13 @@ def _share_by_statement(fit: ModelFit) -> SensorShare:
     return SensorShare(whole + (1.0 - whole) * math.exp(min(log_part, 0.0)), whole, sign)
 
 
-def sightings(rows: Session) -> np.ndarray:
+def number_sightings(rows: Session) -> np.ndarray:
     """Return (N, k) numbers of each row's pose, target and standpoint, which repeats share."""
     texts = [np.unique(rows.labels[k], return_inverse=True)[1] for k in PLACES if k in rows.labels]
     return np.column_stack([rows.pose_id, *texts])
 
 
-def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _deviations_from_group(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, d) deviations from the middle of their group, and each one's degrees of freedom.
 
     They are NaN where a channel was not measured, or only once in the group.
@@ -183,14 +191,14 @@ def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.n
         again = count > 1
         if not again.any():
             continue
-        middle = np.where(count > 2, median(rows), mean(rows))
+        middle = np.where(count > 2, channel_medians(rows), channel_means(rows))
         scatter[group == g] = np.where(again, rows - middle, np.nan)
         freedom = np.where(again, (count - 1) / np.maximum(count, 1), np.nan)
         share[group == g] = np.where(np.isfinite(rows), freedom, np.nan)
     return scatter, share
 
 
-def from_residual(
+def noise_from_residual(
     fit: ModelFit, extra: np.ndarray, steps: int = 12
 ) -> tuple[NoiseEstimate, np.ndarray]:
     """Estimate the noise as the residual when everything in the library is fitted at once.
@@ -209,7 +217,7 @@ def from_residual(
     Returns:
         The noise, and the (N,) weights it was found with.
     """
-    columns = np.concatenate([fit.columns * priors(fit.slots), extra], axis=-1)
+    columns = np.concatenate([fit.columns * prior_widths(fit.slots), extra], axis=-1)
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
     channels = np.ascontiguousarray(np.moveaxis(np.concatenate([columns, y], -1), 1, 0))
     weights, used = np.ones(len(fit.weights)), np.zeros(0)
@@ -230,7 +238,7 @@ def from_residual(
         count = linear.weigh_rows(residual, uneven, held)
         even = residual * np.sqrt(count)[:, None]
         kept = np.where(held, even, np.nan)
-        robust = MAD * median(np.abs(kept[weights > 0]))
+        robust = MAD * channel_medians(np.abs(kept[weights > 0]))
         taken = (gram * posterior.covariance).sum(axis=(1, 2))
         rows_held = held[weights > 0].sum(0)
         degrees = np.maximum(rows_held - taken, 1e-9)

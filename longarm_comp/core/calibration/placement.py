@@ -1,7 +1,7 @@
 """The placement: solves from the sightings where bases, markers, sensors, anchors and points are.
 
 A placement is never a finding.  Its start is computed here in closed form, and it is fitted jointly
-with all else by `fit`, with priors that do not pull (`Parameter.unknown`).
+with all else by `fit_model`, with priors that do not pull (`Parameter.unknown`).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def place_bases(model: Model, session: Session) -> Model:
     """
     seen = session.take(session.located)
     frames = [e for e in model.effects if isinstance(e, BasePose | TipOffset)]
-    tips = any(isinstance(e, TipOffset) and _unknown(model, e) for e in frames)
+    tips = any(isinstance(e, TipOffset) and _is_unknown(model, e) for e in frames)
     frames = [e for e in frames if isinstance(e, BasePose) or tips]
     if not frames:
         return model
@@ -70,8 +70,8 @@ def place_bases(model: Model, session: Session) -> Model:
     for effect in frames:
         if isinstance(effect, BasePose):
             g = groups.index(effect.group)
-            solved = _at(effect, found.rotation[g], found.offset[g], model)
-            if not _unknown(model, effect):
+            solved = _move_base(effect, found.rotation[g], found.offset[g], model)
+            if not _is_unknown(model, effect):
                 for p in effect.parameters(model.arm):
                     away = abs(getattr(solved, p.name) - getattr(effect, p.name))
                     if away > BEYOND * p.width + ROUGHLY:
@@ -83,35 +83,35 @@ def place_bases(model: Model, session: Session) -> Model:
                             "leave no tolerance, if the base may stand anywhere",
                         )
                 continue
-        elif _unknown(model, effect):
+        elif _is_unknown(model, effect):
             at = found.tip[markers.index(effect.marker)]
             solved = effect.with_values(dict(zip("xyz", at, strict=True)))
         else:
             continue
-        model = _instead(model, effect, solved)
+        model = _replace_term(model, effect, solved)
     return model
 
 
 def _lift_bases(model: Model, session: Session) -> Model:
     """Put unknown bases where coordinates, distances, rays and axes say, if that fits better."""
     for effect in model.effects:
-        if not (isinstance(effect, BasePose) and _unknown(model, effect)):
+        if not (isinstance(effect, BasePose) and _is_unknown(model, effect)):
             continue
         rows = session.where("group", effect.group) if effect.group else session
         rows = rows.take(rows.seen)
         pose = model.without({effect.key}).pose(rows.q, rows.context())
         found = lifted_base(model.arm, pose[:, :3, 3], pose[:, :3, :3], rows)
-        there = _instead(model, effect, _at(effect, *found, model))
-        if _misfit(model, rows) > CLEARLY * _misfit(there, rows):
+        there = _replace_term(model, effect, _move_base(effect, *found, model))
+        if _median_misfit(model, rows) > CLEARLY * _median_misfit(there, rows):
             model = there
     return model
 
 
-def _instead(model: Model, old: Effect, new: Effect) -> Model:
+def _replace_term(model: Model, old: Effect, new: Effect) -> Model:
     return model.with_terms([new if term is old else term for term in model.terms])
 
 
-def _misfit(model: Model, rows: Session) -> float:
+def _median_misfit(model: Model, rows: Session) -> float:
     """Return the median error of the rows (m).
 
     Where only orientations are measured, it is the median angle (rad) by which the marker's turn on
@@ -124,20 +124,20 @@ def _misfit(model: Model, rows: Session) -> float:
     return float(np.median((body * body.mean().inv()).magnitude()))
 
 
-def _unknown(model: Model, effect: Effect) -> bool:
+def _is_unknown(model: Model, effect: Effect) -> bool:
     return any(s.parameter.unknown for s in slots_of(model.arm, [effect]))
 
 
-def _at(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) -> Effect:
+def _move_base(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) -> Effect:
     """Return the base that has been moved from the declared one by a rotation and an offset."""
     home = model.arm.base.frame().matrix()
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = rotation, offset
     motion = np.linalg.inv(home) @ moved @ home
-    return effect.with_values(_twist(motion[:3, :3], motion[:3, 3]))
+    return effect.with_values(_twist_values(motion[:3, :3], motion[:3, 3]))
 
 
-def _twist(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
+def _twist_values(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
     """Return the twist of a finite motion by its parts' names: `spatial.exp_large` inverted."""
     w = Rotation.from_matrix(rotation).as_rotvec()
     angle = np.linalg.norm(w)
@@ -149,7 +149,7 @@ def _twist(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
     return dict(zip(("x", "y", "z", "rx", "ry", "rz"), map(float, (*shift, *w)), strict=True))
 
 
-def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
+def sensor_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
     """Return the placement terms that a session's measurements need besides base and tip."""
     nothing = np.full(len(session), "")
     several = len({b.sensor for b in session.blocks if b.kind == "orientation"}) > 1
@@ -162,18 +162,18 @@ def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
         anchor = arm.anchors.get(name)
         if anchor is None or anchor.xyz_m is None:
             made.append(AnchorPlace(anchor=name))
-    made += [SensorPlace(sensor=name) for name in _sensors(session)[1:]]
+    made += [SensorPlace(sensor=name) for name in _list_sensors(session)[1:]]
     made += [Encoder(joint=arm.commanded[k]) for k in session.read_joints]
     return (*made, *touched.touched_terms(arm, session))
 
 
-def reference_rows(session: Session) -> Session:
+def choose_reference_rows(session: Session) -> Session:
     """Return the rows in whose frame the base is placed: those of the first sensor of positions."""
-    names = _sensors(session)
+    names = _list_sensors(session)
     return session if len(names) < 2 else session.where("sensor", names[0])
 
 
-def _sensors(session: Session) -> list[str]:
+def _list_sensors(session: Session) -> list[str]:
     """List the sensors of positions and poses, the one with most complete positions first."""
     framed = {b.sensor for b in session.blocks if b.kind in ("position", "orientation")}
     names = sorted(name for name in framed if name is not None)
@@ -207,7 +207,7 @@ def _place_sensor(term: SensorPlace, model: Model, session: Session) -> SensorPl
     if len(rows) < 4:
         return term
     tips = model.tip(rows.q, rows.context())
-    return term.with_values(_twist(*robust_kabsch(tips, rows.xyz)))
+    return term.with_values(_twist_values(*robust_kabsch(tips, rows.xyz)))
 
 
 def _turn_axes(term: TipOrientation, model: Model, session: Session) -> TipOrientation:

@@ -38,7 +38,7 @@ INCREDIBLE = 15.0
 """Size of an effect, in its prior standard deviations, that no arm has."""
 
 
-def refuse(
+def refuse_implausible(
     final: ModelFit,
     fitted: np.ndarray | None,
     held_out: np.ndarray,
@@ -47,8 +47,8 @@ def refuse(
 ) -> SetAside:
     """Refuse a model that may not be believed, for `calibrate` and `diagnose`.
 
-    The errors are those of the rows that `believed_rows` keeps, because single gross errors are no
-    fault of a model.
+    The errors are those of the rows that `mark_believed_rows` keeps, because single gross errors
+    are no fault of a model.
 
     Args:
         final: the model that would be written, fitted to all rows.
@@ -76,19 +76,19 @@ def refuse(
         )
     check_lasting(final)
     for than, plain in plainer.items():
-        if rise := find_rise(plain, held_out, WORSE, WORST):
+        if rise := describe_rise(plain, held_out, WORSE, WORST):
             raise JobError(
                 f"calibration is worse on held-out rows than {than}: {rise} {unit}; the rows do "
                 "not determine the geometry, or are not of this arm",
                 session=source,
             )
-    if fitted is not None and (rise := find_rise(fitted, held_out, RISES)):
+    if fitted is not None and (rise := describe_rise(fitted, held_out, RISES)):
         raise JobError(
             f"calibration fails at held-out rows: {rise} {unit}; there are too few rows, or "
             "something changed between them",
             session=source,
         )
-    if off := find_offset(final.model, session):
+    if off := measure_offset(final.model, session):
         raise JobError(
             f"{1e3 * off:.3g} mm is left after calibration, so the rows are not of this arm: "
             "check their order, the units and the names of joints and anchors",
@@ -106,7 +106,7 @@ def refuse(
     return aside
 
 
-def believed_rows(final: ModelFit, rows: Session) -> np.ndarray:
+def mark_believed_rows(final: ModelFit, rows: Session) -> np.ndarray:
     """Return (M,) whether each row is not among those that the fit set as outliers."""
 
     def contents(some: Session) -> list[bytes]:
@@ -116,7 +116,7 @@ def believed_rows(final: ModelFit, rows: Session) -> np.ndarray:
     return np.array([each not in gone for each in contents(rows)], dtype=bool)
 
 
-def find_rise(before: np.ndarray, held_out: np.ndarray, most: float, *shares: float) -> str:
+def describe_rise(before: np.ndarray, held_out: np.ndarray, most: float, *shares: float) -> str:
     """Say by how much errors rise from those before to those at held-out rows.
 
     Args:
@@ -141,7 +141,7 @@ def find_rise(before: np.ndarray, held_out: np.ndarray, most: float, *shares: fl
     return ""
 
 
-def find_offset(model: Model, session: Session) -> float:
+def measure_offset(model: Model, session: Session) -> float:
     """Return how far (median, m) the arm is from where a model puts it; 0 if it is in its place."""
     rows = session.take(session.placed)
     if len(rows) < ENOUGH_REPEATS or not is_misplaced(model, rows):
@@ -151,7 +151,7 @@ def find_offset(model: Model, session: Session) -> float:
 
 def describe_offset(model: Model, session: Session) -> str:
     """Say how far the arm is from where a model puts it; "" if it is there."""
-    if off := find_offset(model, session):
+    if off := measure_offset(model, session):
         return (
             f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
             "calibrate first, which finds base and tip, and use that model"

@@ -15,7 +15,7 @@ SMALLEST = 1e-6
 """Steps (rad, m) that are none: a file's digits, and less than an encoder tells."""
 
 
-def step_of(readings: np.ndarray) -> float:
+def find_step(readings: np.ndarray) -> float:
     """Return the largest step of which readings (M,) differ by whole numbers; 0 without one.
 
     It is the common divisor of the differences (Euclid), refined by the whole span.
@@ -29,12 +29,12 @@ def step_of(readings: np.ndarray) -> float:
     return span / round(span / step) if step > SMALLEST else 0.0
 
 
-def read_exactly(fit: ModelFit) -> np.ndarray:
+def mark_exact_readings(fit: ModelFit) -> np.ndarray:
     """Return (N, d) whether a fit is within half a step of an encoder's reading."""
     exact = np.zeros(fit.residual.shape, dtype=bool)
     for joint in fit.session.read_joints:
         name = f"read_q{joint + 1}"
         channel, read = fit.session.channels.index(name), fit.session.readings[name][:, 0]
-        half = 0.5 * step_of(read[np.isfinite(read)]) + SMALLEST
+        half = 0.5 * find_step(read[np.isfinite(read)]) + SMALLEST
         exact[:, channel] = np.abs(fit.residual[:, channel]) <= half
     return exact

@@ -10,11 +10,11 @@ import numpy as np
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.calibration.linear import (
     BEFOREHAND,
-    freedom,
-    inliers,
-    spread,
+    degrees_of_freedom,
+    estimate_noise,
+    mark_inliers,
     weigh_rows,
-    whiten,
+    whiten_rows,
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.commanded import with_frame_shift
@@ -29,12 +29,13 @@ adds a tenth of itself, and rounding nothing."""
 
 
 class SessionProblem:
-    """A session during the Gauss-Newton steps; arguments and errors are those of `fit`.
+    """A session during the Gauss-Newton steps; arguments and errors as of `fit_model`.
 
-    `mine` are the places of its parameters among those of all sessions that are fitted together.
+    `own_places` are the numbers of its parameters among those of all sessions that are fitted
+    together.
     """
 
-    mine: np.ndarray
+    own_places: np.ndarray
 
     def __init__(
         self,
@@ -68,16 +69,16 @@ class SessionProblem:
             self.posture = self.near = begun.posture
         else:
             at = posture(model, seen) if near is None else model.posture_near(near.posture)
-            self._predict(at)
-            self.differentiate()
+            self._predict_rows(at)
+            self.update_design()
 
-    def _predict(self, at: Posture) -> None:
+    def _predict_rows(self, at: Posture) -> None:
         """Compute the residual of the model as it is now, with the arm at a posture."""
         self.posture = at
         self.residual = equations(self.model, self.seen, at, ()).residual
         self._check_finite(self.residual)
 
-    def differentiate(self) -> None:
+    def update_design(self) -> None:
         """Compute the design of the model as it is now; later postures are computed from this
         one."""
         self.columns = equations(self.model, self.seen, self.posture).columns
@@ -88,7 +89,7 @@ class SessionProblem:
         if not np.isfinite(values).all():
             raise JobError("the fit did not stay finite", session=self.seen.source)
 
-    def finish(
+    def make_fit(
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
     ) -> ModelFit:
         """Return the fit with the model as it is now."""
@@ -110,28 +111,28 @@ class SessionProblem:
             rho=self.rho,
         )
 
-    def move(self, values: np.ndarray, close: bool) -> None:
+    def move_to(self, values: np.ndarray, close: bool) -> None:
         """Compute the residual at other parameter values; the design stays.
 
         `close`: whether the values are close to those at which the design was computed.
         """
         self.model = self.model.with_values(values)
-        self._predict(self.model.posture_near(self.near, close))
+        self._predict_rows(self.model.posture_near(self.near, close))
 
-    def bend(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
+    def project_curvature(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
         """Return (p,) the product of the prior-scaled design with half the second derivative of
         the rows along a step (p,)."""
         values, residual = self.model.values, self.residual
-        self.move(values + AHEAD * step, close)
+        self.move_to(values + AHEAD * step, close)
         half = (residual - self.residual - AHEAD * (self.columns @ step)) / AHEAD**2
-        white = self._white(np.concatenate([self.columns * scale, half[..., None]], axis=-1))
+        white = self._whiten_rows(np.concatenate([self.columns * scale, half[..., None]], axis=-1))
         return np.asarray(white[:, :-1].T @ white[:, -1])
 
-    def cost(self) -> float:
+    def compute_cost(self) -> float:
         """Return the squared residual of the inliers in units of the noise."""
-        return float((self._white(self.residual[..., None]) ** 2).sum())
+        return float((self._whiten_rows(self.residual[..., None]) ** 2).sum())
 
-    def weigh(self, step: int) -> None:
+    def judge_rows(self, step: int) -> None:
         """Find outliers and noise in the residual as it is now, at step `step` of the fit, from 1.
 
         At the first step all rows count, so that the start does not decide which of them are
@@ -142,13 +143,13 @@ class SessionProblem:
             if step > 1:
                 even = self.residual * np.sqrt(self.weights)[:, None]
                 known = self.noise if step > 2 else None
-                self.weights = self.weights * inliers(even, self.seen.measured, known)
+                self.weights = self.weights * mark_inliers(even, self.seen.measured, known)
         if self.sigma is None:
             self.noise = self._pool_noise(self.estimate_noise())
 
     def estimate_noise(self) -> np.ndarray:
         """Return (d,) the noise of every channel in the residual as it is now."""
-        return spread(self.residual, self.weights, self.effective, self.seen.measured)
+        return estimate_noise(self.residual, self.weights, self.effective, self.seen.measured)
 
     def _pool_noise(self, sigma: np.ndarray) -> np.ndarray:
         """Return (d,) the noise, the same for all channels of a kind and sensor.
@@ -156,7 +157,7 @@ class SessionProblem:
         Where the usual noise of the kind is known it counts as `BEFOREHAND` further equations.
         """
         pooled = np.full(len(sigma), np.inf)
-        free = freedom(self.weights, self.effective, self.seen.measured)
+        free = degrees_of_freedom(self.weights, self.effective, self.seen.measured)
         start = 0
         for block in self.seen.blocks:
             mine = slice(start, start := start + len(block.channels))
@@ -170,11 +171,13 @@ class SessionProblem:
                 pooled[mine] = np.sqrt(square / (BEFOREHAND + degrees))
         return pooled
 
-    def linearise(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def linearise_rows(
+        self, scale: np.ndarray, centre: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return (dN, p) prior-scaled design, (dN,) linearised data, in units of the noise."""
         y = self.residual + self.columns @ (self.model.values - centre)
-        white = self._white(np.concatenate([self.columns * scale, y[..., None]], axis=-1))
+        white = self._whiten_rows(np.concatenate([self.columns * scale, y[..., None]], axis=-1))
         return white[:, :-1], white[:, -1]
 
-    def _white(self, columns: np.ndarray) -> np.ndarray:
-        return whiten(columns, self.weights, self.noise, self.rho, self.seen.measured)
+    def _whiten_rows(self, columns: np.ndarray) -> np.ndarray:
+        return whiten_rows(columns, self.weights, self.noise, self.rho, self.seen.measured)

@@ -13,33 +13,21 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.spatial import (
-    ZERO,
-    Frame,
-    exp_large,
-    roll_pitch_yaw,
-    scale,
-    tangent,
-)
+from longarm_comp.core.arm.spatial import ZERO, Frame, exp_large, roll_pitch_yaw, scale, tangent
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.noise import sightings
+from longarm_comp.core.calibration.noise import number_sightings
 from longarm_comp.core.calibration.placement import (
+    choose_reference_rows,
     place_bases,
     place_sensors,
-    reference_rows,
-    sensor_frames,
+    sensor_terms,
 )
 from longarm_comp.core.data.measurement import equations, errors, posture, turns
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import ELSEWHERE
-from longarm_comp.core.effects.placements import (
-    BasePose,
-    RigidMotion,
-    TipOffset,
-    TipOrientation,
-)
+from longarm_comp.core.effects.placements import BasePose, RigidMotion, TipOffset, TipOrientation
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
@@ -51,18 +39,18 @@ STEP = 1e-4
 """Share by which the arm is made larger, to see what changes."""
 
 
-def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
+def placement_terms(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     """Return the placement terms of any measurement: bases, markers and what sensors leave open."""
     groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
     placed = bases if session.framed(arm) else ()
-    return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
+    return (*placed, *TipOffset.for_arm(arm), *sensor_terms(arm, session))
 
 
 def place_frames(model: Model, session: Session) -> Model:
     """Return the model with bases, markers and sensors placed by the rows, in closed form."""
-    whole = model.with_missing(frames(model.arm, session))
-    return place_sensors(place_bases(whole, reference_rows(session)), session)
+    whole = model.with_missing(placement_terms(model.arm, session))
+    return place_sensors(place_bases(whole, choose_reference_rows(session)), session)
 
 
 class SeenModel(NamedTuple):
@@ -85,14 +73,14 @@ def place_as_seen(model: Model, session: Session) -> SeenModel:
     with hardly more numbers the placement would fit them whatever the arm does.  The numbers that
     solve touched points are subtracted from both.
     """
-    bodies = [t for t in frames(model.arm, session) if isinstance(t, TipOrientation)]
+    bodies = [t for t in placement_terms(model.arm, session) if isinstance(t, TipOrientation)]
     whole = model.with_missing(bodies)
     axes = model if whole.terms == model.terms else place_sensors(whole, session)
     groups = (session.take(session.frames == name) for name in np.unique(session.frames))
     if not any(is_misplaced(axes, rows) for rows in groups):
         return SeenModel(axes, elsewhere=False, placed=False)
     moved, seen = place_frames(model, session), session.take(session.seen)
-    rows = seen.take(np.unique(sightings(seen), axis=0, return_index=True)[1])
+    rows = seen.take(np.unique(number_sightings(seen), axis=0, return_index=True)[1])
     slots = [slot for slot in moved.slots if slot.parameter.unknown]
     found = equations(moved, rows, posture(moved, rows), slots)
     columns = (found.columns * [slot.parameter.width for slot in slots]).reshape(-1, len(slots))
@@ -131,7 +119,7 @@ def list_undetermined(fit: ModelFit) -> tuple[str, ...]:
         names = [fit.slots[i].parameter.name for i in mine]
         covariance = fit.covariance[np.ix_(mine, mine)]
         if isinstance(term, BasePose) and len(mine) == 6:
-            motion = _motion(term, term.base(fit.model.arm))
+            motion = _pose_derivative(term, term.base(fit.model.arm))
             covariance = motion @ covariance @ motion.T
             names = ["x", "y", "z", "turn about x", "turn about y", "turn about z"]
         widths = np.array([fit.slots[i].parameter.width for i in mine])
@@ -159,7 +147,7 @@ class Place:
     sd_deg: tuple[float, ...]
 
 
-def places(fit: ModelFit) -> tuple[Place, ...]:
+def list_places(fit: ModelFit) -> tuple[Place, ...]:
     """Return where a fit puts bases, further sensors and a fitted camera."""
     made = []
     for k, term in enumerate(fit.model.terms):
@@ -167,7 +155,7 @@ def places(fit: ModelFit) -> tuple[Place, ...]:
             continue
         mine = [i for i, slot in enumerate(fit.slots) if slot.term == k]
         at = term.base(fit.model.arm) if isinstance(term, BasePose) else exp_large(term.twist)
-        motion, pose = _motion(term, at), at.matrix()
+        motion, pose = _pose_derivative(term, at), at.matrix()
         sd = np.sqrt(np.diag(motion @ fit.covariance[np.ix_(mine, mine)] @ motion.T))
         turn = np.degrees(roll_pitch_yaw(pose[:3, :3]))
         figures = (pose[:3, 3], turn, 1e3 * sd[:3], np.degrees(sd[3:]))
@@ -175,7 +163,7 @@ def places(fit: ModelFit) -> tuple[Place, ...]:
     return tuple(made)
 
 
-def _motion(term: RigidMotion, at: Frame) -> np.ndarray:
+def _pose_derivative(term: RigidMotion, at: Frame) -> np.ndarray:
     """Return the derivative (6, 6) of a pose's shift (m) and turn (rad) in its outer frame by its
     term's values."""
     turns, shifts = (np.array(each).T for each in tangent(term.twist, ZERO, large=True))
@@ -189,7 +177,7 @@ def is_size_determined(fit: ModelFit) -> bool:
     Both are informations (inverse variances) about the size: that of the rows, with touched points
     solved anew, and that of the drawing, the sum of (length / tolerance)^2.
     """
-    larger = _enlarge(fit.model, 1.0 + STEP)
+    larger = _enlarge_arm(fit.model, 1.0 + STEP)
     seen = equations(larger, fit.session, posture(larger, fit.session), ()).residual
     change = fit.whiten_columns((seen - fit.residual)[..., None] / STEP)[:, 0]
     passing = fit.design[:, [slot.owner.passing for slot in fit.slots]]
@@ -205,7 +193,7 @@ def is_size_determined(fit: ModelFit) -> bool:
     return by_rows > by_drawing
 
 
-def _enlarge(model: Model, times: float) -> Model:
+def _enlarge_arm(model: Model, times: float) -> Model:
     """Return the model with every length of its geometry multiplied, except known distances."""
     values = model.values.copy()
     for k, slot in enumerate(model.slots):

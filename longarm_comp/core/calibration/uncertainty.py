@@ -31,7 +31,7 @@ from longarm_comp.core.arm.context import CLOCK, ORDER, is_told
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.left_out import LeftOut
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
 from longarm_comp.core.calibration.noise import (
     lag_correlation,
     repeat_scatter,
@@ -51,11 +51,11 @@ steady drift lie 1.7 from its mean, those of one that dies away farther."""
 
 def with_uncertainty(fit: ModelFit) -> Model:
     """Return the fitted model with the record of how good it is, and the end of its session."""
-    record = uncertainty(fit)
+    record = measure_uncertainty(fit)
     return dataclasses.replace(fit.model, uncertainty=record, ended_s=fit.session.ended_s)
 
 
-def uncertainty(fit: ModelFit) -> ModelUncertainty:
+def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     """Make the record of a fit from its errors at rows that are left out of it."""
     kept, alike = fit.weights > 0, 1.0
     left_out = LeftOut.of(fit)
@@ -63,10 +63,10 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))
     else:
-        spread = fit.residual[kept & fit.pointed][:, :3]
-        sensor = min(1.0 - arm_share(fit), share_of_sensor(fit).share)
+        spread = fit.residual[kept & fit.has_point][:, :3]
+        sensor = min(1.0 - estimate_arm_share(fit), share_of_sensor(fit).share)
         noise = sensor * np.diag((spread**2).mean(axis=0))
-        alike, structure = left_out.explain(noise)
+        alike, structure = left_out.find_least_errors(noise)
     rho = lag_correlation(fit.residual / fit.sigma, fit.weights, fit.session.measured)
     alike = max(alike, rows_as_one(rho) / rows_as_one(fit.rho))
     # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
@@ -98,19 +98,19 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         circumstances=circumstances,
         absent=absent,
     )
-    pointed = fit.pointed & kept
+    pointed = fit.has_point & kept
     if not pointed.any():
         return record
     arm_side = [k for k, slot in enumerate(slots) if isinstance(slot.owner, Effect)]
-    columns = _columns(fit, absent)[pointed][:, :3, arm_side]
+    columns = _columns_with_absent(fit, absent)[pointed][:, :3, arm_side]
     covariance = record.carry_to_tip(columns, [slots[k].identity for k in arm_side])
     expected = sizes(covariance + record.structure)[0]
     return dataclasses.replace(record, largest_m=float(expected.max()))
 
 
-def _columns(fit: ModelFit, absent: Sequence[Effect]) -> np.ndarray:
+def _columns_with_absent(fit: ModelFit, absent: Sequence[Effect]) -> np.ndarray:
     """Return (N, d, p + k) the columns of a fit, then those of effects that it does not hold."""
-    further = FitColumns(fit).of(absent) / priors(slots_of(fit.model.arm, absent))
+    further = FitColumns(fit).prior_columns(absent) / prior_widths(slots_of(fit.model.arm, absent))
     return np.concatenate([fit.columns, further], axis=-1)
 
 
@@ -129,13 +129,13 @@ def _covariance_with_compliances(
     """
     arm, count = fit.model.arm, len(fit.slots)
     slots = (*fit.slots, *slots_of(arm, absent))
-    usual = priors(slots_of(arm, [*fit.model.terms, *absent]))
+    usual = prior_widths(slots_of(arm, [*fit.model.terms, *absent]))
     elastic = np.array([s.owner.elastic for s in slots])
-    held = np.where(np.arange(len(slots)) < count, priors(slots), 0.0)
+    held = np.where(np.arange(len(slots)) < count, prior_widths(slots), 0.0)
     wider = elastic & (held < YIELDS * usual)
     width = np.where(wider, YIELDS * usual, math.sqrt(alike) * held)
     values = np.concatenate([fit.model.values, np.zeros(len(slots) - count)])
-    white = fit.whiten_columns(_columns(fit, absent) * width)
+    white = fit.whiten_columns(_columns_with_absent(fit, absent) * width)
     asked = white.T @ fit.whiten_columns(fit.residual[..., None])[:, 0] / alike - values / width
     limits = [
         (np.array([getattr(s.parameter, end) for s in slots]) - values) / width
@@ -154,13 +154,12 @@ SHARES = np.linspace(0.0, 0.95, 20)
 _NOTHING = 1e-8  # of the largest: rounding
 
 
-def arm_share(fit: ModelFit) -> float:
+def estimate_arm_share(fit: ModelFit) -> float:
     """Return the expected share of the arm in the residual's variance, 0 to 1.
 
     All shares are equally likely beforehand.
     """
-    kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
-    kept = kept[np.unique(np.linspace(0, len(kept) - 1, ROWS).round().astype(int))]
+    kept = choose_evenly(np.flatnonzero((fit.weights > 0) & fit.has_point), ROWS)
     residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
     size = np.maximum(np.sqrt((residual**2).mean(axis=0)), 1e-12)
     scale = np.array([slot.parameter.prior for slot in fit.slots])

@@ -33,7 +33,7 @@ class TriedCandidate(ReportPart):
 
 
 @dataclass(frozen=True)
-class Smallest:
+class SmallestSize:
     """The smallest size of a candidate that would be accepted.
 
     Attributes:
@@ -49,9 +49,9 @@ class Smallest:
     shift_m: float
 
 
-def detectable(
+def find_smallest_sizes(
     fit: ModelFit, candidates: Sequence[Candidate], threshold: float
-) -> tuple[Smallest, ...]:
+) -> tuple[SmallestSize, ...]:
     """Compute the smallest visible size of each candidate, on top of everything that was fitted.
 
     The smallest size is the one whose expected log Bayes factor reaches the threshold, noise apart.
@@ -66,15 +66,19 @@ def detectable(
         threshold: log Bayes factor to reach.
 
     Returns:
-        One `Smallest` per candidate, in their order.
+        One `SmallestSize` per candidate, in their order.
     """
     columns = FitColumns(fit)
-    marginal = columns.without(())
+    marginal = columns.marginal_without(())
     worth = evidence_of_each(fit, marginal, candidates).tolist()
     made = []
     for candidate, factor in zip(candidates, worth, strict=True):
         free = candidate.slots(fit.model.arm)
-        raw = columns.of(candidate.terms) if free else columns.shift(candidate.terms)[..., None]
+        raw = (
+            columns.prior_columns(candidate.terms)
+            if free
+            else columns.shift_by(candidate.terms)[..., None]
+        )
         b = fit.whiten_columns(raw)
         s = b.T @ marginal.project(b)
         values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)
@@ -86,13 +90,13 @@ def detectable(
         else:
             size = math.inf
         length = rms_shift(fit, raw)
-        made.append(Smallest(candidate, factor, size, size * length if length else math.inf))
+        made.append(SmallestSize(candidate, factor, size, size * length if length else math.inf))
     return tuple(made)
 
 
-def best_forms(tried: Sequence[Smallest]) -> dict[Label, Smallest]:
+def best_forms(tried: Sequence[SmallestSize]) -> dict[Label, SmallestSize]:
     """Choose the form that scores best, by effect and place."""
-    best: dict[Label, Smallest] = {}
+    best: dict[Label, SmallestSize] = {}
     for one in tried:
         at = one.candidate.name, ", ".join(one.candidate.where)
         if at not in best or one.log_bayes_factor > best[at].log_bayes_factor:
@@ -104,7 +108,7 @@ def judge_candidates(
     search: ExplainedSession,
     findings: Sequence[Finding],
     written: Collection[tuple[str, str]],
-    tried: Sequence[Smallest],
+    tried: Sequence[SmallestSize],
     not_testable: Sequence[tuple[str, str]],
 ) -> list[TriedCandidate]:
     """Judge every candidate: one record per effect and place, best first, the untestable last.
@@ -118,9 +122,9 @@ def judge_candidates(
     """
     states: dict[Label, tuple[float, State, str]] = {}
     columns = FitColumns(search.fit)
-    for term in search.chosen:
+    for term in search.chosen_terms:
         single = Candidate(term.name, (term,))
-        rest = columns.without({term.key})
+        rest = columns.marginal_without({term.key})
         gain = float(evidence_of_each(search.fit, rest, [single])[0])
         facts = (f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in single.form)
         form = f", {', '.join(facts)}" if single.form else ""
@@ -131,7 +135,7 @@ def judge_candidates(
             why += "; a command is expected to err less without it"
             states[term.name, term.where] = gain, "rejected", why
     for at, one in best_forms(tried).items():
-        states[at] = one.log_bayes_factor, *_judge(search.need, findings, one)
+        states[at] = one.log_bayes_factor, *_judge_unused(search.needed_evidence, findings, one)
     ordered = sorted(states.items(), key=lambda item: (-item[1][0], *item[0]))
     made = [
         TriedCandidate(effect=name, where=where, log_bayes_factor=factor, state=state, why=why)
@@ -145,7 +149,7 @@ def judge_candidates(
     ]
 
 
-def _judge(need: float, findings: Sequence[Finding], one: Smallest) -> tuple[State, str]:
+def _judge_unused(need: float, findings: Sequence[Finding], one: SmallestSize) -> tuple[State, str]:
     """Return the state of a candidate that is not in the model, and the reason."""
     value = one.log_bayes_factor
     alike = [f for f in findings if one.candidate.name in f.names[1:]]

@@ -18,24 +18,23 @@ from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.candidate_states import (
-    Smallest,
+    SmallestSize,
     TriedCandidate,
-    detectable,
+    find_smallest_sizes,
     judge_candidates,
 )
 from longarm_comp.core.identify.discover.causes import Cause
-from longarm_comp.core.identify.findings import Finding, improvement, left_in_words, sentence
+from longarm_comp.core.identify.findings import (
+    Finding,
+    describe_finding,
+    describe_improvement,
+    describe_structure,
+)
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import (
-    CALIBRATED,
-    NETWORK,
-    WITH_FUNCTIONS,
-    Fold,
-    Proof,
-)
+from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, WITH_FUNCTIONS, Fold, Proof
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -107,7 +106,7 @@ class Diagnosis:
         """
         fitted = self.fits[self.written]
         seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
-        if not all(f.there * f.chance >= CREDIBLE for f in seen):
+        if not all(f.presence * f.chance >= CREDIBLE for f in seen):
             return fitted
         model = in_frame_of_start(fitted.model, fitted.session)
         if model is fitted.model:
@@ -128,16 +127,16 @@ class Diagnosis:
     def none_of_these(self) -> float:
         """Probability that something without a name is needed."""
         found = (*self.search.found, *self.search.doubtful)
-        none = (1.0 - f.there * f.chance_unnamed for f in found)
+        none = (1.0 - f.presence * f.chance_unnamed for f in found)
         return 1.0 - math.prod(none) if not self.structure.flag else 1.0 - self.structure.p_value
 
     @cached_property
-    def smallest(self) -> tuple[Smallest, ...]:
+    def smallest(self) -> tuple[SmallestSize, ...]:
         """Score and smallest visible size of every candidate that is not in the model."""
-        held = {t.key for t in self.search.chosen}
+        held = {t.key for t in self.search.chosen_terms}
         library = self.search.candidates
         outside = [c for c in library if held.isdisjoint(t.key for t in c.terms)]
-        return detectable(self.search.fit, outside, self.search.need)
+        return find_smallest_sizes(self.search.fit, outside, self.search.needed_evidence)
 
     @cached_property
     def candidates(self) -> list[TriedCandidate]:
@@ -164,7 +163,7 @@ class Diagnosis:
         return "set" if any(f.open for f in self.findings) else "named"
 
     @property
-    def compared(self) -> tuple[str, str]:
+    def compared_stages(self) -> tuple[str, str]:
         """The stages before and after what was added: without an addition, nominal and
         calibrated."""
         if self.network is not None:
@@ -174,29 +173,29 @@ class Diagnosis:
     @property
     def seen_gain(self) -> Gain:
         """The gain between the two stages compared, in errors as the instrument sees them."""
-        return Gain.of(*(self.proof.errors[stage] for stage in self.compared))
+        return Gain.of(*(self.proof.errors[stage] for stage in self.compared_stages))
 
     @property
     def commanded_gain(self) -> Gain:
         """The gain between the two stages compared, in errors as a command would have them."""
-        return Gain.of(*(self.proof.commanded[stage] for stage in self.compared))
+        return Gain.of(*(self.proof.commanded[stage] for stage in self.compared_stages))
 
     @property
     def summary(self) -> str:
         """The verdict in one sentence, and the doubtful effects that were not added."""
         gone = "; ".join(
             f"{f.name} at {', '.join(dict.fromkeys(t.where for t in f.terms))}"
-            f" ({100 * f.there:.0f} % probable)"
+            f" ({100 * f.presence:.0f} % probable)"
             for f in self.search.doubtful
         )
-        text = _summary(self) + (f" In doubt, and not added: {gone}." if gone else "")
+        text = _describe_findings(self) + (f" In doubt, and not added: {gone}." if gone else "")
         return in_names(text, self.arm.called)
 
 
-def _summary(found: Diagnosis) -> str:
-    left = left_in_words(found.structure)
+def _describe_findings(found: Diagnosis) -> str:
+    left = describe_structure(found.structure)
     unnamed = f" {left} and has no name." if left else ""
-    gain = f"Held-out mean error {_change(found)}"
+    gain = f"Held-out mean error {_describe_change(found)}"
     if found.verdict == "noise":
         if found.search.tolerance.compliance and found.written != CALIBRATED:
             text = "Every part of the arm is a little off; the model now holds this. "
@@ -205,7 +204,7 @@ def _summary(found: Diagnosis) -> str:
         return f"{text} {gain} by the calibration."
     if found.verdict == "unknown" and not found.failed and not found.causes:
         return f"The model lacks something that no effect of the library explains: {left}."
-    said = [sentence(f) for f in found.findings]
+    said = [describe_finding(f) for f in found.findings]
     said += [f"without a name: {cause.sentence}" for cause in found.causes]
     text = "; ".join(said)
     if found.failed:
@@ -217,9 +216,9 @@ def _summary(found: Diagnosis) -> str:
     return f"{text}. {gain}.{unnamed}{doubt}"
 
 
-def _change(found: Diagnosis) -> str:
+def _describe_change(found: Diagnosis) -> str:
     """Say the errors before and after, also where only orientations were measured."""
-    before, after = (found.proof.rows[stage] for stage in found.compared)
+    before, after = (found.proof.rows[stage] for stage in found.compared_stages)
     if not before.n:
-        return f"{before.said} -> {after.said}"
-    return improvement(found.seen_gain, found.commanded_gain)
+        return f"{before.mean_text} -> {after.mean_text}"
+    return describe_improvement(found.seen_gain, found.commanded_gain)

@@ -21,7 +21,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Rival
-from longarm_comp.core.identify.practical import Gain, gains, tip_shift
+from longarm_comp.core.identify.practical import Gain, compute_gains, measure_tip_shift
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.yaml_file import Closed
 
@@ -148,17 +148,17 @@ class Finding(ReportPart):
     @property
     def chances(self) -> tuple[tuple[str, float], ...]:
         """(name, probability) of its causes, given that there is one, the largest first."""
-        return _chances(self.parts)
+        return _weigh_names(self.parts)
 
     @property
     def alternatives(self) -> tuple[Rival, ...]:
         """The other names of the credible set, the most probable first."""
-        return tuple(r for r in _rivals(self.parts) if r.name in self.names)
+        return tuple(r for r in _list_rivals(self.parts) if r.name in self.names)
 
     @property
     def partial_aliases(self) -> tuple[PartialAlias, ...]:
         """Names that may stand for one of its parts only."""
-        return _partial_aliases(self.parts)
+        return _list_partial_aliases(self.parts)
 
 
 def make_findings(found: Sequence[FoundEffect]) -> tuple[Finding, ...]:
@@ -169,13 +169,13 @@ def make_findings(found: Sequence[FoundEffect]) -> tuple[Finding, ...]:
     tip are added by `complete_findings`.
     """
     names = dict.fromkeys(f.name for f in found if not f.unnamed)
-    made = [_finding(name, [f for f in found if f.name == name]) for name in names]
+    made = [_make_finding(name, [f for f in found if f.name == name]) for name in names]
     return tuple(sorted(made, key=lambda f: -f.log_bayes_factor))
 
 
-def _finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
+def _make_finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
     terms = [t for f in parts for t in f.terms]
-    rivals, every = _rivals(parts), set.intersection(*(set(f.credible) for f in parts))
+    rivals, every = _list_rivals(parts), set.intersection(*(set(f.credible) for f in parts))
     named = [r for r in rivals if not r.unnamed]
     unnamed = next((r for r in rivals if r.unnamed), None)
     other = ""
@@ -189,8 +189,8 @@ def _finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
         title=terms[0].heading(),
         reading="; ".join(dict.fromkeys(t.reading for t in terms if t.reading)),
         set=names,
-        probability=1.0 - math.prod(1.0 - f.there for f in parts),
-        set_probability={n: p for n, p in _chances(parts) if n in names},
+        probability=1.0 - math.prod(1.0 - f.presence for f in parts),
+        set_probability={n: p for n, p in _weigh_names(parts) if n in names},
         unnamed=other,
         where=tuple(dict.fromkeys(t.where for t in terms)),
         log_bayes_factor=sum(f.log_bayes_factor for f in parts),
@@ -199,12 +199,14 @@ def _finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
         if runner is None
         else RunnerUp(effect=runner.name, log_bayes_factor=runner.log_bayes_factor),
         compensated=all(t.commandable for t in terms),
-        doubts=tuple(f"{p.name} could stand for its {p.part}" for p in _partial_aliases(parts)),
+        doubts=tuple(
+            f"{p.name} could stand for its {p.part}" for p in _list_partial_aliases(parts)
+        ),
     )
     return made.model_copy(update={"parts": tuple(parts)})
 
 
-def _chances(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
+def _weigh_names(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
     """Return (name, probability) of the causes of all parts, each part weighed by its evidence."""
     size = sum(f.log_bayes_factor for f in parts)
     chances: dict[str, float] = {}
@@ -214,9 +216,9 @@ def _chances(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
     return tuple(sorted(chances.items(), key=lambda c: -c[1]))
 
 
-def _rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
+def _list_rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
     """Return all other causes of all parts, the most probable first."""
-    size, chances = sum(f.log_bayes_factor for f in parts), dict(_chances(parts))
+    size, chances = sum(f.log_bayes_factor for f in parts), dict(_weigh_names(parts))
     rivals: dict[str, Rival] = {}
     for f in parts:
         for rival in f.rivals:
@@ -226,10 +228,10 @@ def _rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
     return sorted(rivals.values(), key=lambda r: -r.probability)
 
 
-def _partial_aliases(parts: Sequence[FoundEffect]) -> tuple[PartialAlias, ...]:
+def _list_partial_aliases(parts: Sequence[FoundEffect]) -> tuple[PartialAlias, ...]:
     sets = [set(f.credible) for f in parts]
     some = {name for own in sets for name in own if any(name not in other for other in sets)}
-    named = {r.name for r in _rivals(parts) if not r.unnamed}
+    named = {r.name for r in _list_rivals(parts) if not r.unnamed}
     return tuple(
         PartialAlias(f"part at {', '.join(dict.fromkeys(t.where for t in f.terms))}", name)
         for f, own in zip(parts, sets, strict=True)
@@ -260,7 +262,9 @@ def complete_findings(
     weighed = not any(effect.through_others for effect in fit.model.effects)
     each = [{t.key for t in finding.terms} for finding in found]
     made = []
-    for finding, places, (seen, commanded) in zip(found, each, gains(held_out, each), strict=True):
+    for finding, places, (seen, commanded) in zip(
+        found, each, compute_gains(held_out, each), strict=True
+    ):
         open_place = not weighed and any(t.elastic for t in finding.terms)
         left_out = in_model.isdisjoint(places)
         parameters = []
@@ -279,7 +283,7 @@ def complete_findings(
                     prior_scale=slot.parameter.prior,
                 )
             )
-        tip_mm = 1e3 * tip_shift(fit, places)
+        tip_mm = 1e3 * measure_tip_shift(fit, places)
         values = {
             "parameters": tuple(parameters),
             "compensated": finding.compensated and not left_out,
@@ -298,7 +302,7 @@ _MOST = 4
 """Number of values in a sentence."""
 
 
-def sentence(finding: Finding) -> str:
+def describe_finding(finding: Finding) -> str:
     """Say what was found, where, how large, with its interval, and what else it could be.
 
     A parameter at its bound is no estimate and is left out.
@@ -330,13 +334,13 @@ def sentence(finding: Finding) -> str:
     return f"{names}: {said}{other}{remark}"
 
 
-def improvement(seen: Gain, commanded: Gain) -> str:
+def describe_improvement(seen: Gain, commanded: Gain) -> str:
     """Say the errors before and after as commanded; and as seen, where these differ."""
     told = [f"{1e3 * g.before:.2f} -> {1e3 * g.after:.2f} mm" for g in (commanded, seen)]
     return told[0] if told[0] == told[1] else f"{told[0]} as commanded ({told[1]} as seen)"
 
 
-def left_in_words(structure: Structure) -> str:
+def describe_structure(structure: Structure) -> str:
     """Say which structure is left in the residual and where it shows; "" where none is."""
     if not structure.flag:
         return ""

@@ -13,8 +13,8 @@ from scipy.special import ndtri
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
-from longarm_comp.core.identify.posterior.forms import neighbours
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.identify.posterior.forms import neighbouring_values
 
 BLOCKS = 20
 """Blocks of rows whose pulls scatter; noise that lasts for a while stays within one."""
@@ -39,7 +39,7 @@ class Interval:
     at_bound: bool = False
 
 
-def intervals(
+def compute_intervals(
     fit: ModelFit,
     found: Sequence[Term],
     candidates: Sequence[Candidate],
@@ -54,10 +54,10 @@ def intervals(
         found: the terms that a search added.
         candidates: the library.
     """
-    wider = _wider(fit, found)
+    wider = _widen_priors(fit, found)
     columns = FitColumns(fit)
-    otherwise = [columns.of(_other_places(fit, found, candidates))]
-    otherwise += _slopes(fit, columns, found, candidates)
+    otherwise = [columns.prior_columns(_other_places(fit, found, candidates))]
+    otherwise += _change_of_scales(fit, columns, found, candidates)
     white = fit.whiten_columns(np.concatenate(otherwise, axis=-1))
     design = np.concatenate([fit.design * wider, white], axis=1)
     rows = len(design) // fit.width
@@ -71,7 +71,7 @@ def intervals(
     pulls = (right - gram @ u) @ inverse
     robust = np.sqrt((pulls**2).sum(0) * len(parts) / max(len(parts) - 1, 1))
     kept = slice(len(fit.slots))
-    scale = priors(fit.slots) * wider
+    scale = prior_widths(fit.slots) * wider
     centre = u[kept] * scale
     sd = np.maximum(robust, np.sqrt(np.diag(inverse)))[kept] * scale
     half = ndtri(0.975) * np.hypot(sd, centre - fit.model.values)
@@ -85,7 +85,7 @@ def intervals(
     return made
 
 
-def _wider(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
+def _widen_priors(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
     """Return (p,) the factors by which priors must be wider to leave found values alone.
 
     The data decide how large a found effect is, because its existence is already decided.
@@ -113,18 +113,18 @@ def _other_places(
     return tuple(missing.values())
 
 
-def _slopes(
+def _change_of_scales(
     fit: ModelFit, columns: FitColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
     """Return (N, d, 1) changes of the rows as each scale moves half way to the next tried value."""
     ways: list[tuple[Term, Term]] = []
     for term in terms:
         for field in term.scales():
-            low, high = neighbours(term, field, candidates)
+            low, high = neighbouring_values(term, field, candidates)
             here = float(getattr(term, field))
             half = 0.5 * (high - low) * (1.0 if here < 0.5 * (low + high) else -1.0)
             ways.append((term, dataclasses.replace(term, **{field: here + half})))
-    columns.of([t for pair in ways for t in pair])  # all at once: much faster
+    columns.prior_columns([t for pair in ways for t in pair])  # all at once: much faster
     made = []
     for term, moved in ways:
         values = [
@@ -132,6 +132,6 @@ def _slopes(
             for v, slot in zip(fit.model.values, fit.slots, strict=True)
             if slot.owner.key == term.key
         ]
-        change = (columns.of([moved]) - columns.of([term])) @ np.array(values)
+        change = (columns.prior_columns([moved]) - columns.prior_columns([term])) @ np.array(values)
         made.append(change[..., None])
     return made

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.arm.context import PER_JOINT
-from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
-from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
+from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms
+from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
@@ -38,28 +38,27 @@ OF_NOISE = 0.1
 
 
 class ModelTolerance(NamedTuple):
-    """What may move the rows besides an explanation, and is no finding.
+    """An assumption on what moves the rows besides an explanation, and is no finding.
 
     Attributes:
         form: share of its own shift by which the form of an effect in the model may err.
         compliance: how much every part yields, as a share of `BACKGROUND_COMPLIANCE`. A finding
-            that
-            yields must exceed it, because the parts of one arm are stiff alike. 0: only what is
-            found yields.
+            that yields must exceed it, because the parts of one arm are stiff alike. 0: only what
+            is found yields.
     """
 
     form: float
     compliance: float
 
     @property
-    def soft(self) -> bool:
-        """Whether every part yields by more than a little, which is a cause without a name."""
+    def is_soft(self) -> bool:
+        """True where every part yields by more than a little, which is a cause without a name."""
         return self.compliance in SOFT
 
     @property
     def log_prior(self) -> float:
         """Log prior relative to that of an arm whose parts yield by no more than a little."""
-        return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.soft else 0.0
+        return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.is_soft else 0.0
 
     @property
     def elastic_share(self) -> float:
@@ -84,13 +83,13 @@ RIGID = ModelTolerance(FORMS[0], 0.0)
 """Only what is found gives way."""
 
 
-def background_terms(library: Sequence[Candidate]) -> tuple[Term, ...]:
+def list_background_terms(library: Sequence[Candidate]) -> tuple[Term, ...]:
     """List the terms of what every real arm has a little of, in every form.
 
     Of two names for the same physics only one is listed.
     """
     names = {candidate.name for candidate in library}
-    return tuple(t for t in distinct(library) if names.isdisjoint(t.aliases))
+    return tuple(t for t in distinct_terms(library) if names.isdisjoint(t.aliases))
 
 
 def background_columns(
@@ -103,14 +102,16 @@ def background_columns(
     Returns:
         (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
     """
-    every = background_terms(library)
+    every = list_background_terms(library)
     forms = Counter(t.key for t in every)
     slots = slots_of(columns.model.arm, every)
-    sizes = [[_size(s.owner, tolerance.compliance) for s in slots] for tolerance in tolerances]
-    return columns.white(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
+    sizes = [
+        [_background_size(s.owner, tolerance.compliance) for s in slots] for tolerance in tolerances
+    ]
+    return columns.white_columns(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
 
 
-def with_background(
+def fit_with_background(
     fitted: ModelFit, library: Sequence[Candidate], compliance: float = 1.0
 ) -> ModelFit:
     """Fit again with what every arm has a little of, as much as the rows ask for; same rows and
@@ -122,32 +123,36 @@ def with_background(
     """
     held = {t.key for t in fitted.model.terms}
     added: dict[tuple[str, str], Term] = {}
-    for t in background_terms(library):
+    for t in list_background_terms(library):
         wanted = isinstance(t, Effect) and set(t.inputs) <= set(PER_JOINT)
         if wanted and t.key not in held and slots_of(fitted.model.arm, [t]):
             added.setdefault(t.key, t)
-    every = _with(fitted, added, compliance)
+    every = _fit_with(fitted, added, compliance)
     columns, terms = FitColumns(every), {t.key: t for t in every.model.terms}
     moved = {
-        key: columns.white([terms[key]]) * _size(terms[key], compliance)
+        key: columns.white_columns([terms[key]]) * _background_size(terms[key], compliance)
         if terms[key].elastic
-        else every.whiten_columns(shift_of(every, columns, [terms[key]])[..., None])
+        else every.whiten_columns(columns.shift_by([terms[key]])[..., None])
         for key in added
     }
     size = {key: np.sqrt((each**2).sum(axis=1).mean()) for key, each in moved.items()}
-    return _with(fitted, {k: t for k, t in added.items() if size[k] >= OF_NOISE}, compliance)
+    return _fit_with(fitted, {k: t for k, t in added.items() if size[k] >= OF_NOISE}, compliance)
 
 
-def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term], compliance: float) -> ModelFit:
+def _fit_with(
+    fitted: ModelFit, added: Mapping[tuple[str, str], Term], compliance: float
+) -> ModelFit:
     model = fitted.model.plus(*added.values())
     small = tuple(
-        (s.identity, _size(s.owner, compliance)) for s in model.slots if s.owner.key in added
+        (s.identity, _background_size(s.owner, compliance))
+        for s in model.slots
+        if s.owner.key in added
     )
     model = dataclasses.replace(model, beyond=(*model.beyond, *small))
-    return fit(model, fitted.session, near=fitted, **fitted.judged)
+    return fit_model(model, fitted.session, near=fitted, **fitted.noise_arguments)
 
 
-def _size(owner: Term, compliance: float) -> float:
+def _background_size(owner: Term, compliance: float) -> float:
     """Return the size of a background parameter as a share of its prior.
 
     A soft arm is softer everywhere, but its other errors are no larger.

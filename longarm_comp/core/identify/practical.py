@@ -14,7 +14,7 @@ import numpy as np
 
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.commanded import (
     as_commanded,
     commanded_errors,
@@ -44,10 +44,10 @@ class Gain:
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
         """Compute the gain from the (M, 3) errors of two models on the same rows; zeros without
         rows."""
-        return cls.between(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
+        return cls.of_lengths(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
 
     @classmethod
-    def between(cls, long: np.ndarray, short: np.ndarray) -> Gain:
+    def of_lengths(cls, long: np.ndarray, short: np.ndarray) -> Gain:
         """Compute the gain from the (M,) lengths of the errors of two models on the same rows."""
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
@@ -59,14 +59,14 @@ class Gain:
         return cls(float(long.mean()), float(short.mean()), (middle - half, middle + half))
 
 
-def tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
+def measure_tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
     """Return the (N,) shift (m) of the seen tip by the terms at some places, at each fitted row."""
     still = fitted.model.without(places)
     moved = fitted.model.measured_at(fitted.posture)
     return np.linalg.norm(moved - still.measured_at(still.posture_near(fitted.posture)), axis=1)
 
 
-def gains(
+def compute_gains(
     held_out: Sequence[tuple[ModelFit, Session]], each: Sequence[set[tuple[str, str]]]
 ) -> list[tuple[Gain, Gain]]:
     """Compute the gain by the terms at some places on held-out rows: as seen, and as commanded.
@@ -78,7 +78,7 @@ def gains(
     Returns:
         Both gains of each finding.
     """
-    folds = [_without_each(fit, each, rows.take(rows.placed)) for fit, rows in held_out]
+    folds = [_errors_without_each(fit, each, rows.take(rows.placed)) for fit, rows in held_out]
     made = []
     for of_finding in zip(*folds, strict=True):
         seen, commanded = (
@@ -92,7 +92,7 @@ def gains(
 Pair = tuple[np.ndarray, np.ndarray]
 
 
-def _without_each(
+def _errors_without_each(
     fitted: ModelFit, each: Sequence[set[tuple[str, str]]], rows: Session
 ) -> list[tuple[Pair, Pair]]:
     """Compute the errors (M, 3) at rows without and with the terms of each finding.
@@ -112,7 +112,7 @@ def _without_each(
         if not places.isdisjoint(held):
             # A first-order fit may overshoot; what is left without any fit is then nearer
             less = min(
-                (refitted_without(fitted, places), model.without(places)),
+                (refit_without(fitted, places), model.without(places)),
                 key=lambda left: float(np.linalg.norm(errors(left, rows, at[0]))),
             )
             less = with_frame_shift(less, fitted.session)
@@ -121,13 +121,13 @@ def _without_each(
     return made
 
 
-def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
+def refit_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     """Return the model without the terms at some places, all others fitted again to first order."""
-    marginal, left = FitColumns(fitted).without(places), fitted.model.without(places)
+    marginal, left = FitColumns(fitted).marginal_without(places), fitted.model.without(places)
     free = np.array([not s.owner.through_others for s in left.slots], dtype=bool)
     kept = tuple(compress(left.slots, free))
-    scale, values = priors(kept), np.array(left.values, dtype=float)
+    scale, values = prior_widths(kept), np.array(left.values, dtype=float)
     lower = np.array([s.parameter.lower for s in kept]) / scale
     upper = np.array([s.parameter.upper for s in kept]) / scale
-    values[free] = linear.solve(marginal.a, marginal.y, lower, upper).u * scale
+    values[free] = linear.solve_posterior(marginal.a, marginal.y, lower, upper).u * scale
     return left.with_values(values)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.plausible import WORST
 from longarm_comp.core.calibration.standing import place_as_seen
@@ -24,7 +24,7 @@ from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.identify.posterior.explained import NEAR, ExplainedSession
-from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, keys_of
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -92,7 +92,7 @@ class Proof:
         ours = 1.0
         for f in found:
             if isinstance(f.terms[0], Bias):
-                ours *= f.there * f.chance
+                ours *= f.presence * f.chance
         made = {}
         for name in names:
             seen, told = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))
@@ -100,20 +100,20 @@ class Proof:
         return made
 
 
-def worse(before: np.ndarray, after: np.ndarray) -> str:
+def describe_worsening(before: np.ndarray, after: np.ndarray) -> str:
     """Say how errors (M,), m, rise beyond chance, on all rows or on the worst tenth; "" if they do
     not."""
     longest = np.maximum(before, after)
     worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
     for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
-        gain = Gain.between(before[rows], after[rows])
+        gain = Gain.of_lengths(before[rows], after[rows])
         if gain.ci95[1] < 0.0:
             change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} mm"
             return f"{change} at {len(rows)} {said}"
     return ""
 
 
-def folds(
+def fit_folds(
     nominal: Model,
     frames_only: Model,
     fits: Mapping[str, ModelFit],
@@ -144,16 +144,16 @@ def folds(
         rows = session.take(kept)
         models = {
             "nominal": place_as_seen(nominal, rows)[0],
-            "frames_only": fit(frames_only, rows, close=NEAR).model,
+            "frames_only": fit_model(frames_only, rows, close=NEAR).model,
         }
-        again = _fitted_again(fits, search, kept)
+        again = _refit_fold(fits, search, kept)
         models |= {name: fitted.model for name, fitted in again.items()}
         at = np.flatnonzero(fold[numbers] == number)
         made.append(Fold(models, again, session.take(~kept), at))
     return session.take(numbers), tuple(made)
 
 
-def _fitted_again(
+def _refit_fold(
     fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
 ) -> dict[str, ModelFit]:
     """Fit to the kept rows (N,) the models with the effects that these rows alone would find."""
@@ -161,32 +161,32 @@ def _fitted_again(
     judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
 
     def again(model: Model) -> ModelFit:
-        return fit(model, session, close=NEAR, **judged)
+        return fit_model(model, session, close=NEAR, **judged)
 
     made = {CALIBRATED: again(fits[CALIBRATED].model)}
     found = search.linear.explain_sample(kept.astype(float)) if search.linear is not None else ()
-    sure = [f for f in found if f.there >= CREDIBLE]
-    named = again(_with(search, [f for f in sure if not f.unnamed]))
+    sure = [f for f in found if f.presence >= CREDIBLE]
+    named = again(_replace_found(search, [f for f in sure if not f.unnamed]))
     made[WITH_EFFECTS] = named
     if WITH_FUNCTIONS in fits:
         more = any(f.unnamed for f in sure)
-        made[WITH_FUNCTIONS] = again(_with(search, sure)) if more else named
+        made[WITH_FUNCTIONS] = again(_replace_found(search, sure)) if more else named
     return made
 
 
-def _with(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
+def _replace_found(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
     """Return the model of a search with other effects in the place of what it found."""
     model = search.fit.model
     known = {t.variant: t for t in model.terms}
     terms = {t.key: known.get(t.variant, t) for f in found for t in f.terms}
-    gone = {t.key for f in search.found for t in f.terms}
+    gone = keys_of(search.found)
     other = model.without(gone | set(terms)).plus(*terms.values())
     small = {s.identity for s in other.slots if s.owner.key in terms}
     beyond = tuple(b for b in model.beyond if b[0] not in small)
     return dataclasses.replace(other, beyond=beyond)
 
 
-def prove(
+def prove_models(
     made: Sequence[Fold], learned: Callable[[Fold], tuple[Model, Predictor]] | None = None
 ) -> Proof:
     """Compute the errors of every model at the rows that it was fitted without, in their order.
@@ -201,19 +201,19 @@ def prove(
         placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.turned))
         at, turns_at = fold.numbers[fold.rows.placed], fold.numbers[fold.rows.turned]
         for name, model in fold.models.items():
-            seen.store(name, at, errors(model, placed))
-            told.store(name, at, commanded_errors(model, placed))
-            turned.store(name, turns_at, turns(model, bent))
+            seen.store_rows(name, at, errors(model, placed))
+            told.store_rows(name, at, commanded_errors(model, placed))
+            turned.store_rows(name, turns_at, turns(model, bent))
         if learned is not None:
             model, network = learned(fold)
             expected = network.predict(placed.q, placed.context())
             known = (expected.in_domain & placed.located)[:, None]
             error = np.where(known, expected.error, 0.0)
-            seen.store(NETWORK, at, errors(model, placed) - error)
-            told.store(NETWORK, at, commanded_errors(model, placed) - error)
-            turned.store(NETWORK, turns_at, turns(model, bent))
+            seen.store_rows(NETWORK, at, errors(model, placed) - error)
+            told.store_rows(NETWORK, at, commanded_errors(model, placed) - error)
+            turned.store_rows(NETWORK, turns_at, turns(model, bent))
     rows_at = np.sort(np.concatenate([f.numbers[f.rows.placed] for f in made]))
-    return Proof(seen.ordered, told.ordered, turned.ordered, rows_at, len(made))
+    return Proof(seen.in_order, told.in_order, turned.in_order, rows_at, len(made))
 
 
 class _Rows:
@@ -222,12 +222,12 @@ class _Rows:
     def __init__(self) -> None:
         self._parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
 
-    def store(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
+    def store_rows(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
         self._parts.setdefault(name, []).append((at, values))
 
     @property
-    def ordered(self) -> dict[str, np.ndarray]:
-        """By model name, in the order of the rows."""
+    def in_order(self) -> dict[str, np.ndarray]:
+        """The errors by model name, in the order of the rows."""
         made = {}
         for name, parts in self._parts.items():
             order = np.argsort(np.concatenate([at for at, _ in parts]))

@@ -14,12 +14,12 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SLIDE
-from longarm_comp.core.calibration.candidates import Candidate, distinct
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.candidates import Candidate, distinct_terms
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.linear import Marginal, marginalise
-from longarm_comp.core.calibration.model_fit import priors
-from longarm_comp.core.calibration.noise import from_residual
+from longarm_comp.core.calibration.linear import Marginal, marginalise_first
+from longarm_comp.core.calibration.model_fit import prior_widths
+from longarm_comp.core.calibration.noise import noise_from_residual
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -31,7 +31,7 @@ RUN_UPS = (0.02, 0.035, 0.05, 0.07, 0.1)
 1.5."""
 
 
-def remembers(term: Effect | Bias) -> bool:
+def remembers_run_up(term: Effect | Bias) -> bool:
     """Tell whether an effect depends on its joint's history.
 
     The length that unrecorded run-ups were taken to have is then one of its forms: `run_up`, one
@@ -47,26 +47,26 @@ def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
     return session.with_run_ups(run_up * np.where(slides, SLIDE, 1.0))
 
 
-def as_fitted(session: Session, model: Model) -> Session:
+def with_fitted_run_ups(session: Session, model: Model) -> Session:
     """Return the session with unrecorded run-ups as long as those that a model was fitted with."""
-    taken = [float(e.forms["run_up"]) for e in model.effects if remembers(e)]
+    taken = [float(e.forms["run_up"]) for e in model.effects if remembers_run_up(e)]
     longest = max(taken, default=0.0)
     return with_run_ups(session, model.arm, longest) if longest else session
 
 
-def with_run_up(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidate, ...]:
+def set_run_up(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidate, ...]:
     """Return the candidates for a session whose unrecorded run-ups have a length (rad)."""
     forms: dict[str, float] = {"run_up": run_up}
     return tuple(
         Candidate(
             c.name,
-            tuple(dataclasses.replace(t, **forms) if remembers(t) else t for t in c.terms),  # type: ignore[arg-type]
+            tuple(dataclasses.replace(t, **forms) if remembers_run_up(t) else t for t in c.terms),  # type: ignore[arg-type]
         )
         for c in candidates
     )
 
 
-def run_up(
+def find_run_up(
     model: Model, rows: Callable[[float], Session], candidates: Sequence[Candidate]
 ) -> float:
     """Find the length of highest evidence (rad); 0 where nothing shows that a joint remembers one.
@@ -76,14 +76,16 @@ def run_up(
         rows: returns the rows to fit, with unrecorded run-ups of a length (rad).
         candidates: the library.
     """
-    families = [tuple(t for t in c.terms if remembers(t)) for c in candidates]
+    families = [tuple(t for t in c.terms if remembers_run_up(t)) for c in candidates]
     terms = max(families, key=len, default=())
     if not terms or not rows(0.0).told.any():
         return 0.0
-    fitted = fit(model, rows(0.0))
+    fitted = fit_model(model, rows(0.0))
     columns = FitColumns(fitted)
-    beside = columns.of(distinct(candidates, {t.key for t in terms}))
-    noise, weights = from_residual(fitted, np.concatenate([beside, columns.of(terms)], axis=-1))
+    beside = columns.prior_columns(distinct_terms(candidates, {t.key for t in terms}))
+    noise, weights = noise_from_residual(
+        fitted, np.concatenate([beside, columns.prior_columns(terms)], axis=-1)
+    )
     fitted = dataclasses.replace(fitted, sigma=noise.sigma, rho=noise.rho, weights=weights)
     design = np.concatenate([fitted.design, fitted.whiten_columns(beside)], axis=1)
     marginal, slots = Marginal(design, fitted.data), slots_of(fitted.model.arm, terms)
@@ -96,9 +98,9 @@ def run_up(
         session = rows(length)
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context())
-        found = equations(fitted.model, seen, at, slots).columns * priors(slots)
-        products = marginal.normal(fitted.whiten_columns(found))
-        return marginalise(*products, np.ones(len(slots)))[0]
+        found = equations(fitted.model, seen, at, slots).columns * prior_widths(slots)
+        products = marginal.project_products(fitted.whiten_columns(found))
+        return marginalise_first(*products, np.ones(len(slots)))[0]
 
     best = max(RUN_UPS, key=evidence)
     needed = evidence(0.0) + NONE + math.log(len(RUN_UPS))

@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.model import slots_of
@@ -30,7 +30,7 @@ BEST = 8
 """Peaks of the first look, which leaves out what geometry takes up, that are looked at closely."""
 
 
-def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, ...]:
+def scan_steps(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, ...]:
     """Find the best step of every joint that declares none and has none in the model.
 
     Args:
@@ -39,11 +39,11 @@ def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, 
         need: log evidence that a step must have after its own price.
     """
     arm, kept, columns = fitted.model.arm, fitted.weights > 0, FitColumns(fitted)
-    marginal = columns.without(())
+    marginal = columns.marginal_without(())
     have = {joint for t in fitted.model.effects if isinstance(t, kind) for joint in t.joints}
     rows = [row for row in arm.commanded if row not in have]
     motions = [JointZero(row) for row in rows]
-    moved = columns.of(motions) / priors(slots_of(arm, motions))
+    moved = columns.prior_columns(motions) / prior_widths(slots_of(arm, motions))
     found = []
     for row, column in zip(rows, np.moveaxis(moved, -1, 0), strict=True):
         q = fitted.session.q[kept, arm.commanded.index(row)]
@@ -51,13 +51,15 @@ def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, 
         if span == 0.0 or len(np.unique(np.round(q / span, 6))) < POSITIONS:
             continue
         white = span * fitted.whiten_columns(column[..., None])[:, 0].reshape(len(q), -1)
-        counts = _best_steps(q / span, white, marginal.py.reshape(white.shape))
-        shifts = _teeth(q / span * counts[:, None]) / counts[:, None]  # (B, M) of the range
+        counts = _best_steps(q / span, white, marginal.projected_data.reshape(white.shape))
+        shifts = (
+            _rounding_errors(q / span * counts[:, None]) / counts[:, None]
+        )  # (B, M) of the range
         white = (white * shifts[..., None]).reshape(len(counts), -1).T
         terms = [kind.of_step(arm, row, span / count) for count in counts.tolist()]
         projected = marginal.project(white)
         gain = (projected * (marginal.y[:, None] - 0.5 * white)).sum(0)
-        each = (white * marginal.py[:, None]).reshape(len(q), -1, len(counts)).sum(1)
+        each = (white * marginal.projected_data[:, None]).reshape(len(q), -1, len(counts)).sum(1)
         chance = 0.5 * each.sum(0) ** 2 / np.maximum((each**2).sum(0), 1e-300)
         worth = np.minimum(gain, chance) - [term.price(arm) for term in terms]
         best = int(np.argmax(worth))
@@ -77,7 +79,7 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
     along, size = (white * left).sum(1), 0.5 * (white**2).sum(1)
 
     def gain(counts: np.ndarray, digits: type = float) -> np.ndarray:
-        teeth = _teeth(np.outer(share.astype(digits), counts.astype(digits)))
+        teeth = _rounding_errors(np.outer(share.astype(digits), counts.astype(digits)))
         square = size.astype(digits) @ teeth**2
         return np.asarray((along.astype(digits) @ teeth - square / counts) / counts)
 
@@ -92,6 +94,6 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
     return np.asarray(near[np.arange(len(near)), best])
 
 
-def _teeth(turns: np.ndarray) -> np.ndarray:
+def _rounding_errors(turns: np.ndarray) -> np.ndarray:
     """Return what rounding adds to a number of steps, in steps."""
     return np.asarray(np.rint(turns) - turns)

@@ -18,10 +18,15 @@ import numpy as np
 from scipy.special import bdtrc, fdtrc, gammaincinv
 
 from longarm_comp.core.arm.history import play
-from longarm_comp.core.calibration.linear import Marginal, inliers, solve, solve_products
+from longarm_comp.core.calibration.linear import (
+    Marginal,
+    mark_inliers,
+    solve_posterior,
+    solve_products,
+)
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import rows_as_one, share_of_sensor
-from longarm_comp.core.calibration.reading_steps import read_exactly
+from longarm_comp.core.calibration.reading_steps import mark_exact_readings
 from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.registration import median_spread
 from longarm_comp.core.data.session import Session
@@ -59,12 +64,24 @@ class Structure:
     at: str = ""
     sign: str = ""
 
-    def shown(self, p_value: float, by: str, size_m: float, sign: str) -> Structure:
-        """Return the structure as another test than the F test shows it, in what and by what."""
+    def add_test(
+        self, p_value: float, size_m: float, least_m: float, by: str, sign: str
+    ) -> Structure:
+        """Return the structure, flagged also where another test than the F test shows it.
+
+        Args:
+            p_value: chance of what that test saw, were there no structure.
+            size_m: size of what it saw, m.
+            least_m: size below which it does not matter, m.
+            by: what shows it, for `inputs`.
+            sign: the same as a part of a sentence.
+        """
+        if self.flag or p_value > SIGNIFICANT or size_m < least_m:
+            return self
         return Structure(True, p_value, (by,), size_m, self.share_explained, sign=sign)
 
 
-def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
+def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
     """Test whether the residual of a fit is a function of any input.
 
     Each group of columns is compared with the rest of the residual (F test), and the smallest
@@ -76,12 +93,12 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
         base: the geometry alone, on the same rows and with the same noise.
         beside: (m, k) whitened columns of what the forms of the fitted effects may leave.
     """
-    tested = groups(fit)
+    tested = list_groups(fit)
     design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
-    counts = (fit.session.measured & ~read_exactly(fit))[fit.weights > 0].reshape(-1)
+    counts = (fit.session.measured & ~mark_exact_readings(fit))[fit.weights > 0].reshape(-1)
     marginal = Marginal(design * counts[:, None], fit.data * counts)
     residual = fit.whiten_columns(fit.residual[..., None])[:, 0]
-    left = float(marginal.py @ marginal.py)
+    left = float(marginal.projected_data @ marginal.projected_data)
     free = max(float(counts.sum()) - fit.effective, 2.0)
     found: list[tuple[Group, float, float, np.ndarray]] = []
     for group in tested:
@@ -108,29 +125,23 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
     sizes, rich = np.zeros(fit.width), residual
     if strong:
         b = np.concatenate([b for *_, b in strong], axis=1)
-        part = marginal.project(b) @ solve_products(*marginal.normal(b)).u
-        sizes, rich = np.sqrt((fit.lengths(part) ** 2).mean(0)), residual - part
+        part = marginal.project(b) @ solve_products(*marginal.project_products(b)).u
+        sizes, rich = np.sqrt((fit.to_lengths(part) ** 2).mean(0)), residual - part
     size, noise = float(np.linalg.norm(sizes)), fit.noise_m
     worth = size > WORTH * float(np.linalg.norm(noise))
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
     inputs = tuple(dict.fromkeys(name for group, *_ in strong for name in group.inputs))
-    flag = p < SIGNIFICANT and worth and size > smallest(fit)
+    if not (p < SIGNIFICANT and worth and size > smallest_that_matters(fit)):
+        return Structure(False, p, (), 0.0, 1.0)
     rss_named = float(residual @ residual)
     white_base = fit.whiten_columns(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)
     there = rss_base - float(rich @ rich)
     share = 1.0 if there <= 0 else float(np.clip((rss_base - rss_named) / there, 0.0, 1.0))
-    return Structure(
-        flag,
-        p,
-        inputs if flag else (),
-        size if flag else 0.0,
-        share if flag else 1.0,
-        found[0][0].at if flag else "",
-    )
+    return Structure(True, p, inputs, size, share, found[0][0].at)
 
 
-def smallest(fit: ModelFit) -> float:
+def smallest_that_matters(fit: ModelFit) -> float:
     """Return the size (m) below which structure does not matter."""
     xyz = fit.session.take(fit.session.located).xyz
     return min(SMALLEST_M, OF_SPREAD * median_spread(xyz) if len(xyz) > 1 else SMALLEST_M)
@@ -151,25 +162,25 @@ class Group:
     columns: np.ndarray
 
 
-def groups(fit: ModelFit) -> list[Group]:
+def list_groups(fit: ModelFit) -> list[Group]:
     """List all groups: functions of each input and products of joints, at the tip or at a joint.
 
     Motions of the tip are tried along all axes together, and functions of one input along each axis
     too.
     """
     session = fit.session
-    curves = [smooth_in(session.q[:, j]) for j in range(session.n)]
+    curves = [smooth_functions(session.q[:, j]) for j in range(session.n)]
     made = []
-    for inputs, features in _of_the_tip(session, curves):
+    for inputs, features in _tip_features(session, curves):
         if features.shape[1]:
-            columns = _of_channels(features, fit)
+            columns = _move_each_channel(features, fit)
             made.append(Group(inputs, "", columns))
             if len(inputs) == 1 and fit.width > 1:  # what moves one axis only hides among three
                 each = np.split(columns, fit.width, axis=2)
                 made += [Group(inputs, "", own) for own in each if own.any()]
     for slot, column in zip(fit.slots, np.moveaxis(fit.columns, -1, 0), strict=True):
         if slot.owner.displaces_joint:
-            for inputs, features in _of_a_joint(curves):
+            for inputs, features in _joint_features(curves):
                 moved = column[..., None] * features[:, None, :]
                 size = np.sqrt(((moved / fit.sigma[:, None]) ** 2).mean(axis=(0, 1)))
                 if features.shape[1] and size.all():
@@ -183,29 +194,29 @@ _MEMORY = 0.15
 Features = Iterator[tuple[tuple[str, ...], np.ndarray]]
 
 
-def _of_the_tip(session: Session, curves: list[np.ndarray]) -> Features:
+def _tip_features(session: Session, curves: list[np.ndarray]) -> Features:
     """Yield functions of each joint, of pairs, of direction, way, temperature, time and payload."""
-    yield from _of_a_joint(curves)
+    yield from _joint_features(curves)
     for j, curve in enumerate(curves):
         side = session.approach[:, j].astype(float)[:, None]
         bent = np.concatenate([side, side * curve[:, :2]], axis=1)
-        yield ("approach", f"q{j + 1}"), _standard(bent)
+        yield ("approach", f"q{j + 1}"), _standardise(bent)
         radius = _MEMORY * max(float(np.ptp(session.q[:, j])), 1e-9)
         low, high = play(tuple(session.legs[:, j].T), radius)
-        yield ("order", f"q{j + 1}"), _standard((low + high)[:, None] / radius)
+        yield ("order", f"q{j + 1}"), _standardise((low + high)[:, None] / radius)
     for name, values in session.columns.items():
-        yield (name,), smooth_in(values)[:, :3]
+        yield (name,), smooth_functions(values)[:, :3]
 
 
-def _of_a_joint(curves: list[np.ndarray]) -> Features:
+def _joint_features(curves: list[np.ndarray]) -> Features:
     """Yield functions of each joint, and products of two."""
     for j, curve in enumerate(curves):
         yield (f"q{j + 1}",), curve
     for k, j in combinations(range(len(curves)), 2):
-        yield (f"q{k + 1}", f"q{j + 1}"), _standard(curves[j][:, :1] * curves[k][:, :1])
+        yield (f"q{k + 1}", f"q{j + 1}"), _standardise(curves[j][:, :1] * curves[k][:, :1])
 
 
-def smooth_in(values: np.ndarray) -> np.ndarray:
+def smooth_functions(values: np.ndarray) -> np.ndarray:
     """Compute up to six orthogonal functions of one input (N,); as many as its distinct levels
     allow."""
     span = np.ptp(values)
@@ -214,10 +225,10 @@ def smooth_in(values: np.ndarray) -> np.ndarray:
         return np.zeros((len(values), 0))
     x = 2 * (values - values.min()) / span - 1
     basis = np.polynomial.legendre.legvander(x, min(6, levels - 1))[:, 1:]
-    return _standard(basis)
+    return _standardise(basis)
 
 
-def _standard(features: np.ndarray) -> np.ndarray:
+def _standardise(features: np.ndarray) -> np.ndarray:
     """Centre features, scale them to unit size, and drop dependent columns."""
     centred = features - features.mean(0)
     size = np.sqrt((centred**2).mean(0))
@@ -228,7 +239,7 @@ def _standard(features: np.ndarray) -> np.ndarray:
     return u[:, s > 1e-6 * s[0]] * np.sqrt(len(features))
 
 
-def _of_channels(features: np.ndarray, fit: ModelFit) -> np.ndarray:
+def _move_each_channel(features: np.ndarray, fit: ModelFit) -> np.ndarray:
     """Expand features (N, m) to (N, d, dm): each feature moves each channel by one standard
     deviation of its noise."""
     noise = np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.session.measured
@@ -240,7 +251,7 @@ OFF = 0.5
 """Excess over the noise, as a share of it, that counts: the noise itself is known to a tenth."""
 
 
-def with_unseen(structure: Structure, held_out: Sequence[tuple[ModelFit, Session]]) -> Structure:
+def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Session]]) -> Structure:
     """Return the structure, flagged also where only the held-out poses show it.
 
     An error of the parameters moves all poses together, so it is subtracted first. Half of what is
@@ -250,7 +261,7 @@ def with_unseen(structure: Structure, held_out: Sequence[tuple[ModelFit, Session
         structure: as it shows in the fitted rows.
         held_out: fits without some rows, and these rows.
     """
-    parts = [_noise_and_rest(fit, rows) for fit, rows in held_out]
+    parts = [_compare_with_noise(fit, rows) for fit, rows in held_out]
     ratio, square = (np.concatenate(each) for each in zip(*parts, strict=True))
     fit = held_out[0][0]
     if structure.flag or not len(ratio):
@@ -260,14 +271,12 @@ def with_unseen(structure: Structure, held_out: Sequence[tuple[ModelFit, Session
     p = float(bdtrc(above - 1, count, 0.5))
     expected = np.sqrt(square.mean())
     excess = float(expected * np.sqrt(max(np.median(ratio) ** 2 - 1.0, 0.0)))
-    if p > SIGNIFICANT or excess < max(OFF * expected, smallest(fit)):
-        return structure
-    return structure.shown(
-        min(p, structure.p_value), "held-out poses", excess, "shows in the held-out poses"
-    )
+    least = max(OFF * float(expected), smallest_that_matters(fit))
+    sign = "shows in the held-out poses"
+    return structure.add_test(p, excess, least, "held-out poses", sign)
 
 
-def _noise_and_rest(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarray]:
+def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarray]:
     """Compare rows that were not fitted with their noise.
 
     Returns:
@@ -278,14 +287,14 @@ def _noise_and_rest(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarra
     known = dict(zip(fit.session.channels, fit.sigma, strict=True))
     sigma = np.array([known.get(name, np.inf) for name in rows.channels])
     held = rows.measured & np.isfinite(sigma)
-    noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.uneven(rows)[:, None]
+    noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.stated_noise_ratio(rows)[:, None]
     some = held.any(axis=1)
     if not some.any():
         return np.zeros(0), np.zeros(0)
     size, ways = np.linalg.eigh(fit.covariance)
     moved = found.columns @ (ways * np.sqrt(np.maximum(size, 0.0)))
     a = (moved * (held / noise)[..., None])[some]
-    left = _beyond(a, (found.residual * held / noise)[some], held[some])
+    left = _sizes_left(a, (found.residual * held / noise)[some], held[some])
     ratio = left / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
     return ratio, ((noise * metres(fit.model, rows)) ** 2 * held).sum(1)[some]
 
@@ -312,11 +321,8 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
     ratio = (count - width) / (width * (count - 1)) * squared
     p = float(fdtrc(width, count - width, ratio))
     size = float(np.linalg.norm(left.mean(0) * metres(fit.model, fit.session)[held]))
-    if p > SIGNIFICANT or size < smallest(fit):
-        return structure
-    return structure.shown(
-        p, "rows left out", size, f"is shared by the {count} rows that no fit explains"
-    )
+    sign = f"is shared by the {count} rows that no fit explains"
+    return structure.add_test(p, size, smallest_that_matters(fit), "rows left out", sign)
 
 
 def with_scatter(structure: Structure, fit: ModelFit) -> Structure:
@@ -326,22 +332,20 @@ def with_scatter(structure: Structure, fit: ModelFit) -> Structure:
         structure: as it shows in the fitted rows.
         fit: the final fit.
     """
-    sensor = share_of_sensor(fit)
+    sensor, least = share_of_sensor(fit), smallest_that_matters(fit)
     size = float(np.linalg.norm(fit.noise_m)) * math.sqrt(1.0 - sensor.share)
-    if structure.flag or sensor.whole > SIGNIFICANT or size < smallest(fit):
-        return structure
-    return structure.shown(sensor.whole, "scatter", size, sensor.sign)
+    return structure.add_test(sensor.whole, size, least, "scatter", sensor.sign)
 
 
-def _beyond(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
+def _sizes_left(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """Return (N,) sizes of what parameters with unit normal priors leave of data (N, d).
 
     The parameters belong to columns `a` (N, d, p). Gross errors do not count for them, as in every
     fit.
     """
-    kept = inliers(y, measured)[:, None]
+    kept = mark_inliers(y, measured)[:, None]
     shared = (kept[..., None] * a).reshape(-1, a.shape[-1])
-    found = solve(shared, (kept * y).ravel())
+    found = solve_posterior(shared, (kept * y).ravel())
     leverage = np.einsum("nip,pq,niq->ni", a, found.covariance, a, optimize=True)
     variance = np.where(kept > 0, np.maximum(1.0 - leverage, 1e-12), 1.0 + leverage)
     return np.linalg.norm((y - a @ found.u) / np.sqrt(variance), axis=1)

@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.candidates import library
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.candidates import list_candidates
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.placement import place_sensors
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
@@ -94,7 +94,7 @@ class Uncertainty:
         sigma: tuple[float, float],
         pool: Plan | None = None,
     ) -> Uncertainty:
-        """Before any measurement, or after a session; errors as of `fit`.
+        """Before any measurement, or after a session; errors as of `fit_model`.
 
         Effects of circumstances that no plan tells, as of a recorded column, count as known.
 
@@ -110,11 +110,12 @@ class Uncertainty:
         asked = _rows(model.arm, pool or middle, measure)
         whole = model
         for rows in asked if measured is None else (*asked, measured):
-            whole = whole.with_missing(geometry(model.arm, rows))
+            whole = whole.with_missing(geometry_terms(model.arm, rows))
         fitted, read = None, dict[str, float]()
         if measured is not None:
-            fitted = fit(
-                place_sensors(model.with_missing(geometry(model.arm, measured)), measured), measured
+            fitted = fit_model(
+                place_sensors(model.with_missing(geometry_terms(model.arm, measured)), measured),
+                measured,
             )
             whole = fitted.model.with_missing(whole.terms)
             noise = dict(zip(measured.channels, fitted.sigma.tolist(), strict=True))
@@ -127,7 +128,7 @@ class Uncertainty:
         if not known:
             both = np.tile(model.arm.mid, (2, 1))
             at = Session.record(both, np.zeros((2, 3)), approach=sides(2))
-            tried = library(model.arm, at.context(), None, whole.terms).testable
+            tried = list_candidates(model.arm, at.context(), None, whole.terms).testable
             whole = whole.with_missing(term for each in tried for term in each.terms)
         scale = np.array([min(s.parameter.width, WIDEST) for s in whole.slots])
         information = np.eye(len(scale))

@@ -9,7 +9,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.model.model import Slot, unstack
@@ -97,4 +97,4 @@ def _designs(
     rest += other.slots(fit.model.arm)
     own = [s for s in fit.slots if s.owner.key in places]
     values = np.array([s.value for s in own])
-    return of(rest) * priors(rest), (of(own) @ values)[..., None]
+    return of(rest) * prior_widths(rest), (of(own) @ values)[..., None]

@@ -11,8 +11,8 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError
@@ -144,7 +144,7 @@ def test_calibration_takes_pins_that_no_other_geometry_can() -> None:
     noise = 2e-5 * np.random.default_rng(8).standard_normal((len(q), 3))
     for declared in (arm, ARM):
         rows = Session.record(q, truth.tip(q) + noise)
-        model = fit(Model(declared).plus(*geometry(declared, rows)), rows).model
+        model = fit_model(Model(declared).plus(*geometry_terms(declared, rows)), rows).model
         apart = model.tip(fresh) - TrueArm(arm, [hidden]).tip(fresh)
         left.append(float(np.linalg.norm(apart, axis=1).mean()))
     assert left[0] < 0.5 * left[1]

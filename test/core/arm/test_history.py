@@ -27,7 +27,7 @@ from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.run_ups import as_fitted
+from longarm_comp.core.identify.run_ups import with_fitted_run_ups
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.arm_truth import TrueArm
@@ -362,7 +362,7 @@ def test_a_model_keeps_the_run_ups_that_it_was_fitted_with(rng: np.random.Genera
     model = declared_model(ARM).plus(FrictionHysteresis(2, far=0.1, run_up=0.05, width=0.01))
     q = ARM.lower + (ARM.upper - ARM.lower) * (0.1 + 0.8 * rng.random((60, ARM.n)))
     told = Session.record(q, np.zeros((60, 3)), approach=rng.choice([-1.0, 1.0], 60))
-    context = as_fitted(told, model).context()
+    context = with_fitted_run_ups(told, model).context()
     seen = model.tip(q, context) + 1e-4 * rng.standard_normal((60, 3))
     found = diagnose(ARM, dataclasses.replace(told, xyz=seen), model=model, kinds=(JointGain,))
     assert (found.train.legs != 0).any(axis=(1, 2)).all()

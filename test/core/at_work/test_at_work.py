@@ -19,7 +19,7 @@ from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -262,7 +262,7 @@ def test_right_sightings_leave_a_calibrated_model_as_good_as_it_was() -> None:
     q = HEAVY.lower + rng.random((140, HEAVY.n)) * (HEAVY.upper - HEAVY.lower)
     tips = TrueArm(HEAVY).tip(q)
     seen = tips + SIGMA * rng.standard_normal(tips.shape)
-    *_, (_, fit) = stages(declared_model(HEAVY), Session.record(q[:80], seen[:80]))
+    *_, (_, fit) = fit_stages(declared_model(HEAVY), Session.record(q[:80], seen[:80]))
     model = with_uncertainty(fit)
     assert model.uncertainty is not None and model.uncertainty.absent
     learner, missed = Learner.of(model), []

@@ -9,8 +9,8 @@ import pytest
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, choose_sizes
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -41,7 +41,7 @@ def rows_of(arm: Arm, alpha: float, n: int = 150) -> Session:
 
 
 def calibrated(arm: Arm, rows: Session) -> ModelFit:
-    return dict(stages(declared_model(arm), rows))["geometry"]
+    return dict(fit_stages(declared_model(arm), rows))["geometry"]
 
 
 @pytest.mark.parametrize(("told", "size"), [(0.0, 1.0), (2.0, 1.0), (3.0, 4.0), (30.0, 16.0)])
@@ -70,7 +70,7 @@ def test_no_effect_stands_for_a_part_beyond_its_tolerance() -> None:
     arm = drawn()
     rows = rows_of(arm, 12e-3)
     start = calibrated(arm, rows).model
-    offered = library(arm, rows.context(), None, start.terms).testable
+    offered = list_candidates(arm, rows.context(), None, start.terms).testable
     assert explain_session(start, rows, offered).found == ()
 
 

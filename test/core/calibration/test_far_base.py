@@ -29,9 +29,9 @@ from sensed_arm import (
 import longarm_comp as la
 from longarm_comp.cli.fit import calibrate as calibrate_command
 from longarm_comp.cli.fit import evaluate as evaluate_command
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import list_undetermined, places
+from longarm_comp.core.calibration.standing import list_places, list_undetermined
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -85,7 +85,7 @@ def session(kind: str, turn: Rotation, n: int = N) -> Session:
 
 
 def calibrated(kind: str, turn: Rotation) -> ModelFit:
-    *_, (_, fitted) = stages(declared_model(arm(turn)), session(kind, turn))
+    *_, (_, fitted) = fit_stages(declared_model(arm(turn)), session(kind, turn))
     return fitted
 
 
@@ -261,8 +261,8 @@ def test_calibrate_says_how_well_it_knows_the_base(rng: np.random.Generator) -> 
     model = declared_model(la.Arm.parse(known, "arm"))
     q = sensed(n=500).q
     seen = Session.record(q, turn.apply(model.tip(q)) + FAR + 1e-4 * rng.standard_normal((500, 3)))
-    (_, found), *_ = stages(model, seen)
-    (place,) = places(found)
+    (_, found), *_ = fit_stages(model, seen)
+    (place,) = list_places(found)
     np.testing.assert_allclose(place.xyz_m, FAR, atol=1e-3)
     np.testing.assert_allclose(
         Rotation.from_euler("xyz", place.rpy_deg, degrees=True).as_matrix(), turn.as_matrix(),

@@ -15,17 +15,17 @@ from telescope_arm import WEIGHTLESS, heavy
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration import linear
-from longarm_comp.core.calibration.calibrate import declared_model, geometry, stages
-from longarm_comp.core.calibration.fit import CLOSE, fit, fit_together
-from longarm_comp.core.calibration.linear import whiten
+from longarm_comp.core.calibration.calibrate import declared_model, fit_stages, geometry_terms
+from longarm_comp.core.calibration.fit import CLOSE, fit_model, fit_together
+from longarm_comp.core.calibration.linear import whiten_rows
 from longarm_comp.core.calibration.noise import (
     NoiseEstimate,
-    from_repeats,
     lag_correlation,
     limit_by_repeats,
+    noise_from_repeats,
 )
 from longarm_comp.core.calibration.placement import place_bases
-from longarm_comp.core.calibration.standing import frames
+from longarm_comp.core.calibration.standing import placement_terms
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance, LinkBending
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero
@@ -50,7 +50,7 @@ def empty(arm: Arm) -> Session:
 
 def planted(arm: Arm, rng: np.random.Generator, elastic: bool = True) -> Model:
     """Sag, every geometry error drawn from its prior, and a compliance in every joint."""
-    terms = (LinkDeflection(), *geometry(arm, empty(arm)))
+    terms = (LinkDeflection(), *geometry_terms(arm, empty(arm)))
     model = Model(arm, (*terms, *(JointCompliance.for_arm(arm) if elastic else ())))
     drawn = []
     for slot in model.slots:
@@ -81,7 +81,7 @@ def test_geometry_and_compliance_are_recovered_through_outliers(
     bad = rng.choice(150, 3, replace=False)
     xyz = session.xyz.copy()
     xyz[bad] += 0.05 * rng.standard_normal((3, 3))
-    found = fit(blank(truth), dataclasses.replace(session, xyz=xyz))
+    found = fit_model(blank(truth), dataclasses.replace(session, xyz=xyz))
     assert found.converged
     assert set(found.outliers) == set(bad)
     np.testing.assert_allclose(found.sigma, SIGMA, rtol=0.25)
@@ -102,7 +102,7 @@ def test_covariance_is_calibrated(arm: Arm) -> None:
     for seed in range(5):
         rng = np.random.default_rng(seed)
         truth = planted(arm, rng, elastic=False)
-        found = fit(blank(truth), measured(truth, box(arm, 80, rng), rng))
+        found = fit_model(blank(truth), measured(truth, box(arm, 80, rng), rng))
         error = found.model.values - truth.values
         scores.append(error / found.standard_errors)
         g = found.columns.reshape(-1, len(error))
@@ -119,9 +119,9 @@ def test_several_base_placements(arm: Arm, rng: np.random.Generator) -> None:
     bases = (BasePose("a", x=0.02, rz=0.03), BasePose("b", y=-0.04, rx=-0.02))
     truth = Model(arm, (LinkDeflection(), *bases, JointZero(2, offset=5e-3)))
     session = measured(truth, box(arm, 80, rng), rng, sigma=1e-4, labels={"group": group})
-    assert [f.group for f in frames(arm, session) if isinstance(f, BasePose)] == ["a", "b"]
-    model = Model(arm, (LinkDeflection(), *frames(arm, session), *JointZero.for_arm(arm)))
-    found = fit(model, session)
+    assert [f.group for f in placement_terms(arm, session) if isinstance(f, BasePose)] == ["a", "b"]
+    model = Model(arm, (LinkDeflection(), *placement_terms(arm, session), *JointZero.for_arm(arm)))
+    found = fit_model(model, session)
     q = box(arm, 30, rng)
     for name in ("a", "b"):
         there = Session.record(q, np.zeros((30, 3)), labels={"group": np.full(30, name)}).context()
@@ -147,7 +147,7 @@ def test_several_markers(rng: np.random.Generator) -> None:
     truth = Model(arm, (TipOffset("tip", x=2e-3, z=-1e-3), TipOffset("elbow", y=3e-3)))
     marker = np.where(rng.random(60) < 0.5, "tip", "elbow")
     session = measured(truth, box(arm, 60, rng), rng, sigma=2e-5, labels={"marker": marker})
-    found = fit(Model(arm, TipOffset.for_arm(arm)), session)
+    found = fit_model(Model(arm, TipOffset.for_arm(arm)), session)
     got = {t.marker: (t.x, t.y, t.z) for t in found.model.effects if isinstance(t, TipOffset)}
     np.testing.assert_allclose(got["tip"], (2e-3, 0, -1e-3), atol=2e-5)
     np.testing.assert_allclose(got["elbow"], (0, 3e-3, 0), atol=2e-5)
@@ -159,7 +159,7 @@ def test_stiffness_is_never_negative(arm: Arm, rng: np.random.Generator) -> None
     truth = Model(arm, (LinkDeflection(), against, JointCompliance(5, compliance=6e-3)))
     session = measured(truth, box(arm, 60, rng), rng)
     terms = (LinkDeflection(), *JointZero.for_arm(arm), *JointCompliance.for_arm(arm))
-    found = fit(Model(arm, terms), session)
+    found = fit_model(Model(arm, terms), session)
     values = {t.joint: t.compliance for t in found.model.effects if isinstance(t, JointCompliance)}
     assert values[2] == 0.0
     assert min(values.values()) == 0.0
@@ -172,10 +172,10 @@ def test_a_base_that_stands_elsewhere_is_found(arm: Arm, rng: np.random.Generato
         base = BasePose(x=2.0, y=-1.5, z=0.4, rx=0.1, rz=turn)
         truth = Model(arm, (LinkDeflection(), base))
         session = measured(truth, box(arm, 40, rng), rng)
-        start = place_bases(Model(arm, (LinkDeflection(), *frames(arm, session))), session)
+        start = place_bases(Model(arm, (LinkDeflection(), *placement_terms(arm, session))), session)
         left = np.linalg.norm(start.tip(session.q) - session.xyz, axis=1)
         assert np.median(left) < 0.05  # sag in the wrong direction of gravity is not seen here
-        found = fit(start, session)
+        found = fit_model(start, session)
         q = box(arm, 30, rng)
         apart = np.linalg.norm(found.model.tip(q) - truth.tip(q), axis=1)
         assert apart.max() < 1e-3
@@ -199,7 +199,7 @@ def test_arms_on_one_torso_share_it(rng: np.random.Generator) -> None:
     assert left["tip_offset / tip / x"] - right["tip_offset / tip / x"] == pytest.approx(
         5e-3, abs=6e-4
     )
-    alone = fit(*parts[0])
+    alone = fit_model(*parts[0])
     assert made[0].standard_errors[0] < 0.85 * alone.standard_errors[0]
 
 
@@ -210,14 +210,14 @@ def test_loads_and_what_yields_are_fitted_to_the_end_wherever_it_starts(
     """Rows tell little but their product: a step far within a standard error bends the design."""
     rng = np.random.default_rng(0)
     session = measured(heavy(1e6, 1e-5), box(WEIGHTLESS, 200, rng), rng)
-    *_, (_, rigid) = stages(declared_model(WEIGHTLESS), session)
+    *_, (_, rigid) = fit_stages(declared_model(WEIGHTLESS), session)
     yielding = JointCompliance(1), LinkBending(2), UndeclaredWeight()
     known: dict[str, Any] = {"sigma": np.full(3, SIGMA), "weights": np.ones(200)}
-    end = fit(rigid.model.plus(*yielding), session, **known)
+    end = fit_model(rigid.model.plus(*yielding), session, **known)
     loads = np.array([s.owner.name == "undeclared_weight" for s in end.slots])
     soft = np.array([s.owner.elastic for s in end.slots])
     there = end.model.values * np.where(loads, 1.0 / share, np.where(soft, share, 1.0))
-    again = fit(end.model.with_values(there), session, close=close, **known)
+    again = fit_model(end.model.with_values(there), session, close=close, **known)
     assert again.converged
     cost = [(f.residual**2).sum() / SIGMA**2 for f in (end, again)]
     assert abs(cost[1] - cost[0]) < 2.0
@@ -227,14 +227,14 @@ def test_loads_and_what_yields_are_fitted_to_the_end_wherever_it_starts(
 def test_missing_inputs_are_named(arm: Arm, rng: np.random.Generator) -> None:
     session = measured(Model(arm), box(arm, 10, rng), rng)
     with pytest.raises(InputError, match=r"thermal_growth: temperature_c: 'missing'"):
-        fit(Model(arm, (ThermalGrowth(),)), session)
+        fit_model(Model(arm, (ThermalGrowth(),)), session)
     still = dataclasses.replace(session, approach=np.zeros_like(session.approach))
     with pytest.raises(InputError, match=r"backlash: approach: 'missing'"):
-        fit(Model(arm, (Backlash(joint=1),)), still)
+        fit_model(Model(arm, (Backlash(joint=1),)), still)
     lost = session.xyz.copy()
     lost[3:] = np.nan
     with pytest.raises(InputError, match="at least 4"):
-        fit(Model(arm, (JointZero(1),)), dataclasses.replace(session, xyz=lost))
+        fit_model(Model(arm, (JointZero(1),)), dataclasses.replace(session, xyz=lost))
 
 
 def ar1(n: int, rho: float, rng: np.random.Generator) -> np.ndarray:
@@ -249,7 +249,7 @@ def test_correlated_noise_is_whitened(rng: np.random.Generator) -> None:
     noise = ar1(4000, 0.8, rng)
     sigma = np.array([1e-4, 2e-4, 3e-4])
     every = np.ones((4000, 3), dtype=bool)
-    white = whiten((noise * sigma)[..., None], np.ones(4000), sigma, 0.8, every).reshape(-1, 3)
+    white = whiten_rows((noise * sigma)[..., None], np.ones(4000), sigma, 0.8, every).reshape(-1, 3)
     assert white.std(axis=0) == pytest.approx(1.0, abs=0.05)
     assert abs((white[1:] * white[:-1]).mean()) < 0.05
     assert lag_correlation(noise, np.ones(4000), every) == pytest.approx(0.8, abs=0.03)
@@ -264,7 +264,7 @@ def test_correlated_noise_widens_the_intervals(rng: np.random.Generator) -> None
         xyz = Model(SMALL).tip(q) + SIGMA * ar1(60, 0.8, rng)
         model, session = Model(SMALL, (BasePose(),)), Session.record(q, xyz)
         for rho, into in ((0.8, honest), (0.0, naive)):
-            found = fit(model, session, sigma=np.full(3, SIGMA), rho=rho)
+            found = fit_model(model, session, sigma=np.full(3, SIGMA), rho=rho)
             g = found.columns[0]
             spread = np.sqrt(np.diag(g @ found.covariance @ g.T))
             into.append(g @ found.model.values / spread)
@@ -274,11 +274,11 @@ def test_correlated_noise_widens_the_intervals(rng: np.random.Generator) -> None
 
 def test_bounded_solution_is_the_constrained_minimum(rng: np.random.Generator) -> None:
     a, y = rng.normal(size=(30, 4)), rng.normal(size=30)
-    free = linear.solve(a, y)
+    free = linear.solve_posterior(a, y)
     np.testing.assert_allclose(free.u, np.linalg.solve(a.T @ a + np.eye(4), a.T @ y), atol=1e-12)
     lower = np.full(4, -np.inf)
     lower[np.argmin(free.u)] = 0.0
-    held = linear.solve(a, y, lower, np.full(4, np.inf)).u
+    held = linear.solve_posterior(a, y, lower, np.full(4, np.inf)).u
     slope = a.T @ (a @ held - y) + held
     k = int(np.argmin(free.u))
     assert held[k] == 0.0
@@ -289,15 +289,18 @@ def test_bounded_solution_is_the_constrained_minimum(rng: np.random.Generator) -
 def test_evidence_is_that_of_the_gaussian(rng: np.random.Generator) -> None:
     """The log Bayes factor against two multivariate normal densities written out."""
     a, b, y = rng.normal(size=(25, 5)), rng.normal(size=(25, 2)), 2 * rng.normal(size=25)
-    products = linear.Marginal(a, y).normal(b)
-    added, evidence = linear.solve_products(*products), linear.marginalise(*products, np.ones(2))[0]
+    products = linear.Marginal(a, y).project_products(b)
+    added, evidence = (
+        linear.solve_products(*products),
+        linear.marginalise_first(*products, np.ones(2))[0],
+    )
 
     def log_density(*blocks: np.ndarray) -> float:
         cover = np.eye(25) + sum(m @ m.T for m in blocks)
         return float(multivariate_normal(np.zeros(25), cover).logpdf(y))
 
     assert evidence == pytest.approx(log_density(a, b) - log_density(a), abs=1e-9)
-    both = linear.solve(np.concatenate([a, b], axis=1), y)
+    both = linear.solve_posterior(np.concatenate([a, b], axis=1), y)
     np.testing.assert_allclose(added.u, both.u[5:], atol=1e-10)
     np.testing.assert_allclose(added.covariance, both.covariance[5:, 5:], atol=1e-10)
 
@@ -308,11 +311,11 @@ def test_noise_of_repeats_leaves_out_the_side(rng: np.random.Generator) -> None:
     side = np.tile([1, 1, 1, -1, -1, -1], 8)
     xyz = Model(SMALL).tip(q) + 1e-3 * side[:, None] + 1e-4 * rng.standard_normal((48, 3))
     xyz[7] += 0.03
-    noise = from_repeats(Model(SMALL), Session.record(q, xyz, approach=side))
+    noise = noise_from_repeats(Model(SMALL), Session.record(q, xyz, approach=side))
     assert noise is not None
     assert noise.sigma == pytest.approx(1e-4, rel=0.35)
     assert (
-        from_repeats(Model(SMALL), Session.record(q[:6], xyz[:6], approach=side[:6])) is None
+        noise_from_repeats(Model(SMALL), Session.record(q[:6], xyz[:6], approach=side[:6])) is None
     )  # too few
 
 
@@ -340,14 +343,14 @@ def test_rows_count_by_the_noise_that_they_state_where_that_is_true(
     noise = 1e-4 * rough[:, None] * rng.standard_normal((n, 3))
     stated = np.repeat(3.0 * 1e-4 * rough[:, None], 3, axis=1)  # three times too careful
     rows = Session.record(q, truth.tip(q) + noise, sigma=stated)
-    found = fit(blank(truth), rows)
+    found = fit_model(blank(truth), rows)
     assert not len(found.outliers)
     np.testing.assert_allclose(found.weights, rough**-2.0)
     np.testing.assert_allclose(found.sigma, 1e-4, rtol=0.15)
-    np.testing.assert_allclose(found.uneven(rows.take(rough > 1)), 10.0)
+    np.testing.assert_allclose(found.stated_noise_ratio(rows.take(rough > 1)), 10.0)
     chi2 = (((found.model.values - truth.values) / found.standard_errors) ** 2).sum()
     assert chi2 < 14.0
-    alike = fit(blank(truth), dataclasses.replace(rows, sigma=None))
+    alike = fit_model(blank(truth), dataclasses.replace(rows, sigma=None))
     assert len(alike.outliers) > 20
     assert (found.standard_errors < 0.9 * alike.standard_errors).all()
 
@@ -360,9 +363,9 @@ def test_stated_noise_that_the_rows_do_not_show_counts_for_nothing(
     q = box(SMALL, n, rng)
     stated = np.repeat(10.0 ** rng.uniform(-5, -4, (n, 1)), 3, axis=1)
     rows = Session.record(q, truth.tip(q) + 1e-4 * rng.standard_normal((n, 3)), sigma=stated)
-    found = fit(blank(truth), rows)
+    found = fit_model(blank(truth), rows)
     assert set(found.weights) <= {0.0, 1.0}
-    assert (found.uneven(rows) == 1.0).all()
+    assert (found.stated_noise_ratio(rows) == 1.0).all()
 
 
 def test_a_link_laid_along_y_has_its_length_recovered(rng: np.random.Generator) -> None:
@@ -378,7 +381,7 @@ def test_a_link_laid_along_y_has_its_length_recovered(rng: np.random.Generator) 
     true = Model(arm, (DhError(row=3, b=1e-3),))
     q = rng.uniform(arm.lower, arm.upper, (200, arm.n))
     seen = true.tip(q) + 2e-5 * rng.standard_normal((200, 3))
-    found = fit(Model(arm, geometry(arm, empty(arm))), Session.record(q, seen)).model
+    found = fit_model(Model(arm, geometry_terms(arm, empty(arm))), Session.record(q, seen)).model
     asked = rng.uniform(arm.lower, arm.upper, (50, arm.n))
     assert np.abs(found.tip(asked) - true.tip(asked)).max() < 5e-5
     along = {e.row: e.b for e in found.effects if isinstance(e, DhError)}
@@ -397,4 +400,4 @@ def test_what_a_solver_rounds_beyond_a_bound_is_no_value(monkeypatch: pytest.Mon
     q = np.random.default_rng(1).uniform(HEAVY.lower, HEAVY.upper, (20, HEAVY.n))
     lifted = model.with_values(np.array([-1e-3])).tip(q)  # against its load
     monkeypatch.setattr(linear, "solve_products", rounded)
-    assert fit(model, Session.record(q, lifted)).model.values[0] == 0.0
+    assert fit_model(model, Session.record(q, lifted)).model.values[0] == 0.0

@@ -13,7 +13,7 @@ from touching import ARM, EXAMPLE
 import longarm_comp as la
 from longarm_comp.cli.diagnose import command as diagnose
 from longarm_comp.cli.fit import calibrate as command
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.measurement import spreads
@@ -37,13 +37,13 @@ def touches(name: str) -> Session:
 @pytest.fixture(scope="module")
 def models() -> dict[str, Model]:
     """Every real arm, calibrated with all of its rows."""
-    fits = {n: dict(stages(declared_model(ARM), touches(n)))["geometry"] for n in NAMES}
+    fits = {n: dict(fit_stages(declared_model(ARM), touches(n)))["geometry"] for n in NAMES}
     return {name: fit.model.lasting() for name, fit in fits.items()}
 
 
 def fitted(rows: Session, kind: KindOfArm | None) -> ModelFit:
     """The full geometry."""
-    return dict(stages(declared_model(ARM), rows, kind=kind))["geometry"]
+    return dict(fit_stages(declared_model(ARM), rows, kind=kind))["geometry"]
 
 
 def arms_along(direction: np.ndarray, n: int = 8) -> list[Model]:
@@ -97,7 +97,7 @@ def test_a_folded_fit_predicts_the_same_and_holds_no_direction(models: dict[str,
     others = [model.plus(give) for name, model in models.items() if name != "2"]
     kind = KindOfArm.of(ARM, others, list("13467"))
     rows = touches("2").take(slice(0, 40))
-    *_, (_, fit) = stages(declared_model(ARM), rows, kind=kind)
+    *_, (_, fit) = fit_stages(declared_model(ARM), rows, kind=kind)
     assert any(isinstance(e, KindDirection) for e in fit.model.effects)
     whole = fold_directions(fit)
     assert not any(isinstance(e, KindDirection) for e in whole.model.effects)
@@ -133,7 +133,7 @@ def test_few_rows_of_a_real_arm_do_better_by_its_kind(models: dict[str, Model]) 
             rows = np.sort(rng.choice(np.flatnonzero(location == place), ROWS, replace=False))
             few, rest = session.take(rows), session.take(location != place)
             fits = [
-                dict(stages(declared_model(ARM), few, kind=k))["geometry"] for k in (None, kind)
+                dict(fit_stages(declared_model(ARM), few, kind=k))["geometry"] for k in (None, kind)
             ]
             left.append([1e3 * spreads(fold_directions(f).model, rest).mean() for f in fits])
     drawing, by_kind = np.mean(left, axis=0)

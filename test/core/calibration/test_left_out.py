@@ -7,8 +7,8 @@ import pytest
 from hidden_arm import SIGMA, at, calibrated, session
 from scipy.signal import lfilter
 
-from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.left_out import LeftOut, about_the_mean
+from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.left_out import LeftOut, subtract_point_means
 from longarm_comp.core.model.uncertainty import sizes
 from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.sim.hidden.geometry import JointZero
@@ -21,14 +21,14 @@ LACKING = JointGain(at(2, 0.03))
 def test_rows_left_out_are_missed_as_by_a_fit_without_them() -> None:
     start = calibrated(session([ZEROS, LACKING], n=80))
     settings = {"sigma": np.full(3, 5e-4), "robust": False, "close": 1e-6}
-    whole = fit(start.model, start.session, **settings)
+    whole = fit_model(start.model, start.session, **settings)
     rows, weights = whole.session, whole.weights
     left = LeftOut.of(whole)
     assert left is not None
     order = np.argsort(np.argsort(rows.q[weights > 0, 0], kind="stable"))
     out = np.flatnonzero(weights > 0)[order * 4 // len(order) == 0]
     kept = np.setdiff1d(np.arange(len(rows)), out)
-    again = fit(whole.model, rows.take(kept), **settings)
+    again = fit_model(whole.model, rows.take(kept), **settings)
     held = rows.take(out)
     missed = held.xyz - again.model.tip(held.q, held.context())
     found = left.error[: len(out)]
@@ -43,7 +43,7 @@ def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
     error[:20] *= 30.0
     small = LeftOut(error, 1e-9 * unit, np.ones(400), np.ones(400, dtype=bool))
     noise = 1e-9 * np.eye(3)
-    alike, structure = small.explain(noise)
+    alike, structure = small.find_least_errors(noise)
     radius = sizes(small.covariance + structure + noise)[1]
     assert alike == 1.0
     assert 0.9 <= np.mean(np.linalg.norm(error, axis=1) <= radius) <= 0.91
@@ -87,7 +87,7 @@ def test_an_error_where_rows_are_far_is_no_error_everywhere(far: float, one: boo
     covariance = sd[:, None, None] ** 2 * np.eye(3)
     error = 5.0 * sd[:, None] * rng.standard_normal((400, 3))
     left = LeftOut(error, covariance, np.ones(400), amid)
-    alike, structure = left.explain(1e-10 * np.eye(3))
+    alike, structure = left.find_least_errors(1e-10 * np.eye(3))
     inside = np.linalg.norm(error, axis=1) <= sizes(alike * covariance + structure)[1]
     assert (alike == 1.0) is one
     assert 0.9 <= inside.mean() < 0.95
@@ -97,10 +97,10 @@ def test_an_error_where_rows_are_far_is_no_error_everywhere(far: float, one: boo
 def test_touched_points_are_judged_about_their_mean(rng: np.random.Generator) -> None:
     names = np.array(["a", "a", "b", "a", "c", "b"])
     rows = rng.standard_normal((6, 3))
-    off, alone = about_the_mean(rows, names)
+    off, alone = subtract_point_means(rows, names)
     assert alone.tolist() == [False, False, False, False, True, False]
     np.testing.assert_allclose(off[[2, 5]].sum(axis=0), 0.0, atol=1e-12)
-    drawn = about_the_mean(rng.standard_normal((20000, 3)), np.repeat(np.arange(10000), 2))[0]
+    drawn = subtract_point_means(rng.standard_normal((20000, 3)), np.repeat(np.arange(10000), 2))[0]
     assert drawn.var() == pytest.approx(1.0, abs=0.03)
 
 
@@ -109,6 +109,6 @@ def test_errors_that_nothing_explains_are_at_worst_those_amid() -> None:
     error = np.full((40, 3), 1e-4)
     error[20:] = 1.0
     left = LeftOut(error, np.zeros((40, 3, 3)), np.ones(40), np.arange(40) < 20)
-    alike, structure = left.explain(1e-10 * np.eye(3))
+    alike, structure = left.find_least_errors(1e-10 * np.eye(3))
     assert alike > 40.0
     assert np.trace(structure) == pytest.approx(3e-8)

@@ -27,9 +27,9 @@ from sensed_arm import (
 from small_arm import ARM
 
 import longarm_comp as la
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.noise import from_repeats
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.noise import noise_from_repeats
 from longarm_comp.core.calibration.placement import place_sensors
 from longarm_comp.core.data.kinds import rotation_vector
 from longarm_comp.core.data.measurement import equations, errors, posture
@@ -55,8 +55,8 @@ GOOD = 1.5e-4
 
 
 def fitted(session: Session, arm: la.Arm = ARM) -> Model:
-    base = declared_model(arm).plus(*geometry(arm, session))
-    return fit(place_sensors(base, session), session).model
+    base = declared_model(arm).plus(*geometry_terms(arm, session))
+    return fit_model(place_sensors(base, session), session).model
 
 
 def mixture(seed: int = 3) -> Session:
@@ -83,7 +83,7 @@ def test_columns_are_derivatives_of_every_equation() -> None:
     """Central differences of the residual, at a model with every kind of bias."""
     session = mixture()
     arm = declared(camera={"position_m": [0.75, -1.7, 0.3]})
-    terms = (*geometry(arm, session), CameraScale(), CameraPose())
+    terms = (*geometry_terms(arm, session), CameraScale(), CameraPose())
     base = place_sensors(Model(arm).plus(*terms), session)
     base = base.with_values(base.values + 1e-3 * np.sin(np.arange(len(base.values))))
     found = equations(base, session, posture(base, session))
@@ -109,8 +109,8 @@ def test_poses_calibrate_better_than_their_positions() -> None:
 
 def test_orientations_and_distances_have_noise_of_their_own() -> None:
     session = mixture()
-    base = declared_model(ARM).plus(*geometry(ARM, session))
-    found = fit(place_sensors(base, session), session)
+    base = declared_model(ARM).plus(*geometry_terms(ARM, session))
+    found = fit_model(place_sensors(base, session), session)
     noise = dict(zip(session.channels, found.sigma, strict=True))
     for name, sigma in (("x", SIGMA), ("rz", SIGMA_ROT), ("distance", SIGMA)):
         assert noise[name] == pytest.approx(sigma, rel=0.35)
@@ -134,8 +134,8 @@ def test_distances_to_solved_anchors_calibrate_the_arm_in_its_own_base() -> None
     distance[7] += 0.05
     labels = {"anchor": names}
     session = read(rows, xyz=nowhere(200), readings={"distance": distance}, labels=labels)
-    base = declared_model(ARM).plus(*geometry(ARM, session))
-    found = fit(place_sensors(base, session), session)
+    base = declared_model(ARM).plus(*geometry_terms(ARM, session))
+    found = fit_model(place_sensors(base, session), session)
     assert list(found.outliers) == [7]
     for term in found.model.biases:
         assert isinstance(term, AnchorPlace)
@@ -171,8 +171,8 @@ def test_rays_of_calibrated_cameras_calibrate_the_arm(tmp_path: Path) -> None:
     path = tmp_path / "samples.csv"
     write_csv(read(rows, xyz=nowhere(200), readings=readings, labels={"sensor": names}), path)
     session = read_csv(path, arm)
-    base = declared_model(arm).plus(*geometry(arm, session))
-    found = fit(place_sensors(base, session), session)
+    base = declared_model(arm).plus(*geometry_terms(arm, session))
+    found = fit_model(place_sensors(base, session), session)
     assert not found.model.biases
     assert found.sigma == pytest.approx(np.full(4, SIGMA_ROT), rel=0.3)
     assert miss(found.model) < 3 * GOOD
@@ -192,8 +192,8 @@ def test_several_sensors_have_a_place_and_a_noise_of_their_own() -> None:
     names = np.where(coarse, "camera", "tracker")
     readings = {"orientation": turned}
     session = read(rows, xyz=xyz, readings=readings, labels={"sensor": names})
-    base = declared_model(ARM).plus(*geometry(ARM, session))
-    found = fit(place_sensors(base, session), session)
+    base = declared_model(ARM).plus(*geometry_terms(ARM, session))
+    found = fit_model(place_sensors(base, session), session)
     noise = dict(zip(session.channels, found.sigma, strict=True))
     assert noise["tracker x"] == pytest.approx(SIGMA, rel=0.35)
     assert noise["camera x"] == pytest.approx(1e-3, rel=0.35)
@@ -213,8 +213,8 @@ def test_a_row_counts_for_what_it_holds() -> None:
     quaternion[5] = rows.quaternion()[5]
     more = read(rows, xyz=positions.xyz, readings={"orientation": quaternion})
     base = Model(ARM).plus(*JointZero.for_arm(ARM))
-    one = fit(base, positions, sigma=np.full(3, SIGMA), robust=False)
-    two = fit(base, more, sigma=np.full(6, [SIGMA] * 3 + [1e6] * 3), robust=False)
+    one = fit_model(base, positions, sigma=np.full(3, SIGMA), robust=False)
+    two = fit_model(base, more, sigma=np.full(6, [SIGMA] * 3 + [1e6] * 3), robust=False)
     np.testing.assert_allclose(two.model.values, one.model.values, rtol=1e-9)
     np.testing.assert_allclose(two.covariance, one.covariance, rtol=1e-9)
 
@@ -302,8 +302,8 @@ def test_repeats_tell_the_noise_of_every_kind_in_enough_of_them() -> None:
     xyz[8:, 2] = np.nan  # too few of them
     readings = {"orientation": rows.quaternion(), "distance": wires}
     session = read(rows, xyz=xyz, readings=readings, labels={"anchor": names})
-    model = place_sensors(declared_model(ARM).plus(*geometry(ARM, session)), session)
-    noise = from_repeats(model, session)
+    model = place_sensors(declared_model(ARM).plus(*geometry_terms(ARM, session)), session)
+    noise = noise_from_repeats(model, session)
     assert noise is not None
     told = dict(zip(session.channels, noise.sigma, strict=True))
     for name, sigma in (("x", SIGMA), ("rz", SIGMA_ROT), ("distance", SIGMA)):
@@ -319,10 +319,10 @@ def test_a_copied_row_is_no_second_measurement() -> None:
     q = np.concatenate([q[again], np.repeat(q[10:], 2, axis=0)])
     xyz = declared_model(ARM).tip(q) + SIGMA * rng.standard_normal((100, 3))
     xyz[61::2] = xyz[60::2]
-    noise = from_repeats(declared_model(ARM), Session.record(q, xyz))
+    noise = noise_from_repeats(declared_model(ARM), Session.record(q, xyz))
     assert noise is not None and 40.0 < noise.degrees <= 50.0
     np.testing.assert_allclose(noise.sigma, SIGMA, rtol=0.35)
-    assert from_repeats(declared_model(ARM), Session.record(q[60:], xyz[60:])) is None
+    assert noise_from_repeats(declared_model(ARM), Session.record(q[60:], xyz[60:])) is None
 
 
 def test_a_network_learns_from_whole_positions_and_says_what_it_leaves_out() -> None:

@@ -11,8 +11,8 @@ import pytest
 from hidden_arm import SIGMA, at, calibrated, session
 from small_arm import ARM
 
-from longarm_comp.core.calibration.noise import from_residual, share_of_sensor
-from longarm_comp.core.calibration.uncertainty import uncertainty
+from longarm_comp.core.calibration.noise import noise_from_residual, share_of_sensor
+from longarm_comp.core.calibration.uncertainty import measure_uncertainty
 from longarm_comp.core.data.measured_rows import ChannelBlock
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.structure import SIGNIFICANT
@@ -40,7 +40,7 @@ def fit_of(residual: np.ndarray) -> Any:
         slots=(),
         residual=residual,
         weights=np.ones(rows),
-        pointed=np.zeros(rows, dtype=bool),
+        has_point=np.zeros(rows, dtype=bool),
         sigma=np.full(3, 1e-3),
         model=SimpleNamespace(values=np.zeros(0)),
         session=session,
@@ -58,7 +58,7 @@ def test_more_columns_than_equations_do_not_make_the_noise_vanish(
     directions = np.linalg.qr(rng.standard_normal((3 * ROWS, 3 * ROWS)))[0][:, : COLUMNS // 2]
     extra = np.concatenate([directions, rng.permuted(directions, axis=1)], axis=1) * sizes
     seen = (directions[:, 3] * sizes[3]).reshape(ROWS, 3) + NOISE * rng.standard_normal((ROWS, 3))
-    noise, weights = from_residual(fit_of(seen), extra.reshape(ROWS, 3, COLUMNS))
+    noise, weights = noise_from_residual(fit_of(seen), extra.reshape(ROWS, 3, COLUMNS))
     assert (noise.sigma > NOISE / 3).all()
     assert (noise.sigma < NOISE * 2).all()
     assert (weights == 1.0).all()
@@ -69,15 +69,15 @@ def test_every_axis_counts_its_own_freedom() -> None:
     true, rng = np.array([1.0, 3.0, 1.0]) * NOISE, np.random.default_rng(0)
     extra = np.zeros((200, 3, 120))
     extra[:, 0] = 1e-2 * rng.standard_normal((200, 120))
-    noise, _ = from_residual(fit_of(true * rng.standard_normal((200, 3))), extra)
+    noise, _ = noise_from_residual(fit_of(true * rng.standard_normal((200, 3))), extra)
     assert noise.sigma == pytest.approx(true, rel=0.15)
 
 
 def test_six_poses_that_can_be_fitted_exactly_keep_a_noise() -> None:
     """By a noise of nothing no prior would count, and rows held out would be met exactly too."""
     found = diagnose(ARM, session([drives.JointGain(at(2, 0.02))], n=6, seed=3))
-    assert (found.fit.judged["sigma"] > SIGMA / 4).all()
-    assert (found.fit.judged["sigma"] < SIGMA * 4).all()
+    assert (found.fit.noise_arguments["sigma"] > SIGMA / 4).all()
+    assert (found.fit.noise_arguments["sigma"] < SIGMA * 4).all()
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_two_tools_that_nobody_wrote_down_are_no_sensors_noise(stated: np.ndarra
     longer = np.random.default_rng(0).choice([0.0, 0.02], 80)[:, None] * turned
     found = diagnose(ARM, dataclasses.replace(rows, xyz=rows.xyz + longer, sigma=stated))
     assert found.verdict == "unknown"
-    promised = sizes(uncertainty(found.fit).structure)[1]
+    promised = sizes(measure_uncertainty(found.fit).structure)[1]
     assert 0.01 < promised < 0.03
 
 

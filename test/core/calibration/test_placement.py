@@ -16,11 +16,11 @@ import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.calibration import plausible
-from longarm_comp.core.calibration.calibrate import ladder, stages
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import fit_ladder, fit_stages
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.placement import place_bases
-from longarm_comp.core.calibration.plausible import INCREDIBLE, RISES, WORSE, WORST, find_rise
-from longarm_comp.core.calibration.standing import frames
+from longarm_comp.core.calibration.plausible import INCREDIBLE, RISES, WORSE, WORST, describe_rise
+from longarm_comp.core.calibration.standing import placement_terms
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
@@ -110,7 +110,7 @@ def test_a_group_of_two_rows_stands_like_the_others(rng: np.random.Generator) ->
     group = np.repeat(["a", "b"], [40, 2])
     truth = Model(SMALL, (BasePose("a", *FAR, rz=2.0), BasePose("b", *FAR, rz=2.0)))
     session = measured(truth, box(SMALL, 42, rng), rng, group=group)
-    start = place_bases(Model(SMALL, frames(SMALL, session)), session)
+    start = place_bases(Model(SMALL, placement_terms(SMALL, session)), session)
     assert np.linalg.norm(errors(start, session), axis=1).max() < 0.02
 
 
@@ -125,8 +125,8 @@ def test_an_arm_is_calibrated_alike_wherever_it_is_seen_from(
     true = with_tip(demo, [0.05, -0.03, 0.1])
     truth = Model(true, (LinkDeflection(), JointZero(2, offset=6e-3), JointZero(6, offset=-4e-3)))
     train, test = (measured(truth, box(true, n, rng), rng) for n in (120, 60))
-    known = ladder(true, train, test)
-    free = ladder(undeclared(demo), moved(train, turn), moved(test, turn))
+    known = fit_ladder(true, train, test)
+    free = fit_ladder(undeclared(demo), moved(train, turn), moved(test, turn))
     assert [rung.name for rung in free] == [rung.name for rung in known]
     for mine, declared in zip(free[1:], known[1:], strict=True):
         assert mine.held_out.rms == pytest.approx(declared.held_out.rms, rel=0.01)
@@ -148,7 +148,9 @@ def test_several_bases_and_markers_metres_off(rng: np.random.Generator) -> None:
     away = BasePose("b", 3.0, -20.0, 1.0, 0.5, -1.0, 2.0)
     truth = Model(arm, (BasePose("a"), away, TipOffset("elbow", x=0.3, y=-0.1)))
     session = measured(truth, box(arm, n, rng), rng, **labels)
-    found = fit(place_bases(Model(arm, frames(arm, session)), session), session).model
+    found = fit_model(
+        place_bases(Model(arm, placement_terms(arm, session)), session), session
+    ).model
     assert np.median(np.linalg.norm(errors(found, session), axis=1)) < 5e-4
     elbow = next(e for e in found.effects if isinstance(e, TipOffset) and e.marker == "elbow")
     assert (elbow.x, elbow.y) == pytest.approx((0.3, -0.1), abs=1e-3)
@@ -160,9 +162,9 @@ def test_real_arms_are_calibrated_alike(request: pytest.FixtureRequest, name: st
         part = justin(request.getfixturevalue("justin_data"))[0]
     else:
         (part,) = laser_tracked(request.getfixturevalue("data_dir"), name)
-    known = ladder(part.arm, part.train, part.test)
+    known = fit_ladder(part.arm, part.train, part.test)
     rows = (moved(session, TURNS[0]) for session in (part.train, part.test))
-    free = ladder(undeclared(part.arm), *rows)
+    free = fit_ladder(undeclared(part.arm), *rows)
     for mine, declared in zip(free[1:], known[1:], strict=True):
         print(
             f"{name} {mine.name}: {1e3 * declared.held_out.mean:.3f} mm with the declared "
@@ -195,7 +197,7 @@ def test_a_tolerance_is_a_prior(rng: np.random.Generator) -> None:
     assert [p.width for p in tip] == [1e-3, 2e-3, 3e-3]
     assert min(p.width for p in BasePose().parameters(SMALL)) > 20.0  # metres, radians: flat
     near = measured(Model(SMALL, (BasePose(x=4e-3),)), box(SMALL, 40, rng), rng)
-    start = Model(arm, frames(arm, near))
+    start = Model(arm, placement_terms(arm, near))
     assert place_bases(start, near) == start  # what is known is not solved
     assert arm.hash != SMALL.hash
     with pytest.raises(InputError, match=r"base.*off.*within tolerance\.base"):
@@ -284,20 +286,20 @@ def test_a_usual_size_is_credible_though_the_fit_expected_less(
     made = start.with_values(np.array([0.3 * slot.parameter.prior]))
     narrow = dataclasses.replace(start, beyond=((slot.identity, BACKGROUND_REST),))
     session = measured(made, box(demo, 150, rng), rng)
-    final = fit(narrow, session, sigma=np.full(3, 1e-6), weights=np.ones(150))
+    final = fit_model(narrow, session, sigma=np.full(3, 1e-6), weights=np.ones(150))
     (found,) = final.model.slots
     assert found.value > INCREDIBLE * found.parameter.prior
-    plausible.refuse(final, None, np.zeros((0, 3)), {})
+    plausible.refuse_implausible(final, None, np.zeros((0, 3)), {})
 
 
 def test_gates() -> None:
     rng = np.random.default_rng(0)
     error = 1e-3 * rng.standard_normal((40, 3))
-    assert not find_rise(error, 1.4 * error, WORSE, WORST)
-    assert not find_rise(error, 3.5 * error, RISES)
-    assert re.fullmatch(r"mean 1\.\d+ -> 2\.\d+", find_rise(error, 1.6 * error, WORSE, WORST))
-    assert find_rise(error, 4.5 * error, RISES)
-    assert not find_rise(error[:5], 9 * error[:5], WORSE, WORST)  # too few to tell
+    assert not describe_rise(error, 1.4 * error, WORSE, WORST)
+    assert not describe_rise(error, 3.5 * error, RISES)
+    assert re.fullmatch(r"mean 1\.\d+ -> 2\.\d+", describe_rise(error, 1.6 * error, WORSE, WORST))
+    assert describe_rise(error, 4.5 * error, RISES)
+    assert not describe_rise(error[:5], 9 * error[:5], WORSE, WORST)  # too few to tell
     rows = Session.record(np.zeros((40, 1)), 1e3 * error)
     plausible.check_noise(np.full(3, 0.02), rows)
     with pytest.raises(JobError, match="more than noise"):
@@ -306,9 +308,9 @@ def test_gates() -> None:
     with pytest.raises(JobError, match=r"9.8 mm is left along x beside 0.3 mm, which is no"):
         plausible.check_noise(np.array([9.8e-3, 3e-4, 3e-4]), rows)
     late = np.r_[error[:36], 5 * error[36:]]  # a tenth of the rows
-    rise = find_rise(late, np.r_[0.5 * error[:36], 2 * late[36:]], WORSE, WORST)
+    rise = describe_rise(late, np.r_[0.5 * error[:36], 2 * late[36:]], WORSE, WORST)
     assert re.fullmatch(r"mean of the worst 10% \d\S+ -> \d\S+", rise)
-    assert find_rise(error, 9 * late, RISES).startswith("mean ")
+    assert describe_rise(error, 9 * late, RISES).startswith("mean ")
 
 
 def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
@@ -331,8 +333,8 @@ def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generat
 def test_stages_start_from_a_known_model(rng: np.random.Generator) -> None:
     """Geometry that a model holds is fitted once, not twice."""
     session = measured(Model(SMALL), box(SMALL, 60, rng), rng)
-    first = dict(stages(Model(SMALL), session))["geometry"].model
-    again = dict(stages(first, session))["geometry"].model
+    first = dict(fit_stages(Model(SMALL), session))["geometry"].model
+    again = dict(fit_stages(first, session))["geometry"].model
     assert [t.name for t in again.terms] == [t.name for t in first.terms]
     frame = next(e for e in again.effects if isinstance(e, BasePose)).base(SMALL)
     assert isinstance(frame, Frame)

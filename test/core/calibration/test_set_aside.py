@@ -13,7 +13,7 @@ from small_arm import ARM as SMALL
 from small_arm import measured
 
 import longarm_comp as la
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.lasting import check_lasting
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
@@ -32,7 +32,7 @@ def test_no_good_row_is_lost_to_a_poor_start(seed: int) -> None:
     """Of the second arm twelve were, where the fit began with the rows that were near its start."""
     made = truth(np.random.default_rng(seed))
     fresh = rows(np.random.default_rng(1).uniform(-0.5, 0.3, (40, 6)), made, seed=2)
-    *_, (_, fitted) = stages(Model(PALLETISER), one_at_a_time(made)[0])
+    *_, (_, fitted) = fit_stages(Model(PALLETISER), one_at_a_time(made)[0])
     assert not len(fitted.outliers)
     left = np.linalg.norm(fresh.xyz - fitted.model.measured(fresh.q, fresh.context()), axis=1)
     assert left.mean() < 1e-4
@@ -65,7 +65,7 @@ def test_two_mistakes_at_once_are_named(made: Model) -> None:
 
 def test_rows_set_aside_that_share_a_joint_are_a_cause(made: Model) -> None:
     """A coupling of two joints spoils the rows in which the second one moves, and only these."""
-    *_, (_, fitted) = stages(Model(PALLETISER), one_at_a_time(made)[1])
+    *_, (_, fitted) = fit_stages(Model(PALLETISER), one_at_a_time(made)[1])
     found = SetAside.of(fitted.session, fitted.weights == 0)
     assert found.share > 0.1
     assert found.shared_by[0].input == "q2" and found.shared_by[0].value == "other than 0"
@@ -125,7 +125,7 @@ def test_a_base_that_was_moved_is_told_with_its_row(made: Model) -> None:
     session = anywhere(made)
     late = session.index >= 24
     away = dataclasses.replace(session, xyz=session.xyz + late[:, None] * [0.02, 0.0, 0.0])
-    *_, (_, fitted) = stages(Model(PALLETISER), away)
+    *_, (_, fitted) = fit_stages(Model(PALLETISER), away)
     with pytest.raises(JobError, match=r"from row 24 on the base looks moved \(9\.\d+ -> 0\.\d+ "):
         check_lasting(fitted)
     far = dataclasses.replace(session, xyz=session.xyz + late[:, None] * [0.2, 0.0, 0.0])
@@ -146,7 +146,7 @@ def test_a_reflector_that_was_moved_is_told_with_its_row(made: Model) -> None:
 
 
 def test_an_arm_that_stayed_was_not_moved(made: Model) -> None:
-    *_, (_, fitted) = stages(Model(PALLETISER), anywhere(made))
+    *_, (_, fitted) = fit_stages(Model(PALLETISER), anywhere(made))
     check_lasting(fitted)
 
 

@@ -23,9 +23,9 @@ from touching import (
 
 import longarm_comp as la
 from longarm_comp.core.arm.parts import Tolerance
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.noise import from_repeats
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.noise import noise_from_repeats
 from longarm_comp.core.calibration.placement import place_sensors
 from longarm_comp.core.calibration.standing import list_undetermined
 from longarm_comp.core.data.admission import admit
@@ -92,7 +92,7 @@ def joined(one: Session, other: Session, xyz: np.ndarray | None = None) -> Sessi
 
 def test_columns_are_derivatives_of_touches_and_planes(session: Session) -> None:
     both = joined(session.take(slice(0, 30)), tabled(10, (0.3, -0.2, 1.0), 0.2))
-    base = place_sensors(Model(ARM).plus(*geometry(ARM, both)), both)
+    base = place_sensors(Model(ARM).plus(*geometry_terms(ARM, both)), both)
     base = base.with_values(base.values + 1e-3 * np.sin(np.arange(len(base.values))))
     at = posture(base, both)
     found = equations(base, both, at)
@@ -127,7 +127,7 @@ def test_without_a_known_distance_the_size_is_not_told(session: Session) -> None
 def test_a_distance_that_is_hardly_known_does_not_tell_the_size(session: Session) -> None:
     rough = tuple((one, other, length, 0.01) for one, other, length, _ in DISTANCES)
     rows = dataclasses.replace(session, touch_distances=rough)
-    found = fit(place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
+    found = fit_model(place_sensors(Model(ARM).plus(*geometry_terms(ARM, rows)), rows), rows)
     assert list_undetermined(found) == ("the size of the arm",)
 
 
@@ -155,7 +155,9 @@ def test_a_known_distance_sets_the_size(session: Session) -> None:
 
     def fitted(distances: tuple[tuple[str, str, float, float], ...]) -> Model:
         rows = dataclasses.replace(session, touch_distances=distances)
-        return fit(place_sensors(Model(wide).plus(*geometry(wide, rows)), rows), rows).model
+        return fit_model(
+            place_sensors(Model(wide).plus(*geometry_terms(wide, rows)), rows), rows
+        ).model
 
     q = np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (200, ARM.n))
     sizes = [np.linalg.norm(np.ptp(m.tip(q), axis=0)) for m in map(fitted, (DISTANCES, longer))]
@@ -168,7 +170,9 @@ def test_a_distance_is_believed_to_its_tolerance(session: Session) -> None:
     def fitted(tolerance: float) -> Model:
         known = (DISTANCES[0], (*DISTANCES[1][:2], GAP + 1e-3, tolerance), DISTANCES[2])
         rows = dataclasses.replace(session, touch_distances=known)
-        return fit(place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows), rows).model
+        return fit_model(
+            place_sensors(Model(ARM).plus(*geometry_terms(ARM, rows)), rows), rows
+        ).model
 
     rough, sure = fitted(1e-2), fitted(1e-5)
     stretch = {t.touch: t.stretch for t in rough.biases if isinstance(t, TouchBeside)}
@@ -182,7 +186,7 @@ def test_a_chain_of_distances_holds_every_one() -> None:
            for k, name in enumerate(("b", "c", "a"))}  # fmt: skip
     known = (("b", "c", GAP, 1e-6), ("c", "a", GAP, 1e-6))
     rows = touching(HIDDEN, 45, sockets=row, distances=known)
-    found = fit(place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
+    found = fit_model(place_sensors(Model(ARM).plus(*geometry_terms(ARM, rows)), rows), rows)
     tips = {n: found.model.tip(rows.q[rows.labels["touch"] == n]).mean(axis=0) for n in row}
     for one, other, length, _ in known:
         assert np.linalg.norm(tips[one] - tips[other]) == pytest.approx(length, abs=2e-4)
@@ -193,7 +197,7 @@ def test_a_chain_of_distances_holds_every_one() -> None:
 def test_no_direction_between_two_sockets_is_special(way: tuple[float, float, float]) -> None:
     pair = {f"s_{k}": np.array([0.45, 0.1, 0.3]) + k * GAP * np.array(way) for k in (0, 1)}
     rows = touching(HIDDEN, 40, sockets=pair, distances=(("s_0", "s_1", GAP, 1e-6),))
-    found = fit(place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
+    found = fit_model(place_sensors(Model(ARM).plus(*geometry_terms(ARM, rows)), rows), rows)
     assert found.converged
     assert np.abs(found.residual).max() < 6 * SIGMA
 
@@ -203,8 +207,8 @@ def test_a_plane_helps_where_there_is_one_socket() -> None:
     table = tabled(60, (0.1, -0.2, 1.0), 0.15)
     models = []
     for rows in (few, joined(few, table)):
-        base = place_sensors(Model(ARM).plus(*geometry(ARM, rows)), rows)
-        models.append(fit(base, rows).model)
+        base = place_sensors(Model(ARM).plus(*geometry_terms(ARM, rows)), rows)
+        models.append(fit_model(base, rows).model)
     assert miss(models[1], HIDDEN) < 0.8 * miss(models[0], HIDDEN)
     plane = next(t for t in models[1].biases if isinstance(t, PlanePlace))
     assert np.abs(errors(models[1], table)).mean() < 3 * SIGMA
@@ -262,7 +266,7 @@ def test_gross_touches_are_left_out(session: Session) -> None:
 def test_equal_joints_are_no_repeat_of_a_touch(session: Session) -> None:
     """The joints are the reading: repeats that were touched anew tell the noise, copies do not."""
     copies = session.take(np.repeat(np.arange(20), 2))
-    assert from_repeats(Model(ARM), copies) is None
+    assert noise_from_repeats(Model(ARM), copies) is None
     again = session.take(np.repeat(np.arange(20), 2))
     rng = np.random.default_rng(3)
     shifts = SIGMA * rng.standard_normal((40, 3))
@@ -273,7 +277,7 @@ def test_equal_joints_are_no_repeat_of_a_touch(session: Session) -> None:
         ]
     )
     repeats = dataclasses.replace(again, q=q, repeat_id=np.repeat(np.arange(20), 2))
-    noise = from_repeats(Model(ARM), repeats)
+    noise = noise_from_repeats(Model(ARM), repeats)
     assert noise is not None
     assert noise.sigma == pytest.approx(np.full(3, SIGMA), rel=0.4)
 
@@ -306,7 +310,7 @@ def test_arm_yaml_may_hold_the_distances(session: Session) -> None:
     data = ARM.model_dump(mode="json", exclude_defaults=True)
     gauged = la.Arm.parse({**data, "touch_distances": [list(d[:3]) for d in DISTANCES]}, "gauged")
     bare = dataclasses.replace(session, touch_distances=())
-    terms = [t for t in geometry(gauged, bare) if isinstance(t, TouchBeside)]
+    terms = [t for t in geometry_terms(gauged, bare) if isinstance(t, TouchBeside)]
     assert [(t.distance, t.tolerance) for t in terms] == [(GAP, 1e-4)] * 3
     with pytest.raises(InputError, match=r"touch_distances.0.*0\.0"):
         la.Arm.parse({**data, "touch_distances": [["a", "b", 0.0]]}, "gauged")
@@ -335,7 +339,9 @@ def test_rows_of_another_arm_are_refused(session: Session) -> None:
 
 
 def test_a_base_that_touches_cannot_show_is_not_fitted(session: Session) -> None:
-    found = fit(place_sensors(Model(ARM).plus(*geometry(ARM, session)), session), session)
+    found = fit_model(
+        place_sensors(Model(ARM).plus(*geometry_terms(ARM, session)), session), session
+    )
     assert not any(term.name == "base_pose" for term in found.model.terms)
     assert list_undetermined(found) == ()
 

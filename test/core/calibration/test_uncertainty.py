@@ -16,12 +16,12 @@ import longarm_comp.core.calibration.uncertainty as uncertainties
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.left_out import LeftOut
 from longarm_comp.core.calibration.uncertainty import (
-    arm_share,
-    uncertainty,
+    estimate_arm_share,
+    measure_uncertainty,
     with_uncertainty,
 )
 from longarm_comp.core.compensation.compensate import compensate, judge
@@ -86,7 +86,7 @@ def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
     rows_inside, tips_inside, stated, true = [], [], [], []
     for seed in range(4):
         fitted = calibrated(session(hidden, n=120, seed=seed))
-        known = uncertainty(fitted)
+        known = measure_uncertainty(fitted)
         q, side = fresh(100, 100 + seed)
         context = Context(approach=tuple(np.repeat(side[None], ARM.n, axis=0)))
         truth = tip(hidden, q, side)
@@ -112,8 +112,10 @@ def test_rows_that_count_as_one_leave_the_parameters_less_known(
     monkeypatch.setattr(uncertainties, "possible_compliances", lambda arm, held: ())
     fitted, spread = calibrated(session([ZEROS], n=60)), []
     for alike in (1.0, 9.0):
-        monkeypatch.setattr(LeftOut, "explain", lambda self, noise, n=alike: (n, np.zeros((3, 3))))
-        factor = uncertainty(fitted).factor
+        monkeypatch.setattr(
+            LeftOut, "find_least_errors", lambda self, noise, n=alike: (n, np.zeros((3, 3)))
+        )
+        factor = measure_uncertainty(fitted).factor
         spread.append(np.linalg.norm(fitted.columns[:, :3] @ factor, axis=(1, 2)))
     assert np.median(spread[1] / spread[0]) == pytest.approx(3.0, rel=0.1)
 
@@ -135,7 +137,7 @@ def test_joints_that_went_together_do_not_tell_what_yields(
     times = []
     for q in (line, wide):
         seen = true.tip(q) + SIGMA * rng.standard_normal((100, 3))
-        *_, (_, fitted) = stages(declared_model(HEAVY), Session.record(q, seen + FAR))
+        *_, (_, fitted) = fit_stages(declared_model(HEAVY), Session.record(q, seen + FAR))
         tips = fitted.model.tip(commands, Context())
         with monkeypatch.context() as patch:
             patch.setattr(uncertainties, "possible_compliances", lambda arm, held: ())
@@ -148,13 +150,16 @@ def test_joints_that_went_together_do_not_tell_what_yields(
         assert (np.linalg.norm(off, axis=1) <= promised).mean() > 0.85
         times.append(np.median(promised) / np.median(without))
         assert fewer.uncertainty is not None
-        assert all(t.elastic for t in uncertainty(fitted).absent) and not fewer.uncertainty.absent
+        assert (
+            all(t.elastic for t in measure_uncertainty(fitted).absent)
+            and not fewer.uncertainty.absent
+        )
     assert times[0] > 1.5 and times[1] < 1.3
 
 
 def test_noise_is_told_from_what_the_arm_does() -> None:
-    assert arm_share(calibrated(session([ZEROS], n=150))) < 0.15
-    assert arm_share(calibrated(session([ZEROS, LACKING], n=150))) > 0.5
+    assert estimate_arm_share(calibrated(session([ZEROS], n=150))) < 0.15
+    assert estimate_arm_share(calibrated(session([ZEROS, LACKING], n=150))) > 0.5
 
 
 def test_the_noise_of_a_heavy_arm_whose_joints_yield() -> None:
@@ -163,10 +168,12 @@ def test_the_noise_of_a_heavy_arm_whose_joints_yield() -> None:
     q = HEAVY.lower + (HEAVY.upper - HEAVY.lower) * rng.random((250, HEAVY.n))
     soft = JointCompliance(np.array([0.0, 4e-4, 4e-4, 0.0]))
     seen = TrueArm(HEAVY, (soft,)).tip(q) + SIGMA * rng.standard_normal((250, 3))
-    *_, (_, fitted) = stages(declared_model(HEAVY), Session.record(q, seen + FAR))
+    *_, (_, fitted) = fit_stages(declared_model(HEAVY), Session.record(q, seen + FAR))
     left = np.sqrt((fitted.residual**2).mean())
     assert left > 1.5 * SIGMA
-    assert np.sqrt(np.trace(uncertainty(fitted).noise) / 3) == pytest.approx(SIGMA, rel=0.25)
+    assert np.sqrt(np.trace(measure_uncertainty(fitted).noise) / 3) == pytest.approx(
+        SIGMA, rel=0.25
+    )
 
 
 def test_few_repeats_count_too() -> None:
@@ -179,8 +186,8 @@ def test_few_repeats_count_too() -> None:
     xyz = np.concatenate(
         [rows.xyz, np.tile(tip([ZEROS], rows.q[:6], np.ones(6)), (2, 1)) + scatter]
     )
-    alone = arm_share(calibrated(session([ZEROS, LACKING], n=60)))
-    quiet = arm_share(calibrated(Session.record(q, xyz)))
+    alone = estimate_arm_share(calibrated(session([ZEROS, LACKING], n=60)))
+    quiet = estimate_arm_share(calibrated(Session.record(q, xyz)))
     assert quiet < 0.5 * alone
 
 
@@ -226,7 +233,7 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
     rows = session([ZEROS], n=60)
     fitted = calibrated(rows)
     made = fitted.model.plus(TipPayload())  # another order of terms than in the file
-    made = with_uncertainty(fit(made, rows))
+    made = with_uncertainty(fit_model(made, rows))
     save_model(tmp_path / "model.yaml", store(made))
     back = load_model(tmp_path / "model.yaml", ARM)
     for model in (back, load_model(tmp_path / "model.yaml", ARM)):
@@ -271,7 +278,7 @@ def test_another_fit_forgets_what_was_known() -> None:
     rows = session([ZEROS], n=40)
     known = with_uncertainty(calibrated(rows))
     assert known.uncertainty is not None
-    assert fit(known, rows).model.uncertainty is None
+    assert fit_model(known, rows).model.uncertainty is None
 
 
 def test_the_arm_as_declared_goes_by_its_tolerances() -> None:

@@ -11,8 +11,8 @@ from places import DEMO_ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.calibration.calibrate import stages
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
 from longarm_comp.core.compensation.beyond import KNOWN_TO, beyond_session
 from longarm_comp.core.compensation.compensate import compensate
@@ -40,7 +40,7 @@ def learned(*effects: JointCompliance | Discovered, **columns: np.ndarray) -> Mo
     context = Context(columns=columns)
     seen = true.tip(q, context) + 1e-4 * np.random.default_rng(0).standard_normal((60, 3))
     rows = Session.record(q, seen, columns=columns)
-    return with_uncertainty(fit(true.plus(*JointZero.for_arm(ARM)), rows))
+    return with_uncertainty(fit_model(true.plus(*JointZero.for_arm(ARM)), rows))
 
 
 SOFT = JointCompliance(2, compliance=1e-3)
@@ -97,7 +97,7 @@ def test_an_arm_calibrated_as_stiff_may_yield_under_more_load(compliance: float)
     soft, q = JointCompliance(2, compliance=compliance), sobol(ARM, 60, 1).q
     true = declared_model(ARM).plus(soft)
     seen = true.tip(q, Context()) + 1e-4 * np.random.default_rng(0).standard_normal((60, 3))
-    *_, (_, fitted) = stages(declared_model(ARM), Session.record(q, seen))
+    *_, (_, fitted) = fit_stages(declared_model(ARM), Session.record(q, seen))
     stiff, promised = with_uncertainty(fitted), []
     for kg in (OWN_KG, OWN_KG + 0.5):
         targets = stiff.tip(sobol(ARM, 60, 3).q, at(kg))
@@ -142,7 +142,7 @@ def test_a_camera_that_drifts_leaves_the_frame_of_targets_in_doubt(tmp_path: Pat
     q, t = sobol(ARM, 60, 1).q, np.linspace(0.0, 3600.0, 60)
     seen = true.measured(q, Context(columns={"t_s": t}))
     rows = Session.record(q, seen, columns={"t_s": t})
-    model = with_uncertainty(fit(true.plus(*JointZero.for_arm(ARM)), rows))
+    model = with_uncertainty(fit_model(true.plus(*JointZero.for_arm(ARM)), rows))
     save_model(tmp_path / "model.yaml", store(model))
     again = load_model(tmp_path / "model.yaml", ARM)
     for each in (model, again):
@@ -160,7 +160,7 @@ def test_a_base_that_settled_may_as_well_be_a_camera_that_rose() -> None:
     q, t = sobol(ARM, 60, 1).q, np.linspace(0.0, 3600.0, 60)
     seen = true.measured(q, Context(columns={"t_s": t}))
     rows = Session.record(q, seen, columns={"t_s": t})
-    model = with_uncertainty(fit(true.plus(*JointZero.for_arm(ARM)), rows))
+    model = with_uncertainty(fit_model(true.plus(*JointZero.for_arm(ARM)), rows))
     assert model.uncertainty is not None
     along = model.uncertainty.frame[2, 2]
     assert np.sqrt(along) == pytest.approx(9e-4 * FRAME / np.sqrt(3.0), rel=0.05)

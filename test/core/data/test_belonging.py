@@ -14,7 +14,7 @@ from small_arm import ARM as SMALL
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.quaternion import from_rotation
-from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.belonging import MIN_POSES, believe, mistakes
 from longarm_comp.core.data.measurement import errors
@@ -181,7 +181,7 @@ def test_a_sign_that_does_not_move_the_tip_is_said_to_be_untold(
     negated = joint(part.arm.n - 1, np.negative)
     left = []
     for train, test in ((part.train, part.test), (negated(part.train), negated(part.test))):
-        *_, (_, fitted) = stages(Model(part.arm), train)
+        *_, (_, fitted) = fit_stages(Model(part.arm), train)
         left.append(np.linalg.norm(errors(fitted.model, test), axis=1).mean())
     assert left[1] == pytest.approx(left[0], rel=0.02)
 

@@ -16,7 +16,7 @@ from small_arm import ARM
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.calibration.calibrate import declared_model
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.compensation.target_frame import placement
 from longarm_comp.core.data.commanded import (
     as_commanded,
@@ -113,7 +113,7 @@ def test_a_target_in_the_frame_of_the_measurements_is_missed_as_the_report_says(
     """A camera 30 mm off was reported to miss by the spread of its error, and missed by 30 mm."""
     drifting = declared_model(ARM).plus(BasePose(x=1.0), CameraDrift(x=3e-2, y=1e-2))
     seen = dataclasses.replace(rows, xyz=drifting.measured(rows.q, rows.context()))
-    fitted = fit(declared_model(ARM).plus(BasePose(x=1.0), CameraDrift()), seen)
+    fitted = fit_model(declared_model(ARM).plus(BasePose(x=1.0), CameraDrift()), seen)
     save_model(tmp_path / "model.yaml", store(fitted.model))
     model = load_model(tmp_path / "model.yaml", ARM)
     assert model.frame_shift == fitted.model.frame_shift

@@ -24,7 +24,7 @@ from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.resampled import SAMPLES
 from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import worse
+from longarm_comp.core.identify.proof import describe_worsening
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 
@@ -83,13 +83,13 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
     first = judge_noise_and_fit(search.base, rows, [])
     poor = search.fit_with(first, (FoundEffect((useless,), 1.0, 0.0),))
     assert poor is not None
-    rows_of, explain = [], ExplanationSearch.repeat
+    rows_of, explain = [], ExplanationSearch.repeat_until_best
 
     def spied(self: ExplanationSearch, *how: Any, **further: Any) -> ExplainedSession:
         rows_of.append(len(self.session))
         return explain(self, *how, **further)
 
-    monkeypatch.setattr(ExplanationSearch, "repeat", spied)
+    monkeypatch.setattr(ExplanationSearch, "repeat_until_best", spied)
     found, of_halves = _explain_halves(search, poor, 0)
     assert len(of_halves) == 2
     assert rows_of == [60, 120, 60, 120]  # either half, and all rows from what it brings
@@ -100,11 +100,11 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
 
 def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt() -> None:
     found = explain_session(Model(ARM), session([drives.JointGain(at(2, 0.02))]), ())
-    assert found.linear is not None and found.found[0].there > 0.99
+    assert found.linear is not None and found.found[0].presence > 0.99
     (doubted,) = dataclasses.replace(found.linear, of_halves=((), ())).average_samples(0)
-    assert doubted.there == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
+    assert doubted.presence == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
     (both,) = dataclasses.replace(found.linear, of_halves=(found.found,) * 2).average_samples(0)
-    assert both.there > 0.99 and both.name == doubted.name
+    assert both.presence > 0.99 and both.name == doubted.name
 
 
 def test_where_every_row_has_a_marker_of_its_own_none_can_be_held_out() -> None:
@@ -174,15 +174,15 @@ def test_a_few_dangerous_commands_fail_a_proof_that_the_mean_passes() -> None:
     better = np.full(100, 0.5)
     better[::20] = 5.0  # five of a hundred
     assert better.mean() < plain.mean()
-    assert worse(plain, better).endswith("at 10 worst rows")
-    assert worse(plain, np.full(100, 0.5)) == ""
-    assert worse(plain, np.full(100, 1.2)).endswith("at 100 rows")
+    assert describe_worsening(plain, better).endswith("at 10 worst rows")
+    assert describe_worsening(plain, np.full(100, 0.5)) == ""
+    assert describe_worsening(plain, np.full(100, 1.2)).endswith("at 100 rows")
 
 
 def test_chance_fails_no_proof() -> None:
     rng = np.random.default_rng(0)
     one, other = (np.abs(rng.standard_normal(200)) for _ in range(2))
-    assert worse(one, other) == worse(other, one) == ""
+    assert describe_worsening(one, other) == describe_worsening(other, one) == ""
 
 
 def test_the_gain_of_nothing_is_zero() -> None:

@@ -12,7 +12,7 @@ from small_arm import ARM, measured
 
 import longarm_comp as la
 from longarm_comp.core.arm.context import ORDER, Context
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
 from longarm_comp.core.compensation.online import Readings, StaleContext
 from longarm_comp.core.compensation.result import Status
@@ -87,8 +87,8 @@ def test_times_of_a_path_are_no_session_clock(tmp_path: Path) -> None:
 def test_a_fitted_model_knows_when_its_session_ended(rng: np.random.Generator) -> None:
     t_s = np.linspace(1.7e9, 1.7e9 + ENDED_S, 60)
     rows = dataclasses.replace(measured(60, rng, columns={"t_s": t_s}), begun_s=1.7e9)
-    assert with_uncertainty(fit(Model(ARM), rows)).ended_s == ENDED_S
-    assert with_uncertainty(fit(Model(ARM), measured(60, rng))).ended_s is None
+    assert with_uncertainty(fit_model(Model(ARM), rows)).ended_s == ENDED_S
+    assert with_uncertainty(fit_model(Model(ARM), measured(60, rng))).ended_s is None
 
 
 def test_where_nobody_knows_when_it_ended_no_command_is_guessed(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from small_arm import ARM
 import longarm_comp
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, register, searched_effects
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
@@ -181,7 +181,7 @@ def test_a_place_may_be_anything_that_the_arm_has() -> None:
     register(Foot)
     assert Foot.allowed_places() == {"foot": feet}
     assert moving_joints not in Foot.allowed_places().values()
-    (first, *_, family) = library(ARM, session().context(), (Foot,)).testable
+    (first, *_, family) = list_candidates(ARM, session().context(), (Foot,)).testable
     assert (first.where, len(family.terms)) == (("foot 1",), 3)
 
 

@@ -17,7 +17,7 @@ from places import ROOT
 
 from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, load_file
 from longarm_comp.core.effects.drive_errors import JointGain
@@ -88,7 +88,7 @@ def test_without_it_the_structure_says_what_to_write(example: Path) -> None:
 def test_its_places_are_one_family(demo_arm_path: Path) -> None:
     arm = Arm.load(demo_arm_path)
     (kind,) = load_file(EXAMPLE)
-    known = library(arm, session().context(), (kind,))
+    known = list_candidates(arm, session().context(), (kind,))
     sizes = [len(c.terms) for c in known.testable]
     assert sizes == [1] * 10 + [10]
     assert all(c.form == () for c in known.testable)

@@ -20,7 +20,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.run_ups import as_fitted
+from longarm_comp.core.identify.run_ups import with_fitted_run_ups
 from longarm_comp.core.model.model_file import load_model, undo
 from longarm_comp.report.record import parse_report
 from longarm_comp.sessions.csv import write_csv
@@ -169,7 +169,7 @@ def twin(data_dir: Path, case: str, folder: Path) -> tuple[dict[str, Any], np.nd
     model = load_model(folder / "model.yaml", Arm.load(source / "arm.yaml"))
     from longarm_comp.sessions.read import read_session
 
-    rows = as_fitted(read_session(test, model.arm), model)
+    rows = with_fitted_run_ups(read_session(test, model.arm), model)
     with (source / case / "answer" / "noise_free.csv").open(encoding="utf-8") as file:
         clean = {int(r["index"]): r for r in csv.DictReader(file) if r["set"] == "test"}
     truth = np.array([[float(clean[int(k)][axis]) for axis in "xyz"] for k in rows.index])

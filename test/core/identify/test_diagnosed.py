@@ -14,7 +14,7 @@ from telescope_arm import WEIGHTLESS, heavy
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import CameraPlacement
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkStiffness
@@ -147,7 +147,7 @@ def test_what_a_slide_moves_in_weighs_too() -> None:
 
 def test_what_never_changed_is_not_testable() -> None:
     rows = of_truth(Model(ARM), 40, {"temperature_c": np.full(40, 27.5)})
-    tried = library(ARM, rows.context(), (ThermalGrowth, JointGain))
+    tried = list_candidates(ARM, rows.context(), (ThermalGrowth, JointGain))
     assert {c.name for c in tried.testable} == {"joint_gain"}
     assert [name for name, _ in tried.not_testable] == ["thermal_growth"]
     assert "27.5 in all rows" in tried.not_testable[0][1]
@@ -181,8 +181,8 @@ def test_steps_are_found_where_the_poses_stand_between_two() -> None:
     servos = tuple(ServoQuantisation(joint=j, steps_per_turn=180) for j in (1, 2, 4))
     xyz = Model(ARM, servos).tip(q) + SIGMA * rng.standard_normal((150, 3))
     found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
-    assert [t.where for t in found.search.chosen] == ["joint 4"]
-    assert found.search.chosen[0].steps_per_turn == 180  # type: ignore[union-attr]
+    assert [t.where for t in found.search.chosen_terms] == ["joint 4"]
+    assert found.search.chosen_terms[0].steps_per_turn == 180  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.long), 10])
@@ -213,7 +213,7 @@ def test_only_causes_of_what_measures_are_tried_and_said(instrument: str | None)
     drifted = rows.xyz + np.outer(hours, [2e-3, -1e-3, 0.0])
     rows = dataclasses.replace(rows, xyz=drifted, columns={"t_s": 3600.0 * hours})
     kinds = (CameraDrift, CameraScale, CameraRadial, JointGain)
-    tried = {c.name for c in library(arm, rows.context(), kinds).testable}
+    tried = {c.name for c in list_candidates(arm, rows.context(), kinds).testable}
     views = {"camera_scale", "camera_radial"} if instrument in (None, "camera") else set()
     drift = {"camera_drift"} if instrument != "touch" else set()
     assert tried == {"joint_gain"} | views | drift

@@ -13,7 +13,7 @@ from discover_rows import DEMO
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.effects.compliances import JointCompliance, LinkStiffness
@@ -28,14 +28,16 @@ from studies.real_sessions import declared_arm
 def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     """Against the integral over the possible values: a beam cannot be ten times stiffer."""
     truth = dataclasses.replace(Model(DEMO), effects=())
-    fitted = fit(Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4))
+    fitted = fit_model(
+        Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4)
+    )
     rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
     softer = Candidate("link_stiffness", (LinkStiffness(beam=DEMO.links[-1].name),))
     columns = FitColumns(fitted)
     marginal = Marginal(fitted.design, fitted.data + fitted.whiten_columns(rigid[..., None])[:, 0])
-    white = fitted.whiten_columns(columns.of(softer.terms))[:, 0]
+    white = fitted.whiten_columns(columns.prior_columns(softer.terms))[:, 0]
     u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
-    s, t = white @ marginal.project(white), white @ marginal.py
+    s, t = white @ marginal.project(white), white @ marginal.projected_data
     log = u * t - 0.5 * u * u * (1.0 + s)
     whole = np.trapezoid(np.exp(log - log.max()), u) / np.trapezoid(np.exp(-0.5 * u * u), u)
     (found,) = evidence_of_each(fitted, marginal, [softer])
@@ -44,10 +46,12 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
 
 def test_columns_are_computed_once_and_go_with_their_fit() -> None:
     """Without the collector, which comes by far too late for a few large arrays."""
-    fitted = fit(Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4))
+    fitted = fit_model(
+        Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4)
+    )
     softer = (LinkStiffness(beam=DEMO.links[-1].name),)
-    first = FitColumns(fitted).white(softer)
-    assert FitColumns(fitted).white(softer) is first
+    first = FitColumns(fitted).white_columns(softer)
+    assert FitColumns(fitted).white_columns(softer) is first
     gone = weakref.ref(fitted)
     gc.collect()
     gc.disable()

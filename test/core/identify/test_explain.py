@@ -14,8 +14,8 @@ from discover_rows import DEMO, measured
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.calibration.calibrate import declared_model, geometry
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.calibrate import declared_model, geometry_terms
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import (
@@ -48,12 +48,14 @@ ELASTIC = (BaseCompliance, BearingTilt, JointCompliance, LinkStiffness)
 
 
 def explained(rows: Session, *kinds: type[Effect], arm: Arm = DEMO) -> ExplainedSession:
-    base = declared_model(arm).plus(*geometry(arm, rows))
-    return explain_session(base, rows, library(arm, rows.context(), kinds, base.terms).testable)
+    base = declared_model(arm).plus(*geometry_terms(arm, rows))
+    return explain_session(
+        base, rows, list_candidates(arm, rows.context(), kinds, base.terms).testable
+    )
 
 
 def places(found: ExplainedSession) -> list[tuple[str, str]]:
-    return [(t.name, t.where) for t in found.chosen]
+    return [(t.name, t.where) for t in found.chosen_terms]
 
 
 def one(found: ExplainedSession) -> FoundEffect:
@@ -78,7 +80,7 @@ def test_a_half_of_the_rows_agrees_with_every_name_of_the_set_that_it_names_one_
     assert linear is not None and effect.chance == pytest.approx(0.5)
     half = (replace(effect, chance=1.0, rivals=()),)
     (shared,) = replace(linear, of_halves=(half, half)).average_samples(0)
-    assert shared.there > 0.99 and shared.chance == pytest.approx(0.5)
+    assert shared.presence > 0.99 and shared.chance == pytest.approx(0.5)
 
 
 def test_geometry_and_noise_alone_name_nothing() -> None:
@@ -235,7 +237,7 @@ def test_nothing_is_named_beside_what_another_physics_hid(names: str) -> None:
     found = explained(measured(DEMO, hidden, 120, 1), *kinds)
     assert sorted(f.name for f in found.found) == names.split(", ")
     assert all(f.credible == (f.name,) for f in found.found)
-    guides = [t for t in found.chosen if isinstance(t, TelescopeClearance) and t.joint == 3]
+    guides = [t for t in found.chosen_terms if isinstance(t, TelescopeClearance) and t.joint == 3]
     assert len(guides) == (names == "telescope_clearance")
     for guide in guides:
         assert guide.clearance == pytest.approx(CLEARANCE, rel=0.2)
@@ -300,14 +302,14 @@ def test_a_heavy_base_makes_no_soft_joint_implausible() -> None:
     found = soft_joint(2.2)
     assert places(found) == [("joint_compliance", "joint 2")]
     assert one(found).names["joint_compliance"] > 0.9
-    assert found.chosen[0].compliance == pytest.approx(2.2, rel=0.02)  # type: ignore[union-attr]
+    assert found.chosen_terms[0].compliance == pytest.approx(2.2, rel=0.02)  # type: ignore[union-attr]
 
 
 @pytest.mark.long
 def test_a_joint_far_softer_than_its_prior_has_its_value() -> None:
     found = soft_joint(14.0)
     assert places(found) == [("joint_compliance", "joint 2")]
-    assert found.chosen[0].compliance == pytest.approx(14.0, rel=0.1)  # type: ignore[union-attr]
+    assert found.chosen_terms[0].compliance == pytest.approx(14.0, rel=0.1)  # type: ignore[union-attr]
 
 
 def test_the_same_with_fewer_places_takes_the_place_of_what_has_too_many() -> None:

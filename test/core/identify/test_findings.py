@@ -99,7 +99,7 @@ def judged(worth: float) -> tuple[FoundEffect, bool]:
     )
     part = FoundEffect((JointGain(5, gain=0.01),), 0.9, 40.0, 0.4, rivals)
     assert [r.name for r in part.fitted_rivals] == ["gear_eccentricity", "discovered"]
-    return part.against({"gear_eccentricity": worth})
+    return part.compare_with({"gear_eccentricity": worth})
 
 
 @pytest.mark.parametrize(("worth", "other"), [(-0.5, False), (0.5, True)])
@@ -126,9 +126,9 @@ def test_a_function_that_may_be_the_cause_opens_a_name_and_is_no_name() -> None:
     assert found.names == ("joint_gain",)
     assert found.open
     assert "joint 5, turn z, linear(q5)" in found.unnamed
-    sure = replace(gain(5, ("discovered", 0.01)), there=0.99)
+    sure = replace(gain(5, ("discovered", 0.01)), presence=0.99)
     assert not make_findings([sure])[0].open
-    assert make_findings([replace(sure, there=0.9)])[0].open, "another session may not show it"
+    assert make_findings([replace(sure, presence=0.9)])[0].open, "another session may not show it"
     assert make_findings([sure])[0].unnamed == ""
 
 

@@ -12,8 +12,8 @@ from hidden_arm import SIGMA, at, session, tip
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import declared_model, geometry
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.calibrate import declared_model, geometry_terms
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
@@ -29,9 +29,19 @@ from longarm_comp.core.effects.slow_changes import (
     ThermalSoftening,
 )
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.discover.causes import Cause, causes, doubts, propose_poses
-from longarm_comp.core.identify.discover.functions import Functions, switch
-from longarm_comp.core.identify.discover.inputs import Argument, Arguments, camera_inputs, levels_of
+from longarm_comp.core.identify.discover.causes import (
+    Cause,
+    describe_doubts,
+    list_causes,
+    propose_poses,
+)
+from longarm_comp.core.identify.discover.functions import Functions, make_switch
+from longarm_comp.core.identify.discover.inputs import (
+    FunctionInput,
+    FunctionInputs,
+    count_levels,
+    read_camera_inputs,
+)
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.model.model import Model
@@ -45,8 +55,8 @@ Kinds = Sequence[type[Effect] | type[Bias]]
 
 
 def explained(arm: Arm, rows: Session, kinds: Kinds = ()) -> ExplainedSession:
-    base = declared_model(arm).plus(*geometry(arm, rows))
-    offered = library(arm, rows.context(), kinds, base.terms).testable if kinds else []
+    base = declared_model(arm).plus(*geometry_terms(arm, rows))
+    offered = list_candidates(arm, rows.context(), kinds, base.terms).testable if kinds else []
     return explain_session(base, rows, offered)
 
 
@@ -54,7 +64,7 @@ def one(found: ExplainedSession) -> Cause:
     """The only cause, and it has no name."""
     (effect,) = found.found
     assert effect.unnamed
-    (cause,) = causes(found.fit, found.found)
+    (cause,) = list_causes(found.fit, found.found)
     return cause
 
 
@@ -252,7 +262,7 @@ def test_a_clock_that_counts_from_1970_will_do(of_time: Callable[[np.ndarray], n
             )
             for of, own in ((rows, slice(120)), (late, slice(120, 160)))
         ]  # fmt: skip
-        assert camera_inputs(parts[0].xyz, parts[0]).by_name["t_s"].low == 0.0
+        assert read_camera_inputs(parts[0].xyz, parts[0]).by_name["t_s"].low == 0.0
         found.append(diagnose(SMALL, parts[0], test=parts[1]))
     here, there = ((f.verdict, f.proof.rows[f.written].mean) for f in found)
     assert here[0] == there[0] != "noise" and here[1] == pytest.approx(there[1], rel=1e-3)
@@ -317,8 +327,11 @@ def test_seats_that_flip_in_few_rows_are_no_outliers() -> None:
 
 def test_of_three_positions_only_lines_are_tried() -> None:
     three, many = np.tile([0.0, 0.5, 1.0], 20), np.linspace(-1.0, 1.0, 60)
-    of = (Argument("q1", three, levels_of(three)), Argument("q2", many, levels_of(many)))
-    made = Functions(Arguments(of, (), 2))
+    of = (
+        FunctionInput("q1", three, count_levels(three)),
+        FunctionInput("q2", many, count_levels(many)),
+    )
+    made = Functions(FunctionInputs(of, (), 2))
     shapes = {factor for function in made.listed for factor in function.factors}
     assert {type(s) for s in shapes if s.of == "q2"} > {Linear, Legendre, Switch, Square}
     flat = [s for s in shapes if s.of == "q1"]
@@ -330,18 +343,18 @@ def test_poses_lie_in_the_gap_of_a_switch() -> None:
     fitted = calibrated(SMALL, measured(SMALL, (), 40, 1))
     flip = Function((Switch("q2", 0.2, 1.2, 0.7, 0.05),))
     guess = Discovered("joint 2", "turn z", flip.text, flip.domain)
-    assert doubts(fitted, [guess]) == ("it changes somewhere between q2 0.65 and 0.75",)
+    assert describe_doubts(fitted, [guess]) == ("it changes somewhere between q2 0.65 and 0.75",)
     poses = propose_poses(fitted, [guess], 6, seed=1)
     assert len(poses) == 6
     assert (np.abs(poses[:, 1] - 0.7) < 0.05).all()
     smooth = Discovered("joint 2", "turn z")
-    assert doubts(fitted, [smooth]) == ()
+    assert describe_doubts(fitted, [smooth]) == ()
     assert propose_poses(fitted, [smooth], 6, seed=1).shape == (0, SMALL.n)
 
 
 def test_a_ramp_fills_the_gap_of_the_data() -> None:
     values = np.array([0.0, 0.1, 0.2, 0.6, 0.7, 1.0])
-    made = switch(Argument("q1", values, 6), 0.3)
+    made = make_switch(FunctionInput("q1", values, 6), 0.3)
     assert (made.threshold, made.half) == pytest.approx((0.4, 0.2))
     np.testing.assert_allclose(made.at(values), [-1, -1, -1, 1, 1, 1], atol=1e-12)
     assert float(made.at(0.4)) == pytest.approx(0.0)

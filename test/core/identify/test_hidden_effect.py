@@ -14,12 +14,12 @@ from small_arm import ARM
 
 import longarm_comp.sim
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
-from longarm_comp.core.identify.candidate_states import detectable
+from longarm_comp.core.identify.candidate_states import find_smallest_sizes
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.model.model import Model
@@ -50,7 +50,7 @@ def value(found: Diagnosis, parameter: str, where: str) -> float:
 # 1
 def test_shuffled_residuals_are_noise(rng: np.random.Generator) -> None:
     whole = session(GAIN)
-    left = fit(diagnose(ARM, whole, kinds=()).model, whole).residual
+    left = fit_model(diagnose(ARM, whole, kinds=()).model, whole).residual
     order = rng.permutation(len(whole))
     mixed = dataclasses.replace(whole, xyz=Model(ARM).tip(whole.q) + left[order])
     found = diagnose(ARM, mixed)
@@ -135,14 +135,14 @@ def test_the_smallest_visible_size_is_between_unseen_and_found() -> None:
     options = [c for c in nothing.search.candidates if c.name == "joint_gain"]
     smallest = next(
         d
-        for d in detectable(nothing.search.fit, options, nothing.search.need)
+        for d in find_smallest_sizes(nothing.search.fit, options, nothing.search.needed_evidence)
         if d.candidate.where == ("joint 2",)
     )
     prior = smallest.candidate.slots(ARM)[0].parameter.prior
     for factor, seen in ((0.4, False), (2.0, True)):
         size = factor * smallest.size * prior
         found = diagnose(ARM, session([drives.JointGain(at(2, size))]), kinds=(JointGain,))
-        assert bool(found.search.chosen) == seen
+        assert bool(found.search.chosen_terms) == seen
 
 
 # 9

@@ -11,25 +11,25 @@ from hidden_arm import SIGMA, at, session
 from rows_with_play import session_of
 from small_arm import ARM
 
-from longarm_comp.core.calibration.calibrate import declared_model, geometry
+from longarm_comp.core.calibration.calibrate import declared_model, geometry_terms
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
-from longarm_comp.core.identify.intervals import Interval, _slopes, intervals
+from longarm_comp.core.identify.intervals import Interval, _change_of_scales, compute_intervals
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect
 
 
 def fitted(rows: Session, *terms: JointGain | JointCompliance | Backlash) -> ModelFit:
-    base = declared_model(ARM).plus(*geometry(ARM, rows))
-    return fit(base.plus(*terms), rows, sigma=np.full(3, SIGMA))
+    base = declared_model(ARM).plus(*geometry_terms(ARM, rows))
+    return fit_model(base.plus(*terms), rows, sigma=np.full(3, SIGMA))
 
 
 def of(
@@ -38,7 +38,7 @@ def of(
     """The interval of the first parameter of one kind of effect."""
     slot = next(k for k, s in enumerate(rows.slots) if isinstance(s.owner, kind))
     mine = [t for t in rows.model.terms if isinstance(t, kind)] if found else []
-    return intervals(rows, mine, library_)[slot]
+    return compute_intervals(rows, mine, library_)[slot]
 
 
 def gain(size: float, n: int = 120, seed: int = 1) -> Session:
@@ -63,7 +63,7 @@ def test_what_is_there_is_as_large_as_the_data_say() -> None:
     """A gain of ten times its prior, few rows: its prior would pull the interval off the truth."""
     rows = fitted(gain(0.5, n=14), JointGain(2))
     slot = next(s for s in rows.slots if isinstance(s.owner, JointGain))
-    assert 5 * float(priors((slot,))[0]) < 0.5
+    assert 5 * float(prior_widths((slot,))[0]) < 0.5
     free, pulled = of(rows, JointGain), of(rows, JointGain, found=False)
     assert free.low < 0.5 < free.high
     assert free.high > pulled.high
@@ -87,12 +87,12 @@ def test_a_scale_of_a_form_may_be_half_the_way_to_the_next() -> None:
     """Where play sets in: the rows change as the model's do, between the values tried."""
     play = Backlash(6, gate=0.3, blend=0.2, width=0.03)
     data = session_of(DEMO, 1, play)
-    base = Model(DEMO, (LinkDeflection(), *geometry(DEMO, data)))
-    rows = fit(base.plus(play), data, sigma=np.full(3, 4e-4))
+    base = Model(DEMO, (LinkDeflection(), *geometry_terms(DEMO, data)))
+    rows = fit_model(base.plus(play), data, sigma=np.full(3, 4e-4))
     (term,) = (t for t in rows.model.terms if isinstance(t, Backlash))
     tried = [Backlash(6, gate=g, blend=b) for g, b in ((0.1, 0.2), (0.4, 0.2), (0.3, 0.5))]
     forms = [Candidate(play.name, (t,)) for t in tried]
-    gate, blend = _slopes(rows, FitColumns(rows), [term], forms)
+    gate, blend = _change_of_scales(rows, FitColumns(rows), [term], forms)
     for found, field, way in ((gate, "gate", -0.15), (blend, "blend", 0.245)):
         here, known = getattr(term, field), rows.session.context()
         other = dataclasses.replace(term, **{field: here + way})

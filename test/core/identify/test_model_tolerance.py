@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from touching import ARM
 
-from longarm_comp.core.calibration.candidates import distinct, library
+from longarm_comp.core.calibration.candidates import distinct_terms, list_candidates
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
@@ -24,7 +24,7 @@ from longarm_comp.core.identify.model_tolerance import (
     BACKGROUND_REST,
     ModelTolerance,
     background_columns,
-    with_background,
+    fit_with_background,
 )
 from longarm_comp.core.identify.proof import CALIBRATED, WITH_EFFECTS
 from longarm_comp.core.model.declared_model import declared_model
@@ -36,8 +36,8 @@ ELASTIC = (JointCompliance, BearingTilt, LinkBending)
 
 def parts() -> tuple[Effect, ...]:
     """All joints, seats and links of a Panda."""
-    offered = library(ARM, rows_of(declared_model(ARM), 4).context()).testable
-    return tuple(t for t in distinct(offered) if isinstance(t, Effect) and t.elastic)
+    offered = list_candidates(ARM, rows_of(declared_model(ARM), 4).context()).testable
+    return tuple(t for t in distinct_terms(offered) if isinstance(t, Effect) and t.elastic)
 
 
 def giving_way(size: float) -> Model:
@@ -74,11 +74,11 @@ def test_all_else_is_less_off_than_what_gives_way_however_many_forms_and_names_i
     fitted = found(0.0).search.fit
     columns, offered = FitColumns(fitted), found(0.0).search.candidates
     assert {"backlash", "servo_deadband"} < {c.name for c in offered}, "one physics, two names"
-    every = [t for t in distinct(offered) if t.name not in ("servo_deadband", "servo_droop")]
+    every = [t for t in distinct_terms(offered) if t.name not in ("servo_deadband", "servo_droop")]
     white, by_slack = background_columns(
         columns, offered, [ModelTolerance(0.01, share) for share in (1.0, 16.0)]
     )
-    np.testing.assert_allclose(white, columns.white(every))
+    np.testing.assert_allclose(white, columns.white_columns(every))
     elastic = {t.key: t.elastic for t in every}
     for times, sizes in zip((1.0, 16.0), by_slack, strict=True):
         of_place: dict[tuple[object, str], float] = {}
@@ -132,7 +132,7 @@ def test_what_else_is_off_is_in_the_model_too_and_what_is_not_stays_out() -> Non
 
 def test_what_gives_way_is_kept_where_it_may_for_another_load() -> None:
     """A part whose best value is none may still yield: a promise under another load counts it."""
-    fitted = with_background(
+    fitted = fit_with_background(
         found(BACKGROUND_COMPLIANCE).search.fit, found(BACKGROUND_COMPLIANCE).search.candidates
     )
     elastic = [s for s in fitted.model.slots if s.owner.elastic]
@@ -144,7 +144,7 @@ def test_what_gives_way_is_kept_where_it_may_for_another_load() -> None:
 def test_an_arm_of_which_every_part_is_soft_has_no_soft_part() -> None:
     """Its parts yield by half of what a finding does: no name, and the model holds them."""
     diagnosis = found(0.5)
-    assert diagnosis.search.tolerance.soft
+    assert diagnosis.search.tolerance.is_soft
     assert not [f for f in diagnosis.findings if f.probability >= 0.95 and not f.open]
     test = rows_of(giving_way(0.5), 60, seed=7)
     left = np.linalg.norm(errors(diagnosis.model, test), axis=1).mean()
@@ -161,7 +161,7 @@ def test_what_is_a_little_off_needs_no_recorded_column(monkeypatch: pytest.Monke
     assert "thermal_growth" in {c.name for c in search.candidates}
     # now its column would move the rows
     monkeypatch.setattr(model_tolerance, "BACKGROUND_REST", 1.0)
-    added = with_background(search.fit, search.candidates).model.effects
+    added = fit_with_background(search.fit, search.candidates).model.effects
     assert "joint_gain" in {t.name for t in added}
     assert not any("temperature_c" in t.inputs for t in added)
 

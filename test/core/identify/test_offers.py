@@ -15,12 +15,12 @@ from hidden_arm import at
 from scipy.special import expit
 from small_arm import ARM as SMALL
 
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.candidates import Candidate, library
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.candidates import Candidate, list_candidates
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
 from longarm_comp.core.effects.discovered import Discovered
@@ -37,7 +37,7 @@ from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.identify.discover.functions import FunctionFamily
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, instead
+from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, replace_effect
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import make_offers, tolerance_columns
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
@@ -55,8 +55,8 @@ def chance(bank: OfferedEffects, *names: str) -> float:
 
 def test_every_name_is_as_likely_and_functions_have_a_twentieth() -> None:
     rows = session_of(DEMO, 2)
-    fitted = fit(Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))), rows)
-    tried = library(DEMO, rows.context(), KINDS, fitted.model.terms).testable
+    fitted = fit_model(Model(DEMO, (LinkDeflection(), *geometry_terms(DEMO, rows))), rows)
+    tried = list_candidates(DEMO, rows.context(), KINDS, fitted.model.terms).testable
     terms = [Discovered("joint 5", "turn z", f"legendre(q5, {k}.0)", "q5 -1..1") for k in (2, 3)]
     functions = [ProposedFunction((t,), math.log(0.5)) for t in terms]
     bank = make_offers(fitted, tried, functions, (), [ModelTolerance(0.01, False)])[0]
@@ -67,7 +67,7 @@ def test_every_name_is_as_likely_and_functions_have_a_twentieth() -> None:
     assert len(forms) > 1
     assert len({o.log_prior for o in forms}) == 1
     assert bank.known == ()
-    assert bank.standing == pytest.approx(bank.base)
+    assert bank.evidence_of_known == pytest.approx(bank.base)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,19 +81,19 @@ class SmallGain(JointGain):
 
 def test_an_offer_pays_for_its_form_and_keeps_to_its_bounds() -> None:
     rows = session_of(DEMO, 2)
-    fitted = fit(Model(DEMO, (LinkDeflection(),)), rows)
+    fitted = fit_model(Model(DEMO, (LinkDeflection(),)), rows)
     odd = ServoQuantisation.of_step(DEMO, 1, 0.01)
     tried = [Candidate(t.name, (t,)) for t in (odd, SmallGain(2))]
     bank = make_offers(fitted, tried, (), (), [ModelTolerance(0.01, False)])[0].bank
     assert bank.offers[0].log_prior == pytest.approx(math.log(0.95 / 2) - odd.price(DEMO))
-    (k,) = bank.offers[1].places
+    (k,) = bank.offers[1].column_numbers
     assert (bank.lower[k], bank.upper[k]) == (pytest.approx(-0.2), pytest.approx(0.4))
 
 
 def planted(seed: int = 2) -> tuple[ModelFit, FoundEffect]:
     rows = session_of(DEMO, seed, JointGain(5, gain=0.04))
-    model = Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))).plus(JointGain(5))
-    fitted = fit(model, rows, sigma=np.full(3, 4e-4))
+    model = Model(DEMO, (LinkDeflection(), *geometry_terms(DEMO, rows))).plus(JointGain(5))
+    fitted = fit_model(model, rows, sigma=np.full(3, 4e-4))
     (term,) = (t for t in fitted.model.terms if isinstance(t, JointGain))
     found = FoundEffect((term,), 1.0, 200.0)
     return fitted, found
@@ -102,22 +102,22 @@ def planted(seed: int = 2) -> tuple[ModelFit, FoundEffect]:
 def test_what_is_in_the_model_is_weighed_as_if_it_were_not() -> None:
     """The evidence of the effect that was fitted is that of a model without it and with it."""
     fitted, found = planted()
-    kinds = library(DEMO, fitted.session.context(), (JointGain,)).testable
+    kinds = list_candidates(DEMO, fitted.session.context(), (JointGain,)).testable
     bank = make_offers(fitted, kinds, (), (found,), [ModelTolerance(0.0, False)])[0]
     (known,) = bank.known
     assert bank.bank.offers[known].keys == (found.terms[0].key,)
-    assert bank.standing > bank.base + 100.0
-    explained = bank.explain()
+    assert bank.evidence_of_known > bank.base + 100.0
+    explained = bank.find_best()
     assert [t.where for f in explained.found for t in f.terms] == ["joint 5"]
     assert explained.found[0].terms[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
-    assert explained.evidence == pytest.approx(bank.standing, abs=0.5)
+    assert explained.evidence == pytest.approx(bank.evidence_of_known, abs=0.5)
 
 
 def test_a_form_that_moved_off_the_library_stays_on_offer() -> None:
     fitted, found = planted()
     other = [Candidate("joint_gain", (JointGain(2),))]
     bank = make_offers(fitted, other, (), (found,), [ModelTolerance(0.0, False)])[0]
-    assert [bank.things[n].where for n in bank.known] == [("joint 5",)]
+    assert [bank.candidates[n].where for n in bank.known] == [("joint 5",)]
     assert bank.bank.offers[bank.known[0]].log_prior == pytest.approx(math.log(0.95))
 
 
@@ -142,24 +142,24 @@ def test_what_every_arm_has_is_there_and_no_finding() -> None:
     fitted, _ = planted()
     columns, leaning = FitColumns(fitted), Candidate("gravity_direction", (GravityDirection(),))
     usual = tolerance_columns(fitted, [leaning], (), ModelTolerance(0.1, False))
-    size = 5e-3 / priors(leaning.slots(DEMO))
-    lean = fitted.whiten_columns(columns.of(leaning.terms) * size)
+    size = 5e-3 / prior_widths(leaning.slots(DEMO))
+    lean = fitted.whiten_columns(columns.prior_columns(leaning.terms) * size)
     np.testing.assert_allclose(usual, lean, atol=1e-9)
     bank = make_offers(fitted, [leaning], (), (), [ModelTolerance(0.1, False)])[0]
     whole = Marginal(np.concatenate([fitted.design, usual], axis=1), fitted.data)
     assert bank.base == pytest.approx(whole.evidence)
     assert (
         bank.bank.gram[0, 0]
-        < 0.9 * (fitted.whiten_columns(columns.of(leaning.terms))[:, 0] ** 2).sum()
+        < 0.9 * (fitted.whiten_columns(columns.prior_columns(leaning.terms))[:, 0] ** 2).sum()
     )
 
 
 def test_what_its_own_form_may_leave_has_less_evidence() -> None:
     """A tolerance of a tenth marginalises what a hundredth counts as structure."""
     fitted, found = planted()
-    kinds = library(DEMO, fitted.session.context(), KINDS).testable
+    kinds = list_candidates(DEMO, fitted.session.context(), KINDS).testable
     wide, narrow = (
-        make_offers(fitted, kinds, (), (found,), [ModelTolerance(t, False)])[0].standing
+        make_offers(fitted, kinds, (), (found,), [ModelTolerance(t, False)])[0].evidence_of_known
         for t in (0.1, 0.01)
     )
     assert wide < narrow
@@ -175,8 +175,8 @@ class Twin(JointCompliance):
 
 def explained_by(rows: Session, *terms: Effect) -> tuple[ModelFit, tuple[FoundEffect, ...]]:
     """A fit with some effects, each found by itself."""
-    model = Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))).plus(*terms)
-    fitted = fit(model, rows, sigma=np.full(3, 4e-4))
+    model = Model(DEMO, (LinkDeflection(), *geometry_terms(DEMO, rows))).plus(*terms)
+    fitted = fit_model(model, rows, sigma=np.full(3, 4e-4))
     held = {t.key: t for t in fitted.model.terms}
     found = (FoundEffect((held[t.key],), 1.0, 200.0) for t in terms)
     return fitted, tuple(found)
@@ -190,7 +190,7 @@ def judged(
 ) -> dict[str, FoundEffect]:
     """By name, with forms that err by any of some shares."""
     banks = make_offers(fitted, kinds, (), found, [ModelTolerance(t, False) for t in tried])
-    again, _ = max(banks, key=lambda b: b.standing).judge(found, banks)
+    again, _ = max(banks, key=lambda b: b.evidence_of_known).judge_found(found, banks)
     return {f.name: f for f in again}
 
 
@@ -201,7 +201,7 @@ def everywhere(kind: type[JointCompliance]) -> Candidate:
 def test_names_that_no_measurement_distinguishes_share_evenly() -> None:
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
     fitted, found = explained_by(rows, JointCompliance(2))
-    kinds = library(DEMO, rows.context(), KINDS).testable
+    kinds = list_candidates(DEMO, rows.context(), KINDS).testable
     soft = judged(fitted, kinds, found, 0.01)["joint_compliance"]
     chances = soft.names
     assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
@@ -216,14 +216,14 @@ def test_so_do_those_that_stand_in_the_place_of_another() -> None:
     """Of a rival and its own look-alike one is judged, by a fit, and both have half of it."""
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
     fitted, found = explained_by(rows, Twin(2))
-    kinds = library(DEMO, rows.context(), KINDS).testable
+    kinds = list_candidates(DEMO, rows.context(), KINDS).testable
     twin = judged(fitted, kinds, found, 0.01)["twin"]
     one_name = [c for c in kinds if c.name != "servo_droop"]
     alone = judged(fitted, one_name, found, 0.01)["twin"].names
     names = len({c.name for c in kinds})  # every name is as likely as any other
     both = 2 * twin.names["joint_compliance"] / twin.names["twin"] * names
     assert both == pytest.approx(alone["joint_compliance"] / alone["twin"] * (names - 1), rel=1e-3)
-    for made in (twin, twin.against({"joint_compliance": -0.5})[0]):
+    for made in (twin, twin.compare_with({"joint_compliance": -0.5})[0]):
         chances = made.names
         assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
     assert chances["joint_compliance"] / chances["twin"] == pytest.approx(np.exp(-0.5) / 2)
@@ -253,7 +253,7 @@ def test_a_name_that_is_there_takes_a_further_place_as_one_effect() -> None:
     fitted, found = explained_by(rows, Twin(2), JointCompliance(4))
     twin = judged(fitted, [everywhere(JointCompliance)], found, 0.01)["twin"]
     assert twin.names["joint_compliance"] > 0.9
-    assert [f.name for f in instead(found, 0, found[1])] == ["joint_compliance"]
+    assert [f.name for f in replace_effect(found, 0, found[1])] == ["joint_compliance"]
 
 
 def test_what_a_larger_error_of_a_form_explains_is_in_doubt() -> None:
@@ -262,11 +262,11 @@ def test_what_a_larger_error_of_a_form_explains_is_in_doubt() -> None:
     narrow = make_offers(fitted, (), (), (found,), [ModelTolerance(0.01, False)])[0]
     of = narrow.bank
     blind = OfferBank(of.offers, 0 * of.gram, 0 * of.along, of.lower, of.upper)
-    wide = dataclasses.replace(narrow, bank=blind, base=narrow.standing - 1.0)
-    ((alone,), _) = narrow.judge((found,), [narrow])
-    ((doubted,), _) = narrow.judge((found,), [narrow, wide])
-    assert alone.there > 0.999
-    assert doubted.there == pytest.approx(expit(1.0))
+    wide = dataclasses.replace(narrow, bank=blind, base=narrow.evidence_of_known - 1.0)
+    ((alone,), _) = narrow.judge_found((found,), [narrow])
+    ((doubted,), _) = narrow.judge_found((found,), [narrow, wide])
+    assert alone.presence > 0.999
+    assert doubted.presence == pytest.approx(expit(1.0))
 
 
 def test_a_row_at_a_threshold_says_nothing_of_its_side() -> None:
@@ -309,7 +309,7 @@ def test_functions_are_on_offer_in_the_place_of_what_was_found() -> None:
     """On top of the gain nothing is left to explain."""
     rows = measured(SMALL, (drives.JointGain(at(2, 0.02)),), ROWS, 3)
     bare = calibrated(SMALL, rows)
-    whole = fit(bare.model.plus(JointGain(2)), rows)
+    whole = fit_model(bare.model.plus(JointGain(2)), rows)
     named = Candidate("joint_gain", (JointGain(2),))
     made = [propose_functions(whole, found) for found in ((), (named,))]
     same = [any(t.place == "joint 2, turn z, linear(q2)" for p in m for t in p.terms) for m in made]
@@ -319,7 +319,7 @@ def test_functions_are_on_offer_in_the_place_of_what_was_found() -> None:
 def test_no_function_is_on_offer_in_the_place_of_what_gives_way() -> None:
     """Under another load a function does not know by how much."""
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=2e-2))
-    whole = fit(calibrated(DEMO, rows).model.plus(JointCompliance(2)), rows)
+    whole = fit_model(calibrated(DEMO, rows).model.plus(JointCompliance(2)), rows)
     found = [Candidate("joint_compliance", (JointCompliance(2),))]
     assert JointCompliance.elastic and not propose_functions(whole, found)
 
@@ -329,7 +329,7 @@ def test_the_curve_of_a_joint_is_on_offer_in_the_place_of_a_gear() -> None:
     gear = drives.GearEccentricity(np.stack([at(2, 2e-2), 0.0 * at(2, 1.0)]), np.full((2, 4), 0.7))
     rows = measured(SMALL, (drives.JointGain(at(1, 0.05)), gear), ROWS, 3)
     bare = calibrated(SMALL, rows)
-    whole = fit(bare.model.plus(JointGain(1), GearEccentricity(2)), rows)
+    whole = fit_model(bare.model.plus(JointGain(1), GearEccentricity(2)), rows)
     known = {t.name: t for t in whole.model.effects}
     found = [Candidate(n, (known[n],)) for n in ("joint_gain", "gear_eccentricity")]
     curves = {
@@ -349,7 +349,7 @@ def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
     )
     (term,) = next(p.terms for p in propose_functions(fitted, ()) if len(p.terms) == 1)
     inside = fitted.weights > 0
-    white = FitColumns(fitted).of([term])[inside, :, 0] / fitted.sigma
+    white = FitColumns(fitted).prior_columns([term])[inside, :, 0] / fitted.sigma
     assert np.sqrt((white**2).sum() / inside.sum()) == pytest.approx(1.0, rel=0.02)
 
 

@@ -11,8 +11,8 @@ import pytest
 from demo_rows import session_of
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.linear import choose_sizes
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
@@ -21,12 +21,12 @@ from longarm_comp.core.effects.fields import ALIKE
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.quantities import Span
 from longarm_comp.core.effects.shapes import Cosine, FunctionError
-from longarm_comp.core.identify.discover.inputs import arm_inputs
-from longarm_comp.core.identify.posterior.ascent import explain
+from longarm_comp.core.identify.discover.inputs import read_arm_inputs
+from longarm_comp.core.identify.posterior.ascent import find_explanation
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
-from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
+from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 
@@ -52,7 +52,7 @@ def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.
     sizes, chances = (1.0, 4.0), (math.log(0.6), math.log(0.4))
     upper = np.array([0.4, np.inf, np.inf])
     offer = single("a", 0, sizes=sizes, chances=chances)
-    found = bank(y, columns, [offer], upper).single(columns.T @ y, Others())
+    found = bank(y, columns, [offer], upper).compute_single_effect(columns.T @ y, OtherEffects())
     b = np.linspace(-40.0, 0.4, 400_001)
     likelihood = b * (columns[:, 0] @ y) - 0.5 * b * b * (columns[:, 0] @ columns[:, 0])
     odds = 0.0
@@ -63,7 +63,7 @@ def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.
         )
     odds *= 0.1 * math.exp(-NONE)
     assert 0.1 < odds < 10.0
-    assert found.there / (1.0 - found.there) == pytest.approx(odds, rel=0.02)
+    assert found.presence / (1.0 - found.presence) == pytest.approx(odds, rel=0.02)
     assert found.mean[0] <= 0.4
 
 
@@ -95,7 +95,7 @@ def test_the_joint_evidence_is_that_of_the_integral_with_priors_paid(across: np.
         single("large", 3, **more),
     ]
     of = bank(y, across, offers, upper)
-    evidence, values = of.joint(offers)
+    evidence, values = of.solve_together(offers)
     expected = across[:, 0] @ y - 0.5 * across[:, 0] @ across[:, 0]
     expected += integral(y, across[:, 1], 1.0, 0.8) + math.log(0.7)
     expected += integral(y, across[:, 2], 1.0) + math.log(0.7)
@@ -153,9 +153,9 @@ def test_functions_at_one_place_are_one_cause(across: np.ndarray) -> None:
     there = of.evidence(offers[:2]) - of.evidence(offers[1:2])
     assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.again)
     assert there == pytest.approx(alone + math.log(0.5) - math.log(30 / 3))
-    others = Others(*(frozenset({each}) for each in (2, 1, "no name", "joint 1")))
-    beside = of.single(x.T @ y, others)
-    assert beside.q[0] / (1.0 - beside.there) == pytest.approx(math.exp(there))
+    others = OtherEffects(*(frozenset({each}) for each in (2, 1, "no name", "joint 1")))
+    beside = of.compute_single_effect(x.T @ y, others)
+    assert beside.q[0] / (1.0 - beside.presence) == pytest.approx(math.exp(there))
 
 
 @pytest.mark.parametrize(("angle", "named"), [(0.02, True), (0.04, False)])
@@ -185,10 +185,12 @@ def test_what_is_there_whole_is_taken_off_before_the_rest(across: np.ndarray) ->
 def test_a_single_effect_that_is_whole_has_the_odds_of_its_likelihood(across: np.ndarray) -> None:
     y = 0.55 * across[:, 0] + 0.1 * across[:, 1]
     whole = single("whole", 0, fixed=True)
-    found = bank(y, across[:, :1], [whole], UNBOUND[:1]).single(across[:, :1].T @ y, Others())
+    found = bank(y, across[:, :1], [whole], UNBOUND[:1]).compute_single_effect(
+        across[:, :1].T @ y, OtherEffects()
+    )
     log_odds = 0.55 * 81.0 - 0.5 * 81.0 + math.log(0.1) - NONE
-    assert math.log(found.there / (1.0 - found.there)) == pytest.approx(log_odds, abs=1e-6)
-    assert found.mean[0] == pytest.approx(found.there)
+    assert math.log(found.presence / (1.0 - found.presence)) == pytest.approx(log_odds, abs=1e-6)
+    assert found.mean[0] == pytest.approx(found.presence)
 
 
 def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarray) -> None:
@@ -202,10 +204,10 @@ def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarra
     assert gap == pytest.approx(math.log(3.0))
     rest = of.along - of.gram @ [2.0, 0.0]
     a = frozenset({"a"})
-    beside = of.single(rest, Others(held=a, names=a))
+    beside = of.compute_single_effect(rest, OtherEffects(held=a, names=a))
     assert beside.q[1] == pytest.approx(3.0 * beside.q[2])
     assert beside.q[0] == 0.0
-    shut = of.single(rest, Others(frozenset({1}), a, a))
+    shut = of.compute_single_effect(rest, OtherEffects(frozenset({1}), a, a))
     assert shut.q[1] == 0.0
     assert shut.q[2] == pytest.approx(1.0 / 5.0, abs=0.01)
 
@@ -221,7 +223,9 @@ def test_others_leave_their_places_and_names_where_they_are_more_likely_there_th
     offers = [single("a", 0), single("b", 1, site="joint 1")]
     each = [SingleEffect(offers, np.array(q), np.zeros(2)) for q in ([0.4, 0.0], [0.0, 0.6])]
     shut = frozenset({7})
-    assert Others.of(each, shut) == Others(shut, *(frozenset({x}) for x in ("b", "b", "joint 1")))
+    assert OtherEffects.of(each, shut) == OtherEffects(
+        shut, *(frozenset({x}) for x in ("b", "b", "joint 1"))
+    )
 
 
 def test_a_restart_leaves_a_local_optimum() -> None:
@@ -231,8 +235,8 @@ def test_a_restart_leaves_a_local_optimum() -> None:
     x[:, 2] = x[:, 0] + x[:, 1] + 0.3 * rng.standard_normal(100)
     y = 3.0 * x[:, 0] + 3.0 * x[:, 1] + rng.standard_normal(100)
     offers = [single(n, k) for k, n in enumerate(("one", "two", "sum"))]
-    found = explain(bank(y, x, offers, UNBOUND[:3]))
-    assert {o.name for o in found.chosen} == {"one", "two"}
+    found = find_explanation(bank(y, x, offers, UNBOUND[:3]))
+    assert {o.name for o in found.offers} == {"one", "two"}
 
 
 def test_what_is_known_stays_where_it_is_better() -> None:
@@ -241,8 +245,8 @@ def test_what_is_known_stays_where_it_is_better() -> None:
     x = rng.standard_normal((200, 7))
     y = x @ np.full(7, 2.0) + rng.standard_normal(200)
     of = bank(y, x, [single(f"n{k}", k) for k in range(7)], np.full(7, np.inf))
-    assert len(explain(of).effects) == 3
-    assert len(explain(of, known=range(5)).effects) == 7
+    assert len(find_explanation(of).effects) == 3
+    assert len(find_explanation(of, known=range(5)).effects) == 7
 
 
 def test_the_best_explanation_is_that_of_all_subsets() -> None:
@@ -253,22 +257,26 @@ def test_the_best_explanation_is_that_of_all_subsets() -> None:
     offers = [single(f"n{k}", k) for k in range(5)]
     of = bank(y, x, offers, UNBOUND[:5])
     best = max((s for n in range(4) for s in itertools.combinations(offers, n)), key=of.evidence)
-    assert {o.name for o in explain(of).chosen} == {o.name for o in best} == {"n1", "n4"}
+    assert {o.name for o in find_explanation(of).offers} == {o.name for o in best} == {"n1", "n4"}
 
 
 def test_columns_that_are_alike_share_the_probability(columns: np.ndarray) -> None:
     x = np.column_stack([columns[:, 0], columns[:, 0], columns[:, 1]])
     y = 2.0 * x[:, 0] + np.random.default_rng(2).standard_normal(80)
-    found = explain(bank(y, x, [single("a", 0), single("b", 1), single("c", 2)], UNBOUND[:3]))
+    found = find_explanation(
+        bank(y, x, [single("a", 0), single("b", 1), single("c", 2)], UNBOUND[:3])
+    )
     assert len(found.effects) == 1
     assert found.effects[0].q[:2] == pytest.approx([0.5, 0.5], abs=0.01)
-    assert found.effects[0].there == pytest.approx(1.0, abs=1e-6)
+    assert found.effects[0].presence == pytest.approx(1.0, abs=1e-6)
 
 
 def test_noise_is_none(columns: np.ndarray) -> None:
     y = np.random.default_rng(4).standard_normal(80)
     assert (
-        explain(bank(y, columns, [single(n, k) for k, n in enumerate("abc")], UNBOUND[:3])).effects
+        find_explanation(
+            bank(y, columns, [single(n, k) for k, n in enumerate("abc")], UNBOUND[:3])
+        ).effects
         == ()
     )
 
@@ -277,7 +285,7 @@ def test_one_form_at_a_place(columns: np.ndarray) -> None:
     """What one effect holds is not on offer to another: a family goes without that place."""
     whole = Offer("a", ("one", "two", "three"), ((0,), (1,), (2,)), 0.0)
     left = whole.beside(frozenset({"two"}))
-    assert left is not None and left.keys == ("one", "three") and left.places == (0, 2)
+    assert left is not None and left.keys == ("one", "three") and left.column_numbers == (0, 2)
     assert whole.beside(frozenset({"one", "two"})) is None
     assert whole.beside(frozenset({"four"})) is whole
 
@@ -287,8 +295,8 @@ def test_no_second_effect_takes_a_place_that_is_held(across: np.ndarray) -> None
     y = across[:, :2] @ [2.0, 2.0]
     forms = [single("a", 0), single("b", 1)]
     here = [dataclasses.replace(form, keys=("joint 2",)) for form in forms]
-    assert len(explain(bank(y, across[:, :2], forms, UNBOUND[:2])).effects) == 2
-    assert len(explain(bank(y, across[:, :2], here, UNBOUND[:2])).effects) == 1
+    assert len(find_explanation(bank(y, across[:, :2], forms, UNBOUND[:2])).effects) == 2
+    assert len(find_explanation(bank(y, across[:, :2], here, UNBOUND[:2])).effects) == 1
 
 
 # ------------------------------------------------------------------ planted on the small arm
@@ -299,16 +307,16 @@ KINDS = (JointCompliance, JointGain, GearEccentricity, ServoDroop)
 
 def explained(arm: Arm, seed: int, *planted: object) -> ExplainedSession:
     session = session_of(arm, seed, *planted)  # type: ignore[arg-type]
-    base = Model(arm, (LinkDeflection(), *geometry(arm, session)))
-    offered = library(arm, session.context(), KINDS, base.terms)
+    base = Model(arm, (LinkDeflection(), *geometry_terms(arm, session)))
+    offered = list_candidates(arm, session.context(), KINDS, base.terms)
     return explain_session(base, session, offered.testable, functions=False)
 
 
 def test_a_planted_gain_is_found_at_its_joint_with_its_value(arm: Arm) -> None:
     found = explained(arm, 2, JointGain(5, gain=0.04))
-    assert [(t.name, t.where) for t in found.chosen] == [("joint_gain", "joint 5")]
-    assert found.chosen[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
-    assert found.found[0].there > 0.999
+    assert [(t.name, t.where) for t in found.chosen_terms] == [("joint_gain", "joint 5")]
+    assert found.chosen_terms[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
+    assert found.found[0].presence > 0.999
 
 
 def test_what_no_measurement_distinguishes_shares_its_probability(arm: Arm) -> None:
@@ -339,11 +347,11 @@ def test_a_distance_that_varies_less_than_its_tolerance_is_no_input(
     session = session_of(arm, 2)
     model = Model(arm, (LinkDeflection(),))
     at = model.posture([session.q[:, k] for k in range(arm.n)], session.context())
-    held = arm_inputs(arm, at, session).by_name
+    held = read_arm_inputs(arm, at, session).by_name
     spans = {n: a.high - a.low for n, a in held.items() if n.startswith("distance_")}
     assert spans and min(spans.values()) >= Span.resolution
     monkeypatch.setattr(Span, "resolution", 1.01 * max(spans.values()))
-    assert not any(n.startswith("distance_") for n in arm_inputs(arm, at, session).by_name)
+    assert not any(n.startswith("distance_") for n in read_arm_inputs(arm, at, session).by_name)
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.9, False), (1.1, True)])
@@ -353,7 +361,7 @@ def test_a_joint_that_stands_still_is_no_input(arm: Arm, share: float, told: boo
     q = session.q.copy()
     q[:, 6] = arm.lower[6] + np.linspace(0.0, share * arm.telling[6], len(q))
     at = Model(arm).posture([q[:, k] for k in range(arm.n)], session.context())
-    held = arm_inputs(arm, at, session).by_name
+    held = read_arm_inputs(arm, at, session).by_name
     assert ("q7" in held) == told and ("side_7" in held) <= told
     said = [f.field for f in admit(dataclasses.replace(session, q=q), arm).findings]
     assert ("q7" in said) != told

@@ -12,7 +12,7 @@ from small_arm import ARM
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.identify.proof import NETWORK, Fold, prove
+from longarm_comp.core.identify.proof import NETWORK, Fold, prove_models
 from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import load_model
@@ -30,7 +30,7 @@ def test_a_network_is_proved_by_the_error_that_it_takes_away(work: Path) -> None
     assert not promised.in_domain[0] and promised.in_domain.sum() > 20
     known = np.where(promised.in_domain[:, None], promised.error, 0.0)
     fold = Fold({"calibrated": model}, {}, rows, np.arange(len(rows)))
-    proof = prove([fold], lambda _: (model, learned))
+    proof = prove_models([fold], lambda _: (model, learned))
     inside = promised.in_domain
     for told, of in ((proof.errors, errors), (proof.commanded, commanded_errors)):
         np.testing.assert_allclose(told["calibrated"], of(model, rows))
@@ -39,7 +39,7 @@ def test_a_network_is_proved_by_the_error_that_it_takes_away(work: Path) -> None
             np.linalg.norm(told[name][inside], axis=1).mean() for name in ("calibrated", NETWORK)
         )
         assert after < 0.8 * before, (after, before)
-    without = prove([fold])
+    without = prove_models([fold])
     assert NETWORK not in without.errors
 
 
@@ -51,6 +51,8 @@ def test_a_touch_that_is_alone_in_its_fold_is_no_row_of_the_proof() -> None:
     touched = session.labels["touch"]
     several, alone = np.unique(touched)[:2]
     at = np.r_[np.flatnonzero(touched == several)[:3], np.flatnonzero(touched == alone)[:1]]
-    proof = prove([Fold({"nominal": declared_model(panda)}, {}, session.take(at), np.arange(4))])
+    proof = prove_models(
+        [Fold({"nominal": declared_model(panda)}, {}, session.take(at), np.arange(4))]
+    )
     assert proof.rows_at.tolist() == [0, 1, 2]
     assert len(proof.errors["nominal"]) == 3

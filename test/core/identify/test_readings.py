@@ -17,9 +17,9 @@ from small_arm import ARM as SMALL
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.noise import from_repeats
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.noise import noise_from_repeats
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.measurement import equations, posture
@@ -123,8 +123,8 @@ def test_rows_without_readings_are_what_they_were() -> None:
     with_them, without = session((DROOP,)), session((DROOP,), encoders=False)
     np.testing.assert_array_equal(with_them.xyz, without.xyz)
     assert without.plain and without.hash != with_them.hash
-    terms = [t for t in geometry(ARM, with_them) if not isinstance(t, Encoder)]
-    assert tuple(terms) == geometry(ARM, without)
+    terms = [t for t in geometry_terms(ARM, with_them) if not isinstance(t, Encoder)]
+    assert tuple(terms) == geometry_terms(ARM, without)
     model = Model(ARM, (ServoDroop(2),)).plus(*terms)
     alone = equations(model, without, posture(model, without))
     beside = equations(model, with_them, posture(model, with_them))
@@ -134,7 +134,7 @@ def test_rows_without_readings_are_what_they_were() -> None:
 
 def test_zero_scale_and_noise_of_every_encoder_are_found() -> None:
     rows = session((DROOP,), n=200)
-    fitted = fit(Model(ARM, (ServoDroop(3),)).plus(*geometry(ARM, rows)), rows)
+    fitted = fit_model(Model(ARM, (ServoDroop(3),)).plus(*geometry_terms(ARM, rows)), rows)
     held = {t.joint: t for t in fitted.model.biases if isinstance(t, Encoder)}
     for k, row in enumerate(ARM.commanded):
         assert held[row].zero == pytest.approx(ENCODERS.zero[k], abs=5e-5)
@@ -150,7 +150,7 @@ def test_repeats_say_nothing_of_an_encoder() -> None:
     rng = np.random.default_rng(5)
     xyz = Model(ARM).tip(q) + 2e-4 * rng.standard_normal((60, 3))
     told = readings(np.round(q, 3))
-    found = from_repeats(Model(ARM), Session.record(q, xyz, readings=told))
+    found = noise_from_repeats(Model(ARM), Session.record(q, xyz, readings=told))
     assert found is not None and np.isfinite(found.sigma[:3]).all()
     assert np.isinf(found.sigma[3:]).all()
 
@@ -307,7 +307,7 @@ def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
     """Nearer than by command, and it says so; where the servos droop as never before, too."""
     rows = session((DROOP, soft(3)), n=150)
     terms = (ServoDroop(3), JointCompliance(3))
-    fitted = fit(Model(ARM, terms).plus(*geometry(ARM, rows)), rows)
+    fitted = fit_model(Model(ARM, terms).plus(*geometry_terms(ARM, rows)), rows)
     model = with_uncertainty(fitted)
     worse = drives.ServoDroop(3 * DROOP.compliance)
     fresh = sensed((worse, soft(3)), seed=7)
@@ -322,7 +322,9 @@ def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
 def test_a_zero_that_runs_together_with_the_droop_does_not_widen_the_tip_by_readings() -> None:
     """Zero, deadband and joint zero of one joint: their sum at the tip is known."""
     rows = session((DROOP, drives.ServoDeadband(at(3, 1e-3), 0.0)), n=150)
-    fitted = fit(Model(ARM, (ServoDroop(3), ServoDeadband(3))).plus(*geometry(ARM, rows)), rows)
+    fitted = fit_model(
+        Model(ARM, (ServoDroop(3), ServoDeadband(3))).plus(*geometry_terms(ARM, rows)), rows
+    )
     off = {s.label: e for s, e in zip(fitted.slots, fitted.standard_errors, strict=True)}
     model = with_uncertainty(fitted)
     arm, q = by_readings(model), session(n=5).q

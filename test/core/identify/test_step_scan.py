@@ -12,7 +12,7 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import declared_model
-from longarm_comp.core.calibration.candidates import Candidate, library
+from longarm_comp.core.calibration.candidates import Candidate, list_candidates
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched_effects
@@ -33,13 +33,13 @@ STEPS = drives.ServoQuantisation(at(2, STEP) + at(3, SLIDE))
 def looked(rows: Session, arm: Arm = ARM) -> ExplainedSession:
     """A session explained by gains and steps, with the declared geometry."""
     base = declared_model(arm)
-    tried = library(arm, rows.context(), (JointGain, ServoQuantisation), base.terms)
+    tried = list_candidates(arm, rows.context(), (JointGain, ServoQuantisation), base.terms)
     return explain_session(base, rows, tried.testable, stepped=tried.stepped, functions=False)
 
 
 def steps(state: ExplainedSession) -> list[int]:
     """Joints whose steps were found, or offered at last."""
-    terms = [*state.chosen, *(c.terms[0] for c in state.candidates if c.scanned)]
+    terms = [*state.chosen_terms, *(c.terms[0] for c in state.candidates if c.scanned)]
     return [t.joint for t in terms if isinstance(t, ServoQuantisation)]
 
 
@@ -84,7 +84,9 @@ def test_fine_steps_are_found_with_their_size() -> None:
     state = looked(session([drives.ServoQuantisation(at(1, step))], n=400, seed=3))
     assert (ARM.upper[0] - ARM.lower[0]) / step > 1000
     assert steps(state) == [1]
-    assert 2 * math.pi / state.chosen[0].forms["steps_per_turn"] == pytest.approx(step, rel=1e-3)
+    assert 2 * math.pi / state.chosen_terms[0].forms["steps_per_turn"] == pytest.approx(
+        step, rel=1e-3
+    )
 
 
 def test_on_few_levels_a_step_is_not_looked_for() -> None:
@@ -114,9 +116,9 @@ def test_a_step_that_was_looked_for_pays_for_the_looking() -> None:
     assert listed.price(ARM) == declared.price(ARM) == 0.0
     fitted = looked(session(n=60)).fit
     columns = FitColumns(fitted)
-    marginal = columns.without(())
+    marginal = columns.marginal_without(())
     (found,) = evidence_of_each(fitted, marginal, [Candidate(odd.name, (odd,))])
-    shift = fitted.whiten_columns(columns.shift([odd])[..., None])[:, 0]
+    shift = fitted.whiten_columns(columns.shift_by([odd])[..., None])[:, 0]
     gain = marginal.project(shift) @ (marginal.y - 0.5 * shift)
     assert found == pytest.approx(gain - odd.price(ARM))
 
@@ -131,6 +133,6 @@ def test_a_joint_that_declares_its_step_is_not_scanned() -> None:
 
 def test_effects_that_were_not_asked_for_are_not_scanned() -> None:
     rows = session([STEPS], n=120, seed=3)
-    assert library(ARM, rows.context(), (JointGain,)).stepped == ()
-    assert library(ARM, rows.context()).stepped == (ServoQuantisation,)
+    assert list_candidates(ARM, rows.context(), (JointGain,)).stepped == ()
+    assert list_candidates(ARM, rows.context()).stepped == (ServoQuantisation,)
     assert ServoQuantisation in searched_effects()

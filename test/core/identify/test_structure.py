@@ -9,10 +9,10 @@ import pytest
 from numpy.polynomial.legendre import Legendre
 from small_arm import ARM, measured
 
-from longarm_comp.core.calibration.calibrate import declared_model, stages
-from longarm_comp.core.calibration.reading_steps import step_of
+from longarm_comp.core.calibration.calibrate import declared_model, fit_stages
+from longarm_comp.core.calibration.reading_steps import find_step
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.structure import Structure, examine
+from longarm_comp.core.identify.structure import Structure, find_structure
 from longarm_comp.core.model.model import Model
 
 SIGMA = 1e-4
@@ -29,8 +29,8 @@ def left(seed: int, *sizes: float) -> Structure:
     waves = Legendre.basis(5)(2.0 * share[:, : len(sizes)] - 1.0)
     wave = (waves / np.sqrt((waves**2).mean(axis=0))) @ sizes
     off = dataclasses.replace(rows, xyz=rows.xyz + np.outer(wave, AXIS))
-    *_, (_, fitted) = stages(declared_model(ARM), off)
-    return examine(fitted, fitted)
+    *_, (_, fitted) = fit_stages(declared_model(ARM), off)
+    return find_structure(fitted, fitted)
 
 
 @pytest.mark.parametrize("seed", [1, 3, 5])
@@ -69,8 +69,8 @@ def read(off_steps: float) -> Structure:
     off = off_steps * STEP * np.cos(q[:, 0] * np.pi / np.ptp(q[:, 0]) * 3.0)
     told = {"read_q1": (np.rint((q[:, 0] + off) / STEP) * STEP)[:, None]}
     xyz = Model(ARM).tip(q) + SIGMA * rng.standard_normal((120, 3))
-    *_, (_, fitted) = stages(declared_model(ARM), Session.record(q, xyz, readings=told))
-    return examine(fitted, fitted)
+    *_, (_, fitted) = fit_stages(declared_model(ARM), Session.record(q, xyz, readings=told))
+    return find_structure(fitted, fitted)
 
 
 def test_the_pattern_of_rounded_readings_is_no_structure_and_more_than_steps_is() -> None:
@@ -81,7 +81,7 @@ def test_the_pattern_of_rounded_readings_is_no_structure_and_more_than_steps_is(
 
 def test_the_step_of_readings_is_their_common_divisor() -> None:
     counts = np.random.default_rng(1).integers(-20000, 20000, 100)
-    assert step_of(0.31 + counts * 7.67e-5) == pytest.approx(7.67e-5, rel=1e-6)
-    assert step_of(np.round(0.31 + counts * 7.67e-5, 7)) == pytest.approx(7.67e-5, rel=1e-3)
-    assert step_of(np.random.default_rng(1).random(100)) < 1e-5
-    assert step_of(np.array([0.2, 0.2])) == step_of(np.array([])) == 0.0
+    assert find_step(0.31 + counts * 7.67e-5) == pytest.approx(7.67e-5, rel=1e-6)
+    assert find_step(np.round(0.31 + counts * 7.67e-5, 7)) == pytest.approx(7.67e-5, rel=1e-3)
+    assert find_step(np.random.default_rng(1).random(100)) < 1e-5
+    assert find_step(np.array([0.2, 0.2])) == find_step(np.array([])) == 0.0

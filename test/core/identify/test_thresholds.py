@@ -9,9 +9,9 @@ import pytest
 from rows_with_play import session_of
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.candidates import Candidate, library
-from longarm_comp.core.calibration.fit import compare_unfitted, fit
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.candidates import Candidate, list_candidates
+from longarm_comp.core.calibration.fit import fit_model, linearise_model
 from longarm_comp.core.calibration.linear import OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
@@ -19,7 +19,7 @@ from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.posterior.explain import explain_session
-from longarm_comp.core.identify.posterior.forms import _highest, refine_form
+from longarm_comp.core.identify.posterior.forms import _search_scales, refine_form
 from longarm_comp.core.model.model import Model
 
 PLAY = Backlash(6, gate=0.1, blend=0.01, width=0.03)
@@ -33,13 +33,13 @@ def rows(arm: Arm) -> Session:
 
 def fitted(arm: Arm, rows: Session, start: Backlash, *others: JointCompliance) -> ModelFit:
     """A fit to the rows that a threshold does not contradict, taken for granted."""
-    model = Model(arm, (LinkDeflection(), *geometry(arm, rows), start, *others))
-    off = np.abs(compare_unfitted(model, rows).residual) / (OUTLIER * SIGMA)
-    return fit(model, rows, sigma=SIGMA, weights=(off.max(axis=1) <= 1.0).astype(float))
+    model = Model(arm, (LinkDeflection(), *geometry_terms(arm, rows), start, *others))
+    off = np.abs(linearise_model(model, rows).residual) / (OUTLIER * SIGMA)
+    return fit_model(model, rows, sigma=SIGMA, weights=(off.max(axis=1) <= 1.0).astype(float))
 
 
 def tried(arm: Arm, rows: Session) -> tuple[Candidate, ...]:
-    return library(arm, rows.context(), (Backlash,)).testable
+    return list_candidates(arm, rows.context(), (Backlash,)).testable
 
 
 def play_of(found: ModelFit) -> Backlash:
@@ -75,9 +75,9 @@ def test_a_threshold_that_rows_agree_on_stays(arm: Arm, rows: Session) -> None:
 def test_the_search_ends_at_a_threshold_between_two_that_are_tried(arm: Arm, seed: int) -> None:
     """By the believed rows alone it ended at 0.75, with six and ten flipped rows set aside."""
     rows = session_of(arm, seed, dataclasses.replace(PLAY, gate=0.2))
-    base = Model(arm, (LinkDeflection(), *geometry(arm, rows)))
+    base = Model(arm, (LinkDeflection(), *geometry_terms(arm, rows)))
     found = explain_session(
-        base, rows, library(arm, rows.context(), (Backlash,), base.terms).testable
+        base, rows, list_candidates(arm, rows.context(), (Backlash,), base.terms).testable
     )
     assert play_of(found.fit).gate == pytest.approx(0.2, abs=0.005)
     assert len(found.fit.outliers) <= 1
@@ -90,5 +90,5 @@ def test_a_form_at_the_end_of_its_scale_stays_on_it() -> None:
     grid = np.array([[high for _, high in scales.values()]] * 7)
     for seed in range(20):
         draw = np.random.default_rng(seed)
-        found = _highest(term, grid, lambda terms, d=draw: 9.0 * d.random(len(terms)))
+        found = _search_scales(term, grid, lambda terms, d=draw: 9.0 * d.random(len(terms)))
         assert all(low <= getattr(found, f) <= high for f, (low, high) in scales.items())

@@ -14,7 +14,7 @@ from discover_rows import HELD_OUT, ROWS, calibrated, measured
 from small_arm import ARM
 
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.discovered import Discovered
@@ -22,7 +22,7 @@ from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
-from longarm_comp.core.identify.proof import Fold, prove
+from longarm_comp.core.identify.proof import Fold, prove_models
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import parse_report, text
@@ -50,10 +50,10 @@ def drifting(seed: int = 3) -> Session:
 def test_what_a_camera_may_have_moved_is_a_commands_error_as_far_as_it_may_be_the_arms() -> None:
     """Sure that the camera drifts, a command errs by the noise; unsure, by what was seen."""
     plain = calibrated(ARM, drifting())
-    camera = fit(plain.model.plus(CameraDrift()), plain.session, sigma=np.full(3, 2e-4))
+    camera = fit_model(plain.model.plus(CameraDrift()), plain.session, sigma=np.full(3, 2e-4))
     fits = {"calibrated": plain, "with_effects": camera}
     models = {name: fitted.model for name, fitted in fits.items()}
-    proof = prove([Fold(models, fits, plain.session, np.arange(len(plain.session)))])
+    proof = prove_models([Fold(models, fits, plain.session, np.arange(len(plain.session)))])
     (term,) = (b for b in camera.model.biases if isinstance(b, CameraDrift))
     sure, unsure, absent = (
         proof.expected_errors([single(term, *how)], list(fits))
@@ -74,10 +74,12 @@ def test_the_least_is_written_and_of_equals_the_plainer() -> None:
     names = ("calibrated", "with_effects", "with_functions")
     lengths = {name: np.full(9, size) for name, size in zip(names, (2.0, 1.0, 1.5), strict=True)}
     even = dict.fromkeys(names, np.ones(9))
-    written, failed = core._proven(lengths, lengths)
+    written, failed = core._choose_written(lengths, lengths)
     assert written == names[1] and failed.startswith("with_effects -> with_functions: ")
-    assert core._proven(even, even) == (names[0], "")
-    assert core._proven(lengths, even) == (names[1], ""), "a doubt about the camera fails no proof"
+    assert core._choose_written(even, even) == (names[0], "")
+    assert core._choose_written(lengths, even) == (names[1], ""), (
+        "a doubt about the camera fails no proof"
+    )
 
 
 def test_a_thermal_term_balanced_by_the_measuring_side_is_not_written() -> None:
@@ -154,11 +156,11 @@ def test_an_explanation_without_a_name_takes_its_share_of_the_name() -> None:
     """Of odds of 1 to 4 a fifth, of its other names too; and what is there in its place gets it."""
     found = single(CameraDrift(), 1.0, ("discovered", 0.1), ("base_settling", 0.3))
     other = single(Discovered("joint 2", "turn z", "linear(q2)", "q2 0..1"), 1.0)
-    doubted = found.with_doubt(other, math.log(0.25))
+    doubted = found.add_rival(other, math.log(0.25))
     assert doubted.names == pytest.approx(
         {"camera_drift": 0.48, "base_settling": 0.24, "discovered": 0.28}
     )
     assert [r.name for r in doubted.rivals] == ["discovered", "base_settling"]
     assert sum(doubted.names.values()) == pytest.approx(1.0)
-    new = single(CameraDrift(), 1.0).with_doubt(other, 0.0)
+    new = single(CameraDrift(), 1.0).add_rival(other, 0.0)
     assert new.names == pytest.approx({"camera_drift": 0.5, "discovered": 0.5})

@@ -15,8 +15,8 @@ from small_arm import ARM
 import longarm_comp as la
 from longarm_comp.cli.plan import command
 from longarm_comp.core.arm.moves import run_up_lengths
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.calibrate import geometry_terms
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.plan import Plan, outside_boxes, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
@@ -97,7 +97,7 @@ def test_chosen_poses_calibrate_the_true_arm_better(unknown: Uncertainty) -> Non
         for way, plan in plans.items():
             noise = 1e-3 * np.random.default_rng(seed).standard_normal((10, 3))
             rows = Session.record(plan.q, true.tip(plan.q) + noise, approach=plan.approach)
-            fitted = fit(Model(ARM).with_missing(geometry(ARM, rows)), rows)
+            fitted = fit_model(Model(ARM).with_missing(geometry_terms(ARM, rows)), rows)
             left[way].append(miss(fitted.model))
     assert np.mean(left["i-optimal"]) < 0.95 * np.mean(left["sobol"])
 

@@ -11,10 +11,10 @@ from read_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import priors
+from longarm_comp.core.calibration.model_fit import prior_widths
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.geometry_errors import JointZero
@@ -52,13 +52,15 @@ def test_the_odds_of_the_rows_alone_are_half_the_square_of_what_nothing_else_exp
     (found,) = in_doubt().findings
     keys = {t.key for t in found.terms}
     own = [s for s in fitted.slots if s.owner.key in keys]
-    values = np.array([s.value for s in own]) / priors(tuple(own))
+    values = np.array([s.value for s in own]) / prior_widths(tuple(own))
     columns = FitColumns(fitted)
     rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
-    alone = columns.without(keys)
-    beside = columns.white(rival.candidate.terms)
+    alone = columns.marginal_without(keys)
+    beside = columns.white_columns(rival.candidate.terms)
     besides = Marginal(np.concatenate([alone.a, beside], axis=1), alone.y)
-    left = besides.normal((columns.white([s.owner for s in own]) @ values)[:, None])[0]
+    left = besides.project_products(
+        (columns.white_columns([s.owner for s in own]) @ values)[:, None]
+    )[0]
     assert asked(0).log_bayes_factor == pytest.approx(0.5 * float(left[0, 0]), rel=1e-5)
 
 
@@ -70,7 +72,7 @@ def test_a_payload_that_arm_yaml_declares_is_taken_off_at_some_poses() -> None:
     model = declared_model(arm).plus(JointZero.for_arm(arm)[1], compliance)
     q = np.random.default_rng(0).uniform(arm.lower, arm.upper, (40, arm.n))
     true = model.with_values(np.full(len(model.slots), 4e-3))
-    fitted = fit(model, Session.record(q, true.tip(q)))
+    fitted = fit_model(model, Session.record(q, true.tip(q)))
     found, other = (Candidate(t.name, (t,)) for t in (fitted.model.terms[-1], weight))
     poses = splitting_poses(fitted, found, other, 6)
     assert poses.payload_kg is not None and 0.0 in poses.payload_kg

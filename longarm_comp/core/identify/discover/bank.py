@@ -19,7 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
@@ -33,7 +33,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.identify.discover.functions import FunctionFamily, FunctionGroup, Functions
-from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
+from longarm_comp.core.identify.discover.inputs import read_arm_inputs, read_camera_inputs
 from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.identify.posterior.offers import AMPLITUDES
 from longarm_comp.core.model.model import slots_of
@@ -76,7 +76,7 @@ class FunctionCandidate:
     log_prior: float
 
 
-class Bank:
+class FunctionBank:
     """All candidates of one side, the arm's or the camera's: components times functions.
 
     Args:
@@ -99,51 +99,61 @@ class Bank:
         for k, place in enumerate(self.places):
             kinds.setdefault(place.kind, []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
-        self._axes = _axes(fit.model.arm, self._number)
+        self._axes = _number_joint_axes(fit.model.arm, self._number)
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
-    def evidences(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
-        """Return the (C,) log odds of candidates on top of a marginal, on all rows, priors
-        included."""
+    def log_odds_of(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
+        """Return the (C,) log odds of each candidate against none, priors included.
+
+        Args:
+            marginal: the columns that are there already, on all inliers (`marginalise_columns`).
+            listed: the C candidates, each judged alone.
+        """
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
         for count in np.unique(counts).tolist():
             alike = np.flatnonzero(counts == count)
             for portion in np.array_split(alike, max(len(alike) * count // SHORTLIST, 1)):
-                made[portion] += self._worth(marginal, [listed[n] for n in portion.tolist()])
+                made[portion] += self._evidence_of_alike(
+                    marginal, [listed[n] for n in portion.tolist()]
+                )
         return made
 
-    def _worth(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
+    def _evidence_of_alike(
+        self, marginal: Marginal, listed: Sequence[FunctionCandidate]
+    ) -> np.ndarray:
         """Return the (C,) log evidence of candidates that all have the same number of members."""
         count = len(listed[0].members)
-        white = self._white([member for h in listed for member in h.members])
-        unit = white * (np.concatenate([h.decay for h in listed]) / self._rms(white))
-        t = (marginal.py @ unit).reshape(len(listed), count)
+        white = self._white_columns([member for h in listed for member in h.members])
+        unit = white * (np.concatenate([h.decay for h in listed]) / self._rms_shift(white))
+        t = (marginal.projected_data @ unit).reshape(len(listed), count)
         several = unit.reshape(len(unit), len(listed), count).transpose(1, 2, 0)
         projected = marginal.project(unit).reshape(len(unit), len(listed), count)
         s = several @ projected.transpose(1, 0, 2)
         values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
         z = np.einsum("cij,ci->cj", turned, t)
-        return _average_amplitudes(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
+        return _average_amplitudes(_evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
-    def sizes(self, candidate: FunctionCandidate) -> np.ndarray:
+    def unit_shifts(self, candidate: FunctionCandidate) -> np.ndarray:
         """Return the (r,) rms shift of the rows by a unit of each column, in units of the noise."""
-        return self._rms(self._white(candidate.members))
+        return self._rms_shift(self._white_columns(candidate.members))
 
-    def _white(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
+    def _white_columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
         """Return the (dM, r) columns per unit at the M inliers, in units of the noise."""
         made = [
-            self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
+            self.units[:, :, self._number[p]] * self.functions.values_of(f)[:, None]
+            for p, f in members
         ]
-        columns = np.stack(made, axis=-1) * weight(self.fit)[..., None]
+        columns = np.stack(made, axis=-1) * channel_weights(self.fit)[..., None]
         return columns[self.fit.weights > 0].reshape(-1, len(members))
 
-    def _rms(self, white: np.ndarray) -> np.ndarray:
+    def _rms_shift(self, white: np.ndarray) -> np.ndarray:
+        """Return the (r,) rms over the rows of whitened columns (dM, r), at least 1e-150."""
         rows = max(len(white) // self.fit.width, 1)
         return np.asarray(np.sqrt(np.maximum((white**2).sum(0) / rows, 1e-300)))
 
-    def shortlist(
+    def shortlist_candidates(
         self, kept: np.ndarray, left: Sequence[np.ndarray]
     ) -> list[list[list[FunctionCandidate]]]:
         """Return the best candidates of every kind by a first look, for each residual in `left`.
@@ -152,9 +162,8 @@ class Bank:
             kept: (p,) mask of the fit's columns that no candidate may stand for.
             left: residuals (N, d), whitened, of the fit or of a part of it.
         """
-        rows = np.flatnonzero(self.fit.weights > 0)
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int))]
-        white = (self.units * weight(self.fit)[..., None])[rows].astype(np.float32)
+        rows = choose_evenly(np.flatnonzero(self.fit.weights > 0), MOST_ROWS)
+        white = (self.units * channel_weights(self.fit)[..., None])[rows].astype(np.float32)
         values = self.functions.values[rows]
         size = np.sqrt((values**2).mean(axis=0))
         values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
@@ -165,8 +174,10 @@ class Bank:
         made = []
         for whole in left:
             t = np.einsum("nc,nck->kn", whole[rows].astype(np.float32), white) @ values
-            each = _by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
-            made.append(list(self._best(np.where(usable, _average_amplitudes(each), -np.inf))))
+            each = _evidence_by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
+            made.append(
+                list(self._best_of_kinds(np.where(usable, _average_amplitudes(each), -np.inf)))
+            )
         return made
 
     def _squares_taken_by_fit(
@@ -188,7 +199,7 @@ class Bank:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return np.stack(list(pool.map(squares, turned)))
 
-    def _best(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
+    def _best_of_kinds(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
         """Yield the best candidates of every kind.
 
         Args:
@@ -197,34 +208,41 @@ class Bank:
         """
         alone = [g.functions[0] for g in self._single]
         for sharp in (False, True):
-            prior = [self._prior(g) if g.family.sharp == sharp else -np.inf for g in self._single]
-            best = _top(worth[:, alone] + np.array(prior))
-            yield [self._candidate([(k, alone[n])], self._single[n]) for k, n in best]
+            prior = [
+                self._log_prior(g) if g.family.has_threshold == sharp else -np.inf
+                for g in self._single
+            ]
+            best = _largest_entries(worth[:, alone] + np.array(prior))
+            yield [self._make_candidate([(k, alone[n])], self._single[n]) for k, n in best]
         several = []
         for family in dict.fromkeys(g.family for g in self._several):
             groups = [g for g in self._several if g.family == family]
-            grouped = [_together(worth[:, g.functions].T) + self._prior(g) for g in groups]
-            for n, k in _top(np.stack(grouped)):
-                several.append(self._candidate([(k, f) for f in groups[n].functions], groups[n]))
+            grouped = [_sum_evidence(worth[:, g.functions].T) + self._log_prior(g) for g in groups]
+            for n, k in _largest_entries(np.stack(grouped)):
+                several.append(
+                    self._make_candidate([(k, f) for f in groups[n].functions], groups[n])
+                )
         yield several
-        prior = [self._prior(g) for g in self._single]
-        vectors = np.array([_together(worth[ks]) for ks in self._vectors]).reshape(-1, len(worth.T))
+        prior = [self._log_prior(g) for g in self._single]
+        vectors = np.array([_sum_evidence(worth[ks]) for ks in self._vectors]).reshape(
+            -1, len(worth.T)
+        )
         yield [
-            self._candidate([(k, alone[n]) for k in self._vectors[v]], self._single[n])
-            for v, n in _top(vectors[:, alone] + np.array(prior))
+            self._make_candidate([(k, alone[n]) for k in self._vectors[v]], self._single[n])
+            for v, n in _largest_entries(vectors[:, alone] + np.array(prior))
         ]
         every = self.functions.each_joint if self._axes else []
         at = ([(self._axes[j], f) for j, f in joints] for joints in every)
         seen = ([(k, f) for k, f in joints if np.isfinite(worth[k, f])] for joints in at)
-        yield [self._candidate(joints, None) for joints in seen if len(joints) > 1]
+        yield [self._make_candidate(joints, None) for joints in seen if len(joints) > 1]
         own = self.functions.own_joint if self._axes else {}
         yield [
-            self._candidate([(self._axes[j], f) for f in group.functions], group)
+            self._make_candidate([(self._axes[j], f) for f in group.functions], group)
             for j, group in own.items()
             if np.isfinite(worth[self._axes[j], list(group.functions)]).any()
         ]
 
-    def _candidate(
+    def _make_candidate(
         self, members: Sequence[tuple[int, int]], group: FunctionGroup | None
     ) -> FunctionCandidate:
         """Make a candidate from numbers of components and functions.
@@ -236,9 +254,9 @@ class Bank:
             prior = -math.log(len(FunctionFamily) * len(self.functions.each_joint))
             return FunctionCandidate(named, (1.0,) * len(named), prior)
         decay = group.decay if len(group.decay) == len(named) else (1.0,) * len(named)
-        return FunctionCandidate(named, decay, self._prior(group))
+        return FunctionCandidate(named, decay, self._log_prior(group))
 
-    def _prior(self, group: FunctionGroup) -> float:
+    def _log_prior(self, group: FunctionGroup) -> float:
         """Return the log prior of a group of functions at one component; half is for single
         components."""
         if group.family is FunctionFamily.OWN_JOINT:
@@ -247,7 +265,7 @@ class Bank:
         return -math.log(len(FunctionFamily) * alike) - NONE * group.rare
 
 
-def _by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
+def _evidence_by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Compute the (A, ...) log evidence of columns at each amplitude.
 
     A unit of each column shifts the rows by one noise, rms.
@@ -266,13 +284,13 @@ def _average_amplitudes(each: np.ndarray) -> np.ndarray:
     return np.asarray(np.logaddexp.reduce(each, axis=0) - math.log(len(each)))
 
 
-def _together(each: np.ndarray) -> np.ndarray:
+def _sum_evidence(each: np.ndarray) -> np.ndarray:
     """Sum the log evidence of (r, ...) columns, without those that move nothing."""
     seen = np.isfinite(each)
     return np.where(seen.any(axis=0), np.where(seen, each, 0.0).sum(axis=0), -np.inf)
 
 
-def weight(fit: ModelFit) -> np.ndarray:
+def channel_weights(fit: ModelFit) -> np.ndarray:
     """Return (N, d) the root of a row's weight over the noise; 0 where it lacks the channel."""
     held = np.isfinite(fit.sigma) & fit.session.measured
     return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
@@ -280,7 +298,7 @@ def weight(fit: ModelFit) -> np.ndarray:
 
 def whitened_design(fit: ModelFit) -> np.ndarray:
     """Return the design (N, d, p) of a fit, scaled by the priors and divided by the noise."""
-    return fit.columns * priors(fit.slots) * weight(fit)[..., None]
+    return fit.columns * prior_widths(fit.slots) * channel_weights(fit)[..., None]
 
 
 def flatten_design(design: np.ndarray) -> np.ndarray:
@@ -288,7 +306,9 @@ def flatten_design(design: np.ndarray) -> np.ndarray:
     return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
 
 
-def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Marginal, np.ndarray]:
+def marginalise_columns(
+    fit: ModelFit, kept: np.ndarray, beside: np.ndarray
+) -> tuple[Marginal, np.ndarray]:
     """Marginalise some of a model's columns, as if the noise were not correlated.
 
     Args:
@@ -299,17 +319,17 @@ def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Ma
         The marginal, and (N, d) the whitened residual that the columns leave.
     """
     inside = fit.weights > 0
-    weights = weight(fit)
+    weights = channel_weights(fit)
     design = whitened_design(fit)[inside]
     data = (fit.residual + fit.columns @ fit.model.values) * weights
     columns = np.concatenate([flatten_design(design)[:, kept], beside], axis=1)
     marginal = Marginal(columns, data[inside].ravel())
     left = np.zeros(data.shape)
-    left[inside] = marginal.py.reshape(-1, data.shape[1])
+    left[inside] = marginal.projected_data.reshape(-1, data.shape[1])
     return marginal, left
 
 
-def _top(table: np.ndarray) -> list[tuple[int, int]]:
+def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
     """Return the places (row, column) of the largest finite entries."""
     flat = table.ravel()
     if not flat.size:
@@ -318,29 +338,31 @@ def _top(table: np.ndarray) -> list[tuple[int, int]]:
     return [divmod(int(i), table.shape[1]) for i in np.sort(few) if np.isfinite(flat[i])]
 
 
-def banks(fit: ModelFit) -> tuple[Bank, ...]:
+def make_banks(fit: ModelFit) -> tuple[FunctionBank, ...]:
     """Make the banks of the arm's side and, where positions are measured, of the camera's."""
     arm, rows = fit.model.arm, fit.session
-    spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
-    spots, units = _moving(fit, spots)
-    made = [Bank(fit, spots, units, Functions(arm_inputs(arm, fit.posture, rows)))]
+    spots = [Spot(place, name) for place in _list_places(arm) for name in components(arm)]
+    spots, units = _keep_moving(fit, spots)
+    made = [FunctionBank(fit, spots, units, Functions(read_arm_inputs(arm, fit.posture, rows)))]
     if rows.plain:
         points, ways = fit.model.measured_at(fit.posture), views(arm)
         for some, of in ((AXES, SeenCoordinate), ([w for w in ways if w not in AXES], None)):
             if some:
-                seen = Functions(camera_inputs(points, rows), of)
-                made.append(Bank(fit, *_moving(fit, [Spot(CAMERA, way) for way in some]), seen))
+                seen = Functions(read_camera_inputs(points, rows), of)
+                made.append(
+                    FunctionBank(fit, *_keep_moving(fit, [Spot(CAMERA, way) for way in some]), seen)
+                )
     return tuple(made)
 
 
-def term_of(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
+def make_term(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
     """Make the term of a model that stands for a place and a function."""
     if place.at == CAMERA:
         return DiscoveredView(place.component, function, domain, scale)
     return Discovered(place.at, place.component, function, domain, scale)
 
 
-def _distinct(arm: Arm) -> list[str]:
+def _list_places(arm: Arm) -> list[str]:
     """List the places that coincide with no other: a row's end counts only if the row has a
     length."""
     same = {f"frame {j.id}" for j in arm.joints if j.d_m == 0 and j.type != "prismatic"}
@@ -349,17 +371,17 @@ def _distinct(arm: Arm) -> list[str]:
     return [name for name in stations(arm) if name not in same]
 
 
-def _moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
+def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
     """Return the K places where something moves a channel, and (N, d, K) the motion by a unit of
     each."""
-    slots = slots_of(fit.model.arm, [term_of(spot, "1", "", 1e-3) for spot in spots])
+    slots = slots_of(fit.model.arm, [make_term(spot, "1", "", 1e-3) for spot in spots])
     columns = equations(fit.model, fit.session, fit.posture, slots).columns
     largest = np.abs(columns).max(axis=(0, 1))
     moving = largest > np.finfo(float).eps * largest.max(initial=0.0)
     return [spot for spot, moves in zip(spots, moving, strict=True) if moves], columns[..., moving]
 
 
-def _axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
+def _number_joint_axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
     """Return for each commanded joint the component along its own axis; empty if any joint lacks
     one."""
     slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)

@@ -13,7 +13,7 @@ from longarm_comp.core.effects import discovered_words as words
 from longarm_comp.core.effects.discovered_words import Found
 from longarm_comp.core.effects.quantities import JointPosition, OfPosture
 from longarm_comp.core.effects.shapes import Shape, Switch
-from longarm_comp.core.identify.discover.inputs import FEW_LEVELS, levels_of
+from longarm_comp.core.identify.discover.inputs import FEW_LEVELS, count_levels
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
 from longarm_comp.core.model.model import unstack
 from longarm_comp.core.planning.optimal_poses import POOL
@@ -50,7 +50,7 @@ class Cause:
             a circumstance that no command knows.
     """
 
-    terms: tuple[words.Found, ...]
+    terms: tuple[Found, ...]
     where: tuple[str, ...]
     names: tuple[tuple[str, float], ...]
     formula: str
@@ -73,52 +73,54 @@ class Cause:
         return text
 
 
-def causes(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Cause, ...]:
+def list_causes(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Cause, ...]:
     """Return the causes of the functions without a name among found effects, the largest first."""
-    made = [_cause(fit, f) for f in found if f.unnamed]
+    made = [_describe_cause(fit, f) for f in found if f.unnamed]
     return tuple(sorted(made, key=lambda c: -c.tip_m[0]))
 
 
-def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
+def _describe_cause(fit: ModelFit, found: FoundEffect) -> Cause:
     places = {t.key for t in found.terms}
     held = [(i, s) for i, s in enumerate(fit.slots) if s.owner.key in places]
-    terms = tuple(s.owner for _, s in held if isinstance(s.owner, words.Found))
-    amounts, shift = [], np.zeros(fit.residual.shape)
+    terms = tuple(s.owner for _, s in held if isinstance(s.owner, Found))
+    amounts, figures, shift = [], [], np.zeros(fit.residual.shape)
     for term, (i, slot) in zip(terms, held, strict=True):
-        value = slot.value
-        error = float(fit.standard_errors[i])
+        value, error, unit = slot.value, float(fit.standard_errors[i]), slot.parameter.unit
+        ci95 = value - 1.96 * error, value + 1.96 * error
+        amounts.append(Coefficient(term.where, term.of.formula, value, ci95, unit))
+        figures.append((value, error, unit))
         shift = shift + value * fit.columns[..., i]
-        amounts.append((term.where, term.of.formula, value, error, slot.parameter.unit))
     size = np.linalg.norm(shift * fit.metres, axis=1)
+    likely = [r for r in found.rivals if r.probability > 1 - CREDIBLE]
     return Cause(
-        terms,
-        _places(terms, found),
-        tuple((r.name, r.probability) for r in found.rivals if r.probability > 1 - CREDIBLE),
-        words.formula(terms, [(v, e, u) for _, _, v, e, u in amounts]),
-        words.reading(terms),
-        tuple(words.domain(terms)),
-        tuple(dict.fromkeys(s.of for t in terms for s in t.of.factors)),
-        tuple(Coefficient(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
-        found.log_bayes_factor,
-        found.there,
-        (float(np.sqrt((size**2).mean())), float(size.max())),
-        all(t.commandable for t in terms),
+        terms=terms,
+        where=_list_places(terms, found),
+        names=tuple((r.name, r.probability) for r in likely),
+        formula=words.formula(terms, figures),
+        reading=words.reading(terms),
+        domain=tuple(words.domain(terms)),
+        inputs=tuple(dict.fromkeys(shape.of for shape in _list_shapes(terms))),
+        amounts=tuple(amounts),
+        log_evidence=found.log_bayes_factor,
+        probability=found.presence,
+        tip_m=(float(np.sqrt((size**2).mean())), float(size.max())),
+        compensated=all(t.commandable for t in terms),
     )
 
 
-def _places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]:
+def _list_places(terms: Sequence[Found], found: FoundEffect) -> tuple[str, ...]:
     """Return where a cause may act: the place in the model, then others of the credible set."""
     first = " and ".join(dict.fromkeys(t.where for t in terms))
     other = [" and ".join(dict.fromkeys(places)) for places in found.where]
     return (*dict.fromkeys((first, *words.seen_alike(terms), *other)),)
 
 
-def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
+def describe_doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
     """Say what the data leave open about functions: few positions of a joint, a threshold in a gap
     of the data."""
     made = []
-    for shape in _shapes(found):
-        if _on_few(fit, shape):
+    for shape in _list_shapes(found):
+        if _has_few_positions(fit, shape):
             made.append(f"{shape.of} was measured at few positions; between them it is a guess")
         if isinstance(shape, Switch):
             low, high = shape.threshold - shape.half, shape.threshold + shape.half
@@ -136,21 +138,21 @@ def propose_poses(fit: ModelFit, found: Sequence[Found], count: int, seed: int) 
     usual = Context(columns={k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()})
     posture = fit.model.posture(unstack(pool), usual)
     chosen: list[int] = []
-    for shape in _shapes(found):
+    for shape in _list_shapes(found):
         if isinstance(shape, Switch) and isinstance(shape.quantity, OfPosture):
             away = np.abs(np.asarray(shape.quantity.read(posture)) - shape.threshold)
             chosen += np.argsort(away + np.zeros(POOL), kind="stable")[:count].tolist()
-        elif _on_few(fit, shape):
+        elif _has_few_positions(fit, shape):
             chosen += range(count)
     return np.asarray(pool[list(dict.fromkeys(chosen))])
 
 
-def _shapes(found: Sequence[Found]) -> list[Shape]:
+def _list_shapes(found: Sequence[Found]) -> list[Shape]:
     return list(dict.fromkeys(s for t in found for s in t.of.factors))
 
 
-def _on_few(fit: ModelFit, shape: Shape) -> bool:
+def _has_few_positions(fit: ModelFit, shape: Shape) -> bool:
     of = shape.quantity
     if not isinstance(of, JointPosition):
         return False
-    return levels_of(fit.session.q[:, of.joint]) <= FEW_LEVELS
+    return count_levels(fit.session.q[:, of.joint]) <= FEW_LEVELS

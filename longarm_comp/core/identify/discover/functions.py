@@ -28,7 +28,7 @@ from longarm_comp.core.effects.shapes import (
     Threshold,
     Wave,
 )
-from longarm_comp.core.identify.discover.inputs import Argument, Arguments
+from longarm_comp.core.identify.discover.inputs import FunctionInput, FunctionInputs
 
 ANALYTIC = 0.25
 """By how much the Legendre coefficients of a physical function of one joint fall from one order to
@@ -61,8 +61,8 @@ class FunctionFamily(Enum):
     OWN_JOINT = "smooth in a joint, along its axis"
 
     @property
-    def sharp(self) -> bool:
-        """Whether functions of this kind have a threshold."""
+    def has_threshold(self) -> bool:
+        """True for functions that jump or bend at a threshold."""
         return self in (FunctionFamily.SWITCH, FunctionFamily.CONTACT)
 
 
@@ -99,13 +99,12 @@ class Functions:
         listed: the functions.
         groups: those that are fitted together at one component.
         each_joint: sets of (commanded joint, function) that are fitted together, each function
-            along
-            its joint's own axis.
+            along its joint's own axis.
         own_joint: by commanded joint, the smooth function of its position along its own axis, as by
             a hose, a spring or a gear without a form of its own.
     """
 
-    def __init__(self, inputs: Arguments, of: type[Quantity] | None = None) -> None:
+    def __init__(self, inputs: FunctionInputs, of: type[Quantity] | None = None) -> None:
         self.inputs, self._of = inputs, of
         self.listed: list[Function] = []
         self.groups: list[FunctionGroup] = []
@@ -114,7 +113,7 @@ class Functions:
         self._values: list[np.ndarray] = []
         self._shapes: dict[Shape, np.ndarray] = {}
         self._numbers: dict[Function, int] = {}
-        self._make()
+        self._add_every_family()
 
     @cached_property
     def counts(self) -> Counter[FunctionFamily]:
@@ -126,28 +125,31 @@ class Functions:
         """(N, G) values of all functions."""
         return np.stack(self._values, axis=1)
 
-    def number(self, *factors: Shape) -> int:
+    def add_function(self, *factors: Shape) -> int:
         """Return the number of a product of shapes; add it if it is new."""
         made = Function(factors)
         if made not in self._numbers:
             self._numbers[made] = len(self.listed)
             self.listed.append(made)
-            self._values.append(self.of(made))
+            self._values.append(self.values_of(made))
         return self._numbers[made]
 
-    def of(self, made: Function) -> np.ndarray:
+    def values_of(self, made: Function) -> np.ndarray:
         """Return the (N,) values of any function of the inputs."""
         values = np.ones(len(self.inputs.all[0].values)) if self.inputs.all else np.ones(0)
         for factor in made.factors:
-            values = values * self._at(factor)
+            values = values * self._values_of_shape(factor)
         return values
 
-    def _at(self, shape: Shape) -> np.ndarray:
+    def _values_of_shape(self, shape: Shape) -> np.ndarray:
+        """Return the (N,) values of a shape, each computed once."""
         if shape not in self._shapes:
             self._shapes[shape] = np.asarray(shape.at(self.inputs.by_name[shape.of].values))
         return self._shapes[shape]
 
-    def _group(self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()) -> None:
+    def _add_group(
+        self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()
+    ) -> None:
         of = {n: self.listed[n].quantities for n in numbers}
         kept = dict(zip(numbers, decay or [1.0] * len(numbers), strict=True))
         if self._of is not None:
@@ -156,43 +158,49 @@ class Functions:
             rare = sum(not q.plain for q in {q for n in kept for q in of[n]})
             self.groups.append(FunctionGroup(family, tuple(kept), tuple(kept.values()), rare))
 
-    def _make(self) -> None:
+    def _add_every_family(self) -> None:
         inputs = self.inputs.all
         own = {f"q{j + 1}": j for j in range(self.inputs.joints)}
-        self._group(FunctionFamily.CONSTANT, self.number())
+        self._add_group(FunctionFamily.CONSTANT, self.add_function())
         for one in inputs:
-            self._group(FunctionFamily.LINEAR, self.number(_linear(one)))
+            self._add_group(FunctionFamily.LINEAR, self.add_function(_make_linear(one)))
         for one in inputs:
-            if not one.curves:
+            if not one.shows_curves:
                 continue
             for kind in (Square, SignedSquare):
-                if (kind is Square and not one.far) or one.low < 0 < one.high:
-                    self._group(FunctionFamily.SQUARE, self.number(kind(*one.domain)))
-            for order in orders(one):
-                pair = [self.number(kind(*one.domain, order)) for kind in (Cosine, Sine)]
-                self._group(FunctionFamily.WAVE, *pair)
+                if (kind is Square and not one.is_far_from_zero) or one.low < 0 < one.high:
+                    self._add_group(FunctionFamily.SQUARE, self.add_function(kind(*one.domain)))
+            for order in list_orders(one):
+                pair = [self.add_function(kind(*one.domain, order)) for kind in (Cosine, Sine)]
+                self._add_group(FunctionFamily.WAVE, *pair)
             top = min(ORDERS, one.levels - 2)
             if top > 1:
-                some = [self.number(Legendre(*one.domain, n)) for n in range(1, top + 1)]
+                some = [self.add_function(Legendre(*one.domain, n)) for n in range(1, top + 1)]
                 decay = [1.0 / n for n in range(1, top + 1)]
-                self._group(FunctionFamily.SMOOTH, *some, decay=decay)
+                self._add_group(FunctionFamily.SMOOTH, *some, decay=decay)
                 if one.name in own:
                     falls = tuple(ANALYTIC ** (n - 1) for n in range(1, top + 1))
                     self.own_joint[own[one.name]] = FunctionGroup(
                         FunctionFamily.OWN_JOINT, tuple(some), falls
                     )
-            for threshold in thresholds(one):
-                self._group(FunctionFamily.SWITCH, self.number(switch(one, threshold)))
+            for threshold in list_thresholds(one):
+                self._add_group(
+                    FunctionFamily.SWITCH, self.add_function(make_switch(one, threshold))
+                )
                 for side in (Above, Below):
-                    self._group(FunctionFamily.CONTACT, self.number(side(*one.domain, threshold)))
+                    self._add_group(
+                        FunctionFamily.CONTACT, self.add_function(side(*one.domain, threshold))
+                    )
         for a, b in combinations(inputs, 2):
-            self._group(FunctionFamily.PRODUCT, self.number(_linear(a), _linear(b)))
+            self._add_group(
+                FunctionFamily.PRODUCT, self.add_function(_make_linear(a), _make_linear(b))
+            )
         plain = (i for i in inputs if i.name.startswith("q") or i.name in self.inputs.shared)
         for a, b in combinations([i for i in plain if i.levels > 1], 2):
-            self._smooth_pair(a, b)
-        self._each_joint()
+            self._add_smooth_pair(a, b)
+        self._add_each_joint()
 
-    def _each_joint(self) -> None:
+    def _add_each_joint(self) -> None:
         """Add for all joints together an input of each joint times an input that all joints
         share."""
         held = self.inputs.by_name
@@ -200,36 +208,38 @@ class Functions:
         for shared in (held[name] for name in self.inputs.shared):
             for word in OWN:
                 of = [(j, held[f"{word}{j + 1}"]) for j in joints if f"{word}{j + 1}" in held]
-                made = [(j, self.number(_linear(own), _linear(shared))) for j, own in of]
+                made = [
+                    (j, self.add_function(_make_linear(own), _make_linear(shared))) for j, own in of
+                ]
                 if len(made) > 1:
                     self.each_joint.append(tuple(made))
 
-    def _smooth_pair(self, a: Argument, b: Argument) -> None:
+    def _add_smooth_pair(self, a: FunctionInput, b: FunctionInput) -> None:
         """Add a smooth function of two inputs: joint positions, or inputs that all joints share."""
         numbers, decay = [], []
         for i in range(TOTAL + 1):
             for j in range(TOTAL + 1 - i):
                 if i + j == 0 or i >= max(a.levels - 1, 2) or j >= max(b.levels - 1, 2):
                     continue
-                if (i > 1 and not a.curves) or (j > 1 and not b.curves):
+                if (i > 1 and not a.shows_curves) or (j > 1 and not b.shows_curves):
                     continue
                 factors = [Legendre(*one.domain, n) for one, n in ((a, i), (b, j)) if n]
-                numbers.append(self.number(*factors))
+                numbers.append(self.add_function(*factors))
                 decay.append(1.0 / (i + j))
         if len(numbers) > 3:
-            self._group(FunctionFamily.SMOOTH_PAIR, *numbers, decay=decay)
+            self._add_group(FunctionFamily.SMOOTH_PAIR, *numbers, decay=decay)
 
 
-def _linear(one: Argument) -> Shape:
+def _make_linear(one: FunctionInput) -> Shape:
     """Return the input itself, about the middle of its range where that is far from zero.
 
     An input that no command knows is also centred, so that its omission from a command makes no
     mean error.
     """
-    return Legendre(*one.domain, 1) if one.far or not one.told else Linear(*one.domain)
+    return Legendre(*one.domain, 1) if one.is_far_from_zero or not one.told else Linear(*one.domain)
 
 
-def switch(one: Argument, threshold: float) -> Switch:
+def make_switch(one: FunctionInput, threshold: float) -> Switch:
     """Return a switch at a threshold, as a ramp over the gap that the data have there."""
     below = one.values[one.values < threshold]
     above = one.values[one.values >= threshold]
@@ -238,7 +248,7 @@ def switch(one: Argument, threshold: float) -> Switch:
     return Switch(*one.domain, middle, max(half, 1e-4 * (one.high - one.low)))
 
 
-def orders(one: Argument) -> list[float]:
+def list_orders(one: FunctionInput) -> list[float]:
     """Return the harmonics of an input that are tried."""
     if one.smooth:
         return []
@@ -248,7 +258,7 @@ def orders(one: Argument) -> list[float]:
     return [n * math.pi / span for n in range(2, LOOKS + 2)]
 
 
-def thresholds(one: Argument) -> list[float]:
+def list_thresholds(one: FunctionInput) -> list[float]:
     """Return the thresholds of an input that are tried: inner quantiles of its values."""
     if one.smooth:
         return []
@@ -256,7 +266,7 @@ def thresholds(one: Argument) -> list[float]:
     return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
 
 
-def nearby(shape: Shape, one: Argument, width: float) -> list[Shape]:
+def vary_shape(shape: Shape, one: FunctionInput, width: float) -> list[Shape]:
     """Return the same shape with `DENSE` other thresholds or orders around it.
 
     Args:
@@ -270,7 +280,7 @@ def nearby(shape: Shape, one: Argument, width: float) -> list[Shape]:
         shares = np.clip(np.linspace(place - step, place + step, DENSE), 0.02, 0.98)
         made = np.unique(np.quantile(one.values, shares))
         if isinstance(shape, Switch):
-            return [switch(one, float(v)) for v in made]
+            return [make_switch(one, float(v)) for v in made]
         return [type(shape)(*one.domain, float(v)) for v in made]
     if isinstance(shape, Wave) and not one.circular:
         step = width * math.pi / (one.high - one.low)

@@ -39,7 +39,7 @@ SEEN = "seen_"
 
 
 @dataclass(frozen=True)
-class Argument:
+class FunctionInput:
     """One quantity at N rows.
 
     Attributes:
@@ -75,18 +75,18 @@ class Argument:
         return self.name, self.low, self.high
 
     @property
-    def far(self) -> bool:
-        """Whether it is far from zero compared with its range, as the time of day in seconds is."""
+    def is_far_from_zero(self) -> bool:
+        """True far from zero compared with the range, as the time of day in seconds is."""
         return abs(self.low + self.high) > 2 * _FAR * (self.high - self.low)
 
     @property
-    def curves(self) -> bool:
-        """Whether the data can show more than a straight line in it."""
+    def shows_curves(self) -> bool:
+        """True where it took so many values that more than a straight line could show."""
         return self.levels > FEW_LEVELS
 
 
 @dataclass(frozen=True)
-class Arguments:
+class FunctionInputs:
     """The quantities that a discovered function may depend on; no two of them agree at every row.
 
     Attributes:
@@ -95,26 +95,26 @@ class Arguments:
         joints: number of commanded joints.
     """
 
-    all: tuple[Argument, ...]
+    all: tuple[FunctionInput, ...]
     shared: tuple[str, ...]
     joints: int
 
     @cached_property
-    def by_name(self) -> dict[str, Argument]:
+    def by_name(self) -> dict[str, FunctionInput]:
         """Arguments by name."""
         return {i.name: i for i in self.all}
 
 
-def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
+def read_arm_inputs(arm: Arm, posture: Posture, session: Session) -> FunctionInputs:
     """Read the quantities of the arm's side at the rows of a session."""
     rows = len(session)
     columns = tuple(
         "warmth" if n == "temperature_c" else n for n in session.columns if is_column(n)
     )
-    made: list[Argument] = []
+    made: list[FunctionInput] = []
     read: list[tuple[str, Quantity, np.ndarray]] = []
     widest: dict[type, float] = {}
-    for name in _names(arm, session, columns):
+    for name in _list_names(arm, session, columns):
         found = quantity(name)
         if not isinstance(found, (OfPosture, Recorded)) or not found.exists(arm):
             continue
@@ -123,14 +123,16 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
         widest[type(found)] = max(largest, float(np.ptp(values)))
         read.append((name, found, values))
     for name, found, values in read:
-        if np.ptp(values) < _resolution_of(arm, posture, found, values, widest[type(found)]):
+        if np.ptp(values) < _least_span(arm, posture, found, values, widest[type(found)]):
             continue
-        _add(made, name, values, arm)
+        _add_distinct(made, name, values, arm)
     kept = {i.name for i in made} - {ORDER}
-    return Arguments(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
+    return FunctionInputs(
+        tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n
+    )
 
 
-def _resolution_of(
+def _least_span(
     arm: Arm, posture: Posture, found: Quantity, values: np.ndarray, widest: float
 ) -> float:
     """Return the span from which on a quantity counts, because smaller ones are not known well
@@ -145,18 +147,18 @@ def _resolution_of(
     return max(share, found.resolution)
 
 
-def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
+def read_camera_inputs(points: np.ndarray, session: Session) -> FunctionInputs:
     """Read the quantities of the measuring side: the seen point (N, 3) m, and recorded columns."""
-    made: list[Argument] = []
+    made: list[FunctionInput] = []
     for axis, values in zip("xyz", points.T, strict=True):
-        _add(made, f"{SEEN}{axis}", values, None)
+        _add_distinct(made, f"{SEEN}{axis}", values, None)
     for name, values in session.context().columns.items():
         if is_column(name):
-            _add(made, name, np.asarray(values), None)
-    return Arguments(tuple(made), (), 0)
+            _add_distinct(made, name, np.asarray(values), None)
+    return FunctionInputs(tuple(made), (), 0)
 
 
-def _names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str]:
+def _list_names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str]:
     """Yield the names of what may be tried, the plainest first: of two that agree the first
     stays."""
     joints = range(1, arm.n + 1)
@@ -172,7 +174,9 @@ def _names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str
     yield from (f"distance_{a}_{b}" for a in (0, *rows) for b in rows if b > a + 1)
 
 
-def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -> None:
+def _add_distinct(
+    made: list[FunctionInput], name: str, values: np.ndarray, arm: Arm | None
+) -> None:
     """Add a quantity if it varies and agrees with none of those before."""
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
     largest = float(np.abs(values).max(initial=0.0))
@@ -188,11 +192,11 @@ def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -
     circular = arm is not None and isinstance(found, JointPosition) and found.unit(arm) == "rad"
     smooth = name.startswith(SEEN)
     told = not is_column(name) or is_told(name)
-    levels = levels_of(values)
-    made.append(Argument(name, np.ascontiguousarray(values), levels, circular, smooth, told))
+    levels = count_levels(values)
+    made.append(FunctionInput(name, np.ascontiguousarray(values), levels, circular, smooth, told))
 
 
-def levels_of(values: np.ndarray) -> int:
+def count_levels(values: np.ndarray) -> int:
     """Return the number of distinct values, to a fiftieth of their range."""
     span = float(np.ptp(values)) or 1.0
     return len(np.unique(np.round(_FINE * (values - values.min()) / span)))

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, Others, SingleEffect
+from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 
 SWEEPS = 30
@@ -33,17 +33,17 @@ class Explanation:
     effects: tuple[SingleEffect, ...]
 
     @cached_property
-    def chosen(self) -> tuple[Offer, ...]:
+    def offers(self) -> tuple[Offer, ...]:
         """The most probable offer of each effect."""
         return tuple(e.offer for e in self.effects)
 
     @cached_property
     def evidence(self) -> float:
         """Log evidence of the chosen offers together, their priors included."""
-        return self.bank.evidence(self.chosen)
+        return self.bank.evidence(self.offers)
 
 
-def explain(
+def find_explanation(
     bank: OfferBank, known: Sequence[int] = (), begun: Sequence[SingleEffect] | None = None
 ) -> Explanation:
     """Find the single effects by coordinate ascent, with a restart for each effect found.
@@ -57,13 +57,16 @@ def explain(
         known: the offers that were found before.
         begun: what explains the same offers already. The ascent also starts from it, and there is
             no restart.
+
+    Returns:
+        The explanation of highest evidence, without effects that are not worth their price.
     """
     most = len(known) + AT_ONCE
-    starts = [_grow(bank, (), frozenset(), most)]
+    starts = [_add_effects(bank, (), frozenset(), most)]
     if begun or known:
-        standing = begun or stand(bank, known)
-        starts.append(_grow(bank, standing, frozenset(), most))
-    best = max(map(_prune, starts), key=lambda e: e.evidence)
+        standing = begun or as_certain(bank, known)
+        starts.append(_add_effects(bank, standing, frozenset(), most))
+    best = max(map(_drop_superfluous, starts), key=lambda e: e.evidence)
     if begun is not None:
         return best
     shut_once: set[int] = set()
@@ -72,51 +75,58 @@ def explain(
         shut_once.add(effect.best)
         shut = frozenset(np.flatnonzero(effect.q > UNLIKELY).tolist())
         others = tuple(e for e in best.effects if e is not effect)
-        without = _grow(bank, others, shut, min(len(others) + 2, most))
-        again = _prune(_grow(bank, without.effects, frozenset(), most))
+        without = _add_effects(bank, others, shut, min(len(others) + 2, most))
+        again = _drop_superfluous(_add_effects(bank, without.effects, frozenset(), most))
         if again.evidence > best.evidence + BETTER:
             best = again
     return best
 
 
-def stand(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
+def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
     """Return some offers as certain effects, with the coefficients that they have together."""
     offers = [bank.offers[n] for n in known]
     made = []
-    for n, offer, values in zip(known, offers, bank.joint(offers)[1], strict=True):
+    for n, offer, values in zip(known, offers, bank.solve_together(offers)[1], strict=True):
         q, mean = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
         q[n] = 1.0
-        np.add.at(mean, list(offer.places), values)
+        np.add.at(mean, list(offer.column_numbers), values)
         made.append(SingleEffect(bank.offers, q, mean))
     return made
 
 
-def _grow(
+def _add_effects(
     bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
 ) -> Explanation:
-    """Add single effects until a new one is probably absent."""
+    """Add single effects, one at a time, until a new one is probably absent.
+
+    Args:
+        start: the effects to begin with.
+        shut: numbers of the offers that no effect may be.
+        most: number of effects at which to stop.
+    """
     effects = list(start)
     while len(effects) < most:
         count = len(effects)
         none = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
         effects.append(SingleEffect(bank.offers, *none))
-        effects = [e for e in _ascend(bank, effects, shut) if e.there > 0.5]
+        effects = [e for e in _sweep_effects(bank, effects, shut) if e.presence > 0.5]
         if len(effects) <= count:
             break
     return Explanation(bank, tuple(effects))
 
 
-def _ascend(
+def _sweep_effects(
     bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
 ) -> list[SingleEffect]:
+    """Update each effect by what the others leave, until no probability changes any more."""
     taken = np.sum([e.mean for e in effects], axis=0)
     for _ in range(SWEEPS):
         moved = 0.0
         for k in reversed(range(len(effects))):
             was = effects[k]
             rest = taken - was.mean
-            others = Others.of([*effects[:k], *effects[k + 1 :]], shut)
-            now = bank.single(bank.along - bank.gram @ rest, others)
+            others = OtherEffects.of([*effects[:k], *effects[k + 1 :]], shut)
+            now = bank.compute_single_effect(bank.along - bank.gram @ rest, others)
             moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
             effects[k], taken = now, rest + now.mean
         if moved < UNLIKELY:
@@ -124,7 +134,7 @@ def _ascend(
     return effects
 
 
-def _prune(found: Explanation) -> Explanation:
+def _drop_superfluous(found: Explanation) -> Explanation:
     """Drop effects that the others make superfluous, the least first."""
-    kept = found.bank.worth_their_price(found.chosen)
+    kept = found.bank.worth_their_price(found.offers)
     return Explanation(found.bank, tuple(found.effects[k] for k in kept))

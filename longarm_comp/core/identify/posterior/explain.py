@@ -11,32 +11,23 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.holdout import split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify.model_tolerance import (
-    with_background,
-)
+from longarm_comp.core.identify.model_tolerance import fit_with_background
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.explained import (
     ExplainedSession,
+    drop_idle,
     judge_noise_and_fit,
-    loosen,
-    without_idle,
+    widen_prior,
 )
-from longarm_comp.core.identify.posterior.found import (
-    CREDIBLE,
-    FoundEffect,
-    instead,
-)
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, replace_effect
 from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
 from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.model.model import Model
-
-ROUNDS = 8
-"""Most rounds of posterior and fit, of one kind, and of forms within one; three are usual."""
 
 
 def explain_session(
@@ -63,24 +54,24 @@ def explain_session(
         progress: called with the name of each step.
 
     Raises:
-        InputError, JobError: as `fit`.
+        InputError, JobError: as `fit_model`.
     """
     say = progress or (lambda _: None)
     search = ExplanationSearch(base, session, list(candidates), known_noise, stepped, say)
     say("geometry")
     state = judge_noise_and_fit(base, session, search.candidates, known=known_noise)
     weighed = not any(t.through_others for t in base.terms)
-    state = search.repeat(state) if weighed else _start_soft(search, state)
+    state = search.repeat_until_best(state) if weighed else _start_soft(search, state)
     of_halves: Halves = ()
     if functions:  # only beside the best of what has a name
         state, _, changed = _compare_rivals(search, state)
-        state = search.repeat(state) if changed else state
+        state = search.repeat_until_best(state) if changed else state
         search = replace(search, nameless=True)
-        state = search.repeat(search.repeat(state), functions=True)
+        state = search.repeat_until_best(search.repeat_until_best(state), functions=True)
         state, of_halves = _explain_halves(search, state, seed)
     state, doubtful, changed = _compare_rivals(search, state)
     if changed:
-        state = search.repeat(state)
+        state = search.repeat_until_best(state)
         state, again, _ = _compare_rivals(search, state)
         taken = {t.key for f in (*state.found, *again) for t in f.terms}
         left = (f for f in doubtful if taken.isdisjoint(t.key for t in f.terms))
@@ -89,7 +80,7 @@ def explain_session(
     say("resampled rows")
     state, unstable = _average_samples(search, state, absence, of_halves, seed)
     doubtful = tuple(f for f in (*doubtful, *unstable) if f.in_doubt)
-    return replace(_finish(search, state), doubtful=doubtful)
+    return replace(_converge_fit(search, state), doubtful=doubtful)
 
 
 Halves = tuple[tuple[FoundEffect, ...], ...]
@@ -107,29 +98,31 @@ def _average_samples(
     Returns:
         The state with its linear stage, and the effects that were left out.
     """
-    tolerance = search.standing(state.fit, state.found)[1]
+    tolerance = search.weigh_tolerances(state.fit, state.found)[1]
     linear = Resampling(
         state.fit, search.candidates, search.functions, state.found, tolerance, of_halves
     )
     found = tuple(
-        f.with_doubt(*absence[f.name]) if f.name in absence else f
+        f.add_rival(*absence[f.name]) if f.name in absence else f
         for f in linear.average_samples(seed)
     )
     least = 0.5 * SAMPLES / (SAMPLES + len(of_halves))  # a half may have too few rows
-    stable = tuple(f for f in found if f.there > least)
+    stable = tuple(f for f in found if f.presence > least)
     fewer = search.fit_with(state, stable) if len(stable) < len(found) else None
     if fewer is None:
         return replace(state, found=found, tolerance=tolerance, linear=linear), ()
     linear = replace(linear, fit=fewer.fit, found=fewer.found)
-    unstable = tuple(f for f in found if f.there <= least)
+    unstable = tuple(f for f in found if f.presence <= least)
     return replace(fewer, tolerance=tolerance, linear=linear), unstable
 
 
-def _finish(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
+def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
     """Converge the fit of a model, with what every other part yields."""
     rest = search.other_compliance(state)
-    closed = fit(state.fit.model, search.session, begun=state.fit, **state.fit.judged)
-    fitted = without_idle(with_background(closed, search.candidates, rest) if rest else closed)
+    closed = fit_model(
+        state.fit.model, search.session, begun=state.fit, **state.fit.noise_arguments
+    )
+    fitted = drop_idle(fit_with_background(closed, search.candidates, rest) if rest else closed)
     known = {t.variant: t for t in fitted.model.terms}
     held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
     return replace(state, fit=fitted, found=tuple(held), candidates=tuple(search.candidates))
@@ -141,7 +134,7 @@ def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> Explained
     Only a fit moves the weights of an arm that declares none.  At those of another effect the
     columns show the wrong part, and without any there is no column.
     """
-    best = search.repeat(state)
+    best = search.repeat_until_best(state)
     for c in search.candidates:
         if len(c.terms) > 1 and c.terms[0].elastic:
             every = (FoundEffect(c.terms, 1.0, 0.0),)
@@ -150,8 +143,8 @@ def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> Explained
                 for found in (best.found, every)
             )
             if there > here + BETTER and (begun := search.fit_with(best, every)) is not None:
-                taken = search.repeat(begun)
-                best = taken if search.odds(best, taken) > BETTER else best
+                taken = search.repeat_until_best(begun)
+                best = taken if search.compare_odds(best, taken) > BETTER else best
     return best
 
 
@@ -175,11 +168,11 @@ def _explain_halves(
         begun = half.fit_with(state, ())
         if begun is None:
             continue
-        found = half.repeat(begun, functions=True).found
+        found = half.repeat_until_best(begun, functions=True).found
         of_halves = (*of_halves, found)
-        taken = search.fit_with(state, tuple(map(loosen, found)))
-        if taken is not None and search.odds(state, taken) > BETTER:
-            state = search.repeat(taken, functions=True)
+        taken = search.fit_with(state, tuple(map(widen_prior, found)))
+        if taken is not None and search.compare_odds(state, taken) > BETTER:
+            state = search.repeat_until_best(taken, functions=True)
     return state, of_halves
 
 
@@ -193,25 +186,27 @@ def _compare_rivals(
         that everything must be explained again.
     """
     was = state.fit
-    state = replace(state, fit=fit(was.model, search.session, begun=was, **was.judged))
+    state = replace(
+        state, fit=fit_model(was.model, search.session, begun=was, **was.noise_arguments)
+    )
     banks = search.offer_by_tolerance(state.fit, state.found)
-    found, doubtful = max(banks, key=lambda b: b.standing).judge(state.found, banks)
-    sure = tuple(f for f in found if f.there >= CREDIBLE)
+    found, doubtful = max(banks, key=lambda b: b.evidence_of_known).judge_found(state.found, banks)
+    sure = tuple(f for f in found if f.presence >= CREDIBLE)
     if len(sure) < len(found) and (fewer := search.fit_with(state, sure)) is not None:
-        return fewer, (*doubtful, *(f for f in found if f.there < CREDIBLE)), True
+        return fewer, (*doubtful, *(f for f in found if f.presence < CREDIBLE)), True
     state = replace(state, found=sure)
-    here = search.evidence(state.fit, sure)
+    here = search.evidence_of_all(state.fit, sure)
     for k, mine in enumerate(sure):
         worth = {
             rival.name: search.evidence_refitted(
-                state, instead(state.found, k, mine.led_by(rival, ()))
+                state, replace_effect(state.found, k, mine.put_first(rival, ()))
             )
             - here
             for rival in mine.fitted_rivals
         }
-        judged, better = mine.against(worth)
+        judged, better = mine.compare_with(worth)
         if better:
-            taken = search.fit_with(state, instead(state.found, k, judged))
+            taken = search.fit_with(state, replace_effect(state.found, k, judged))
             if taken is not None:
                 return taken, doubtful, True
         else:
@@ -244,11 +239,11 @@ def _compare_absence(
         others = replace(search, candidates=[c for c in search.candidates if c.name != name])
         rest = tuple(f for f in state.found if not f.unnamed and f.name != name)
         left = others.fit_with(state, rest)
-        left = None if left is None else others.repeat(left, functions=True)
+        left = None if left is None else others.repeat_until_best(left, functions=True)
         new = [] if left is None else [f for f in left.found if f.unnamed]
         if left is None or not new:
             continue
-        odds = search.odds(state, left)
+        odds = search.compare_odds(state, left)
         if odds > 0:
             state = left
         else:

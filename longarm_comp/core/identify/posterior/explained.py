@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from longarm_comp.core.calibration import noise as noise_step
-from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
-from longarm_comp.core.calibration.fit import compare_unfitted, fit
+from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms
+from longarm_comp.core.calibration.fit import fit_model, linearise_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
-from longarm_comp.core.identify.posterior.found import NONE, FoundEffect
+from longarm_comp.core.identify.posterior.found import NONE, FoundEffect, keys_of
 from longarm_comp.core.identify.posterior.resampled import Resampling
 from longarm_comp.core.model.model import Model
 
@@ -47,12 +47,12 @@ class ExplainedSession:
     linear: Resampling | None = None
 
     @property
-    def chosen(self) -> tuple[Term, ...]:
+    def chosen_terms(self) -> tuple[Term, ...]:
         """The terms in the model, as they were offered."""
         return tuple(t for f in self.found for t in f.terms)
 
     @property
-    def need(self) -> float:
+    def needed_evidence(self) -> float:
         """Log Bayes factor from which on a candidate is more likely there than not."""
         return NONE + math.log(max(len(self.candidates), 1))
 
@@ -71,18 +71,28 @@ def judge_noise_and_fit(
     Args:
         model: holds what was found.
         candidates: the library.
-        before: what was fitted before; the columns are those of its fit.
+        before: what was fitted before; the columns of the library are computed at its fit, not at
+            one of the geometry alone.
+        found: the effects that the model holds besides the geometry.
         known: the noise by repeats, if there are any.
+
+    Returns:
+        The explained session, whose noise is no more than repeats allow.
+
+    Raises:
+        InputError, JobError: as `fit_model`.
     """
     if before is None or not found:
-        first = fit(model, session)
+        first = fit_model(model, session)
         at = FitColumns(first)
     else:
-        first, at = compare_unfitted(model, session, before.fit), FitColumns(before.fit)
-    held = {t.key for f in found for t in f.terms}
-    judged, weights = noise_step.from_residual(first, at.of(distinct(candidates, held)))
+        first, at = linearise_model(model, session, before.fit), FitColumns(before.fit)
+    held = keys_of(found)
+    judged, weights = noise_step.noise_from_residual(
+        first, at.prior_columns(distinct_terms(candidates, held))
+    )
     noise = judged if known is None else noise_step.limit_by_repeats(known, judged)
-    fitted = fit(
+    fitted = fit_model(
         first.model,
         session,
         sigma=noise.sigma,
@@ -94,16 +104,16 @@ def judge_noise_and_fit(
     return ExplainedSession(fitted, found, noise)
 
 
-def without_idle(fitted: ModelFit) -> ModelFit:
+def drop_idle(fitted: ModelFit) -> ModelFit:
     """Leave out effects that act through others if the model has none that they act through."""
     model = fitted.model
     idle = {e.key for e in model.effects if e.through_others}
     if not idle or any(e.loaded for e in model.effects if e.key not in idle):
         return fitted
-    return fit(model.without(idle), fitted.session, near=fitted, **fitted.judged)
+    return fit_model(model.without(idle), fitted.session, near=fitted, **fitted.noise_arguments)
 
 
-def loosen(found: FoundEffect) -> FoundEffect:
+def widen_prior(found: FoundEffect) -> FoundEffect:
     """Widen a function's prior until it hardly pulls at the amount; its existence is already
     decided."""
     if not found.unnamed:
@@ -115,7 +125,7 @@ def loosen(found: FoundEffect) -> FoundEffect:
     return replace(found, terms=terms, loose=True)
 
 
-def put_in(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
+def put_found(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
     """Put found effects into the base model, at the values that they have in the model `now`."""
     known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
     terms = (alike.get(t.variant, t) for f in found for t in f.terms)

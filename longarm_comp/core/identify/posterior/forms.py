@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
-from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.identify.discover.functions import DENSE, LOOKS
@@ -23,7 +23,7 @@ from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 
-def better_forms(
+def find_better_forms(
     fit: ModelFit, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> dict[tuple[str, str], Term]:
     """Find the terms that fit better in another form.
@@ -57,13 +57,13 @@ def refine_form(
         candidates: their values of the scales are the tried ones.
         moved: other terms of the model, in forms that were found better since it was fitted.
     """
-    marginal = FitColumns(fit).without({t.key for t in (term, *moved)}, moved)
+    marginal = FitColumns(fit).marginal_without({t.key for t in (term, *moved)}, moved)
 
     def evidence(terms: Sequence[Term]) -> np.ndarray:
         each = [Candidate(term.name, (t,)) for t in terms]
         return evidence_of_each(fit, marginal, each)
 
-    agree = partial(_agreement, fit, term, moved)
+    agree = partial(_agree_by_form, fit, term, moved)
     scales = term.scales()
     if (fit.weights == 0).any():
         ends = [(float(getattr(term, field)), low) for field, (low, _) in scales.items()]
@@ -74,14 +74,16 @@ def refine_form(
             for k, line in enumerate(lines)
             for value in line
         ]
-        looks = [_at(term, list(scales), np.array(point)) for point in crosses]
+        looks = [_set_scales(term, list(scales), np.array(point)) for point in crosses]
         if agree(looks).max() > agree([term])[0] + BETTER:
-            return _highest(term, np.array(crosses), agree)
-    tried = itertools.product(*(_values_tried(term, field, candidates) for field in scales))
-    return _highest(term, np.array(list(tried)), evidence)
+            return _search_scales(term, np.array(crosses), agree)
+    tried = itertools.product(*(_list_tried_values(term, field, candidates) for field in scales))
+    return _search_scales(term, np.array(list(tried)), evidence)
 
 
-def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.ndarray]) -> Term:
+def _search_scales(
+    term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.ndarray]
+) -> Term:
     """Search the scales for the form of highest worth, closer and closer while it improves.
 
     Args:
@@ -94,17 +96,19 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
     best, here = -np.inf, term
     closer = True
     while closer:
-        found = worth([_at(term, fields, point) for point in grid])
+        found = worth([_set_scales(term, fields, point) for point in grid])
         chances = np.exp(found - found.max())
         mean = chances @ grid / chances.sum()
         centre = np.clip(mean, grid.min(axis=0), grid.max(axis=0))  # rounding may leave the scale
-        looked = [_at(term, fields, point) for point in (centre, grid[int(np.argmax(found))])]
+        looked = [
+            _set_scales(term, fields, point) for point in (centre, grid[int(np.argmax(found))])
+        ]
         closer = False
         for moved, now in zip(looked, worth(looked).tolist(), strict=True):
             if now > best + BETTER:
                 best, here, closer = now, moved, True
         reach = (
-            _beside(float(getattr(here, f)), np.unique(v))
+            _nearest_values(float(getattr(here, f)), np.unique(v))
             for f, v in zip(fields, grid.T, strict=True)
         )
         between = (np.linspace(low, high, LOOKS) for low, high in reach)
@@ -112,42 +116,50 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
     return here if best > least else term
 
 
-def agreement(fit: ModelFit, residual: np.ndarray) -> float:
-    """Return the log likelihood of all rows by their residual (N, d).
+def measure_agreement(fit: ModelFit, residual: np.ndarray) -> float:
+    """Return the log likelihood of all rows, outliers too, up to a constant.
 
     No row counts more than one at the limit of an outlier does.
+
+    Args:
+        fit: gives the noise of the channels.
+        residual: (N, d) measured - predicted by some model, m or rad.
     """
-    white = np.nan_to_num(residual / (fit.uneven(fit.session)[:, None] * fit.sigma))
+    white = np.nan_to_num(residual / (fit.stated_noise_ratio(fit.session)[:, None] * fit.sigma))
     return float(-0.5 * np.minimum((white**2).sum(axis=1), OUTLIER**2).sum())
 
 
-def _agreement(fit: ModelFit, now: Term, moved: Sequence[Term], then: Sequence[Term]) -> np.ndarray:
-    """Return (T,) `agreement` of the rows with each of the other forms `then` of a term."""
+def _agree_by_form(
+    fit: ModelFit, now: Term, moved: Sequence[Term], then: Sequence[Term]
+) -> np.ndarray:
+    """Return (T,) `measure_agreement` of the rows with each of the other forms `then` of a term."""
     columns = FitColumns(fit)
-    columns.of(then)  # all at once: much faster
+    columns.prior_columns(then)  # all at once: much faster
     fitted = {t.key: t for t in fit.model.terms}
-    rest = fit.residual + shift_of(fit, columns, [now, *(fitted[t.key] for t in moved)])
+    rest = fit.residual + columns.shift_by([now, *(fitted[t.key] for t in moved)])
     if moved:
-        rest = rest - shift_of(fit, columns, moved)
-    return np.array([agreement(fit, rest - shift_of(fit, columns, [each])) for each in then])
+        rest = rest - columns.shift_by(moved)
+    return np.array([measure_agreement(fit, rest - columns.shift_by([each])) for each in then])
 
 
-def _at(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:
+def _set_scales(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:
     return dataclasses.replace(term, **dict(zip(fields, values.tolist(), strict=True)))
 
 
-def neighbours(term: Term, field: str, candidates: Sequence[Candidate]) -> tuple[float, float]:
+def neighbouring_values(
+    term: Term, field: str, candidates: Sequence[Candidate]
+) -> tuple[float, float]:
     """Return the tried values of a scale to either side of a term's value, or the scale's ends."""
-    return _beside(float(getattr(term, field)), _values_tried(term, field, candidates))
+    return _nearest_values(float(getattr(term, field)), _list_tried_values(term, field, candidates))
 
 
-def _values_tried(term: Term, field: str, candidates: Sequence[Candidate]) -> list[float]:
+def _list_tried_values(term: Term, field: str, candidates: Sequence[Candidate]) -> list[float]:
     """Return the values of a scale that were tried, and its ends, sorted."""
     tried = {float(getattr(t, field)) for c in candidates if c.name == term.name for t in c.terms}
     return sorted({*tried, *term.scales()[field]})
 
 
-def _beside(value: float, values: Sequence[float] | np.ndarray) -> tuple[float, float]:
+def _nearest_values(value: float, values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     """Return the next smaller and next larger of sorted values."""
     low = max((v for v in values if v < value), default=values[0])
     return low, min((v for v in values if v > value), default=values[-1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -63,7 +63,7 @@ class Rival:
 
     @property
     def unnamed(self) -> bool:
-        """Whether it is a function without a name."""
+        """True for a function without a name, False for an effect of the library."""
         return not self.candidate.terms[0].searched
 
 
@@ -73,7 +73,7 @@ class FoundEffect:
 
     Attributes:
         terms: the most probable terms, at the values that the posterior gives them.
-        there: probability that it is there.
+        presence: probability that it is there.
         log_bayes_factor: evidence for it beside the other effects.
         chance: probability of its name, given that it is there.
         rivals: all other names that may stand in its place, the most probable first.
@@ -83,7 +83,7 @@ class FoundEffect:
     """
 
     terms: tuple[Term, ...]
-    there: float
+    presence: float
     log_bayes_factor: float
     chance: float = 1.0
     rivals: tuple[Rival, ...] = ()
@@ -109,12 +109,12 @@ class FoundEffect:
 
     @property
     def in_doubt(self) -> bool:
-        """Whether neither its presence nor its absence is credible."""
-        return 1.0 - CREDIBLE <= self.there < CREDIBLE
+        """True where neither its presence nor its absence has a probability of 95 %."""
+        return 1.0 - CREDIBLE <= self.presence < CREDIBLE
 
     @property
     def unnamed(self) -> bool:
-        """Whether it is a function without a name."""
+        """True for a function without a name, False for an effect of the library."""
         return not self.terms[0].searched
 
     @property
@@ -129,7 +129,7 @@ class FoundEffect:
         it."""
         return [r for r in self.rivals if r.name == r.judged != self.name]
 
-    def against(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
+    def compare_with(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
         """Compare it with its fitted rivals.
 
         Args:
@@ -165,9 +165,9 @@ class FoundEffect:
             for r in every
         ]
         best = max(every, key=lambda r: worth.get(r.name, 0.0))
-        return self.led_by(best, [r for r in every if r is not best]), best is not every[0]
+        return self.put_first(best, [r for r in every if r is not best]), best is not every[0]
 
-    def with_doubt(self, other: FoundEffect, odds: float) -> FoundEffect:
+    def add_rival(self, other: FoundEffect, odds: float) -> FoundEffect:
         """Return the effect with one more rival, from an explanation without any of its names.
 
         Args:
@@ -181,10 +181,12 @@ class FoundEffect:
         mine = Rival(Candidate(other.name, other.terms), worth, share, other.name)
         if known:
             mine = replace(known[0], probability=known[0].probability + share)
-        rest = sorted((mine, *(r for r in rest if r.name != other.name)), key=_likely)
+        rest = sorted(
+            (mine, *(r for r in rest if r.name != other.name)), key=lambda r: -r.probability
+        )
         return replace(self, chance=(1.0 - share) * self.chance, rivals=tuple(rest))
 
-    def led_by(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
+    def put_first(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
         """Return the effect with another name in the first place, and rivals beside it."""
         return replace(
             self,
@@ -197,14 +199,21 @@ class FoundEffect:
         )
 
 
-def _likely(rival: Rival) -> float:
-    return -rival.probability
+def keys_of(found: Iterable[FoundEffect]) -> set[tuple[str, str]]:
+    """Return the keys (effect, place) of the terms of found effects."""
+    return {t.key for f in found for t in f.terms}
 
 
-def instead(
+def replace_effect(
     found: Sequence[FoundEffect], number: int, rival: FoundEffect
 ) -> tuple[FoundEffect, ...]:
-    """Put a rival in the place of one effect, and of all other effects of the rival's name."""
+    """Put a rival in the place of one effect, and of all other effects of the rival's name.
+
+    Args:
+        found: the effects of an explanation.
+        number: position of the effect that the rival replaces.
+        rival: it comes first in the new explanation.
+    """
     rest = (f for k, f in enumerate(found) if k != number)
     return (rival, *(f for f in rest if rival.unnamed or f.name != rival.name))
 

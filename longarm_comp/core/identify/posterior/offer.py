@@ -42,7 +42,7 @@ class Offer:
     site: str = ""
 
     @property
-    def places(self) -> tuple[int, ...]:
+    def column_numbers(self) -> tuple[int, ...]:
         """The numbers of all its columns."""
         return tuple(k for own in self.columns for k in own)
 
@@ -64,8 +64,8 @@ class Offer:
 
 
 @dataclass(frozen=True)
-class Others:
-    """What the other effects leave to one effect to choose from.
+class OtherEffects:
+    """The other effects, as far as they limit what one effect may choose.
 
     Attributes:
         shut: offers that are excluded.
@@ -80,12 +80,12 @@ class Others:
     sites: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> Others:
+    def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> OtherEffects:
         """Summarise some other effects; names and sites are those of the probable ones."""
-        there = [e for e in effects if e.there > 0.5]
+        there = [e for e in effects if e.presence > 0.5]
         return cls(
             shut,
-            frozenset(key for e in effects for key in e.held),
+            frozenset(key for e in effects for key in e.held_places),
             frozenset(e.offer.name for e in there),
             frozenset(e.offer.site for e in there if e.offer.site),
         )
@@ -108,7 +108,7 @@ class SingleEffect:
     changed: dict[int, Offer] = field(default_factory=dict)
 
     @cached_property
-    def there(self) -> float:
+    def presence(self) -> float:
         """Probability that it is there at all."""
         return min(float(self.q.sum()), 1.0)
 
@@ -120,16 +120,16 @@ class SingleEffect:
     @property
     def offer(self) -> Offer:
         """The most probable offer, without the places that other effects hold."""
-        return self._at(self.best)
+        return self._offer_of(self.best)
 
     @cached_property
-    def held(self) -> frozenset[Hashable]:
+    def held_places(self) -> frozenset[Hashable]:
         """Places that it probably takes."""
         chance: dict[Hashable, float] = {}
         for number in np.flatnonzero(self.q > UNLIKELY).tolist():
-            for key in self._at(number).keys:
+            for key in self._offer_of(number).keys:
                 chance[key] = chance.get(key, 0.0) + float(self.q[number])
         return frozenset(key for key, p in chance.items() if p > 0.5)
 
-    def _at(self, number: int) -> Offer:
+    def _offer_of(self, number: int) -> Offer:
         return self.changed.get(number, self.offered[number])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of
+from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, prior_root
 from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.identify.posterior.offer import Offer
 
@@ -41,10 +41,10 @@ class OfferTable:
     def __init__(self, of: Products, numbered: Mapping[int, Offer]) -> None:
         self.numbers, offers = list(numbered), list(numbered.values())
         r, k = len(offers), len(of.gram)
-        counts = np.array([len(offer.places) for offer in offers])
+        counts = np.array([len(offer.column_numbers) for offer in offers])
         self._of, most = of, max(len(offer.sizes) for offer in offers)
         shape = r, counts.max(initial=0)
-        self._places = np.full(shape, k)
+        self._column_numbers = np.full(shape, k)
         self._fixed = np.zeros(shape)
         self._turn = np.zeros((*shape, shape[1]))
         self._share = np.zeros((*shape, most))
@@ -52,17 +52,17 @@ class OfferTable:
         self._price = np.array([offer.log_prior for offer in offers]) - NONE
         sizes = np.ones((r, most))
         for n, offer in enumerate(offers):
-            self._places[n, : counts[n]] = offer.places
+            self._column_numbers[n, : counts[n]] = offer.column_numbers
             sizes[n, : len(offer.sizes)] = offer.sizes
             self._odds[n, : len(offer.sizes)] = offer.chances
             if offer.fixed:
-                own = list(offer.places)
+                own = list(offer.column_numbers)
                 self._fixed[n, : counts[n]] = 1.0
                 self._price[n] -= 0.5 * of.gram[np.ix_(own, own)].sum()
         free = np.array([not offer.fixed for offer in offers])
         for count in np.unique(counts[free]):
-            self._turn_group(np.flatnonzero(free & (counts == count)), count, sizes)
-        bounds = (np.append(b, 0.0)[self._places] for b in (of.lower, of.upper))
+            self._rotate_group(np.flatnonzero(free & (counts == count)), count, sizes)
+        bounds = (np.append(b, 0.0)[self._column_numbers] for b in (of.lower, of.upper))
         held = (np.arange(shape[1]) < counts[:, None]) & free[:, None]
         self._lower, self._upper = (
             np.where(held, b, e) for b, e in zip(bounds, (-np.inf, np.inf), strict=True)
@@ -71,23 +71,23 @@ class OfferTable:
         self._bounded, self._starts = np.unique(row, return_index=True)
         self._turn_bounded = self._turn[row, at]  # (B, P)
         self._row = row
-        self._sd = np.sqrt(_times(self._turn_bounded**2, self._share[row]))
+        self._sd = np.sqrt(_multiply_rows(self._turn_bounded**2, self._share[row]))
         self._ends = self._lower[row, at][:, None], self._upper[row, at][:, None]
 
     @classmethod
     def of(cls, products: Products, numbered: Mapping[int, Offer]) -> list[OfferTable]:
         """Make two tables, of offers with a single coefficient and with several: most have only
         one."""
-        wide = {n: len(offer.places) > 1 for n, offer in numbered.items()}
+        wide = {n: len(offer.column_numbers) > 1 for n, offer in numbered.items()}
         parts = ({n: numbered[n] for n in wide if wide[n] == more} for more in (False, True))
         return [cls(products, part) for part in parts if part]
 
-    def _turn_group(self, group: np.ndarray, count: int, sizes: np.ndarray) -> None:
+    def _rotate_group(self, group: np.ndarray, count: int, sizes: np.ndarray) -> None:
         """Prepare a group of offers (numbers) that have `count` coefficients each."""
         of = self._of
-        places = self._places[group, :count]
+        places = self._column_numbers[group, :count]
         s = of.gram[places[:, :, None], places[:, None, :]]
-        root = root_of(of.like[places])
+        root = prior_root(of.like[places])
         turned = np.swapaxes(root, 1, 2) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
         values, turn = np.linalg.eigh(turned)
         self._turn[group, :count, :count] = root @ turn
@@ -100,21 +100,21 @@ class OfferTable:
             low, high = (b[:, None, :] / sizes[group][..., None] for b in bounds)
             self._odds[group] -= log_prior_mass(low, high, of.like[places][:, None, :])
 
-    def score(self, along: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    def score_offers(self, along: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Score every offer against no effect.
 
         Args:
             along: (K,) products of the columns with what the other effects leave.
 
         Returns:
-            (R,) log posterior odds, and the intermediate results that `mean` needs.
+            (R,) log posterior odds, and the intermediate results that `mean_coefficients` needs.
         """
-        own = np.append(along, 0.0)[self._places]
-        z = _times(own, self._turn)
-        each = _times(z**2, self._share) / 2 + self._odds
+        own = np.append(along, 0.0)[self._column_numbers]
+        z = _multiply_rows(own, self._turn)
+        each = _multiply_rows(z**2, self._share) / 2 + self._odds
         if len(self._bounded):
             shrunk = (self._share * z[..., None]).take(self._row, axis=0)
-            mean = _times(self._turn_bounded, shrunk)
+            mean = _multiply_rows(self._turn_bounded, shrunk)
             low, high = ((end - mean) / self._sd for end in self._ends)
             each[self._bounded] += np.add.reduceat(log_mass(low, high), self._starts)
         top = each.max(axis=1)
@@ -123,24 +123,24 @@ class OfferTable:
         odds = top + np.log(whole) + self._price + (self._fixed * own).sum(axis=1)
         return odds, (z, chance / whole[:, None])
 
-    def mean(self, found: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
+    def mean_coefficients(self, found: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
         """Return the (K,) mean coefficients of the columns, over offers and sizes and within
         bounds.
 
         Args:
-            found: the second result of `score`.
+            found: the second result of `score_offers`.
             q: (R,) probability of each offer.
         """
         z, chance = found
         on = np.flatnonzero(q > np.finfo(float).eps)  # what adds to the sum of all
         shrunk = (self._share[on] * chance[on][:, None, :]).sum(axis=-1) * z[on]
-        mean = _times(shrunk, np.swapaxes(self._turn[on], 1, 2))
+        mean = _multiply_rows(shrunk, np.swapaxes(self._turn[on], 1, 2))
         mean = np.clip(mean, self._lower[on], self._upper[on]) + self._fixed[on]
         made = np.zeros(len(self._of.gram) + 1)
-        np.add.at(made, self._places[on].ravel(), (q[on][:, None] * mean).ravel())
+        np.add.at(made, self._column_numbers[on].ravel(), (q[on][:, None] * mean).ravel())
         return made[:-1]
 
 
-def _times(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+def _multiply_rows(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     """Multiply each of R rows (R, P) by its own matrix (R, P, Q); (R, Q)."""
     return np.asarray(np.matmul(rows[:, None, :], matrices)[:, 0])

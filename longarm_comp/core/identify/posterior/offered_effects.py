@@ -12,16 +12,17 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit, softmax
 
-from longarm_comp.core.calibration.candidates import Candidate, Term
+from longarm_comp.core.calibration.candidates import Candidate, Term, list_variants
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.identify.discover.inputs import levels_of
+from longarm_comp.core.identify.discover.inputs import count_levels
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.ascent import explain, stand
+from longarm_comp.core.identify.posterior.ascent import as_certain, find_explanation
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     NONE,
     FoundEffect,
     Rival,
+    keys_of,
     smallest_set,
 )
 from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
@@ -39,8 +40,8 @@ tolerance, may be worth forty log units (the touches of an iiwa 14 need more tha
 
 
 @dataclass(frozen=True)
-class Explained:
-    """The result of the posterior.
+class PosteriorResult:
+    """The posterior over the offers of one bank: the best explanation, split by probability.
 
     Attributes:
         found: single effects that are there with a probability of at least 95 %.
@@ -61,7 +62,7 @@ class OfferedEffects:
 
     Attributes:
         fitted: the fit.
-        things: candidates, in the order of the bank's offers.
+        candidates: candidates, in the order of the bank's offers.
         bank: the offers.
         widths: (K,) units of the bank's columns.
         known: numbers of the offers that were found before.
@@ -70,31 +71,37 @@ class OfferedEffects:
     """
 
     fitted: ModelFit
-    things: Sequence[Candidate]
+    candidates: Sequence[Candidate]
     bank: OfferBank
     widths: np.ndarray
     known: tuple[int, ...]
     base: float
     tolerance: ModelTolerance
 
-    def explain(self, begun: Sequence[SingleEffect] | None = None) -> Explained:
+    def find_best(self, begun: Sequence[SingleEffect] | None = None) -> PosteriorResult:
         """Compute the posterior over the offers.
 
         Args:
             begun: effects that explain the same offers, as the start of the search.
+
+        Returns:
+            The explanation of highest evidence: its effects that are credible, and the others.
         """
-        best = explain(self.bank, self.known, begun)
-        offers = self._locate(best.chosen)
-        evidence, values = self.bank.joint(offers)
+        best = find_explanation(self.bank, self.known, begun)
+        offers = self._drop_idle_places(best.offers)
+        evidence, values = self.bank.solve_together(offers)
         every = [
             FoundEffect(
-                self._terms(e.best, o, v), e.there, self._worth(offers, k), log_prior=o.log_prior
+                self._terms_of(e.best, o, v),
+                e.presence,
+                self._bayes_factor(offers, k),
+                log_prior=o.log_prior,
             )
             for k, (e, o, v) in enumerate(zip(best.effects, offers, values, strict=True))
         ]
-        found = tuple(f for f in every if f.there >= CREDIBLE)
-        doubtful = tuple(f for f in every if f.there < CREDIBLE)
-        return Explained(found, doubtful, self.base + evidence, best.effects)
+        found = tuple(f for f in every if f.presence >= CREDIBLE)
+        doubtful = tuple(f for f in every if f.presence < CREDIBLE)
+        return PosteriorResult(found, doubtful, self.base + evidence, best.effects)
 
     def single_effects(self) -> tuple[FoundEffect, ...]:
         """Return the effects of the best explanation, each with the names that share its
@@ -103,26 +110,30 @@ class OfferedEffects:
         Nothing is sought again in the place of an effect: the search starts from what was found so.
         """
         made = []
-        for effect in explain(self.bank, self.known, stand(self.bank, self.known)).effects:
+        for effect in find_explanation(
+            self.bank, self.known, as_certain(self.bank, self.known)
+        ).effects:
             shares: dict[str, tuple[float, Candidate]] = {}
             for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
-                terms = self.things[n].terms
+                terms = self.candidates[n].terms
                 alike = [Candidate(terms[0].name, terms)]
-                alike += [self._candidate_of_name(name, terms) for name in self._alike(terms)]
+                alike += [
+                    self._candidate_of_name(name, terms) for name in self._list_aliases(terms)
+                ]
                 for one in alike:
                     before, first = shares.get(one.name, (0.0, one))
-                    share = float(effect.q[n]) / effect.there / len(alike)
+                    share = float(effect.q[n]) / effect.presence / len(alike)
                     shares[one.name] = before + share, first
             offer = effect.offer
-            terms = self._terms(effect.best, offer, effect.mean[list(offer.places)])
-            worth = math.log(effect.there) - math.log1p(-min(effect.there, 1.0 - 1e-16))
+            terms = self._terms_of(effect.best, offer, effect.mean[list(offer.column_numbers)])
+            worth = math.log(effect.presence) - math.log1p(-min(effect.presence, 1.0 - 1e-16))
             rivals = (Rival(c, worth, p) for name, (p, c) in shares.items() if name != offer.name)
             made.append(
-                FoundEffect(terms, effect.there, worth, shares[offer.name][0], tuple(rivals))
+                FoundEffect(terms, effect.presence, worth, shares[offer.name][0], tuple(rivals))
             )
         return tuple(made)
 
-    def evidence_of(self, explained: Explained) -> float:
+    def evidence_of(self, explained: PosteriorResult) -> float:
         """Return the log evidence of the effects of an explanation by another tolerance."""
         offers = []
         for effect in explained.effects:
@@ -131,19 +142,19 @@ class OfferedEffects:
         return self.base + self.bank.evidence(offers)
 
     @cached_property
-    def standing(self) -> float:
+    def evidence_of_known(self) -> float:
         """Log evidence of the effects that were found before, as they are in the model."""
         return self.base + self.bank.evidence([self.bank.offers[n] for n in self.known])
 
     @cached_property
-    def pruned(self) -> float:
+    def evidence_pruned(self) -> float:
         """Log evidence of the same effects, without those, and those places, that are not worth
         their price."""
         offers = [self.bank.offers[n] for n in self.known]
         offers = [offers[k] for k in self.bank.worth_their_price(offers)]
-        return self.base + max(map(self.bank.evidence, (offers, self._locate(offers))))
+        return self.base + max(map(self.bank.evidence, (offers, self._drop_idle_places(offers))))
 
-    def judge(
+    def judge_found(
         self, found: Sequence[FoundEffect], banks: Sequence[OfferedEffects]
     ) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
         """Judge the effects that are in the model.
@@ -151,66 +162,63 @@ class OfferedEffects:
         Args:
             found: the effects, in the order of the fit's explanation.
             banks: offers by tolerance, this one among them. What one effect explains, a larger
-                error of
-                another effect's form may explain too.
+                error of another effect's form may explain too.
 
         Returns:
             The effects with their credible sets, and those that may be there besides.
         """
         offers = [self.bank.offers[n] for n in self.known]
-        number = {
-            tuple(t.variant for t in self.things[n].terms): k for k, n in enumerate(self.known)
-        }
+        number = {list_variants(self.candidates[n].terms): k for k, n in enumerate(self.known)}
         fitted = {t.key: t for t in self.fitted.model.terms}
         made = []
         for f in found:
-            k = number.get(tuple(t.variant for t in f.terms))
+            k = number.get(list_variants(f.terms))
             if k is not None:
                 rest = [*offers[:k], *offers[k + 1 :]]
                 without = max(b.base + b.bank.evidence(rest) for b in banks)
                 f = dataclasses.replace(
                     f,
                     terms=tuple(fitted[t.key] for t in f.terms),
-                    there=float(expit(self.standing - without)),
+                    presence=float(expit(self.evidence_of_known - without)),
                     log_prior=offers[k].log_prior,
                 )
-                made.append(self._credible(f, offers, k))
-        held = {t.key for f in found for t in f.terms}
-        besides = self.explain(stand(self.bank, self.known)).doubtful
+                made.append(self._add_rivals(f, offers, k))
+        held = keys_of(found)
+        besides = self.find_best(as_certain(self.bank, self.known)).doubtful
         left = (f for f in besides if held.isdisjoint(t.key for t in f.terms))
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
-    def _credible(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
+    def _add_rivals(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
         """Give an effect all names that may stand in its place, each judged at the places that it
         needs.
 
         Of names that no measurement distinguishes the likeliest is judged; all share its
         probability.
         """
-        here, own = self.bank.evidence(offers), self._worth(offers, k)
+        here, own = self.bank.evidence(offers), self._bayes_factor(offers, k)
         likeliest: dict[str, tuple[float, int, Offer, list[Offer]]] = {}
         where = {tuple(t.where for t in found.terms): 1.0}
-        for n, offer, rest in self._may_stand(offers, k, here + math.log(LOOKED_AT)):
-            tried = (offer, self._without_idle_places([*rest, offer], len(rest)))
-            worth = (self.bank.evidences([[*rest, each] for each in tried]) - here).tolist()
+        for n, offer, rest in self._list_substitutes(offers, k, here + math.log(LOOKED_AT)):
+            tried = (offer, self._drop_idle_places_of([*rest, offer], len(rest)))
+            worth = (self.bank.evidence_of_sets([[*rest, each] for each in tried]) - here).tolist()
             odds = max(worth)
             if offer.name == found.name:
                 for each, value in zip(tried, worth, strict=True):
-                    places = tuple(t.where for t in self._terms(n, each))
+                    places = tuple(t.where for t in self._terms_of(n, each))
                     where.setdefault(places, math.exp(min(value, 0.0)))
             elif odds > likeliest.get(offer.name, (-math.inf,))[0]:
                 likeliest[offer.name] = odds, n, tried[int(np.argmax(worth))], rest
-        first = [self._candidate_of_name(n, found.terms) for n in self._alike(found.terms)]
+        first = [self._candidate_of_name(n, found.terms) for n in self._list_aliases(found.terms)]
         mine = [Candidate(found.name, found.terms), *first]
         judged = [(0.0, own, offers[k].log_prior, mine)]
         names = {c.name for c in mine}
         for odds, n, offer, rest in sorted(likeliest.values(), key=lambda r: -r[0]):
             if offer.name in names:
                 continue
-            terms = self._terms(n, offer, self.bank.joint([*rest, offer])[1][-1])
+            terms = self._terms_of(n, offer, self.bank.solve_together([*rest, offer])[1][-1])
             shared = [
                 self._candidate_of_name(each, terms)
-                for each in self._alike(terms)
+                for each in self._list_aliases(terms)
                 if each not in names
             ]
             factor = own + odds - offer.log_prior + offers[k].log_prior
@@ -224,10 +232,10 @@ class OfferedEffects:
             for candidate in alike
         )
         where = dict(sorted(where.items(), key=lambda w: -w[1]))
-        led = found.led_by(dataclasses.replace(leader, loose=found.loose), others)
+        led = found.put_first(dataclasses.replace(leader, loose=found.loose), others)
         return dataclasses.replace(led, where=smallest_set(where))
 
-    def _may_stand(
+    def _list_substitutes(
         self, offers: list[Offer], k: int, least: float
     ) -> Iterator[tuple[int, Offer, list[Offer]]]:
         """Yield the offers that may stand in the place of offer k, with at least a certain log
@@ -239,34 +247,34 @@ class OfferedEffects:
         others = [*offers[:k], *offers[k + 1 :]]
         may, most = [], []
         for n, whole in enumerate(self.bank.offers):
-            named = self.things[n].terms[0].searched and whole.name != offers[k].name
+            named = self.candidates[n].terms[0].searched and whole.name != offers[k].name
             rest = [o for o in others if not named or o.name != whole.name]
             offer = whole.beside(frozenset(key for o in rest for key in o.keys))
             if offer is None:
                 continue
-            places = list(offer.places)
+            places = list(offer.column_numbers)
             paid = np.log1p(self.bank.gram[places, places] * max(offer.sizes) ** 2).sum() / 2
             if len(offer.keys) == 1 or offer.fixed:
                 paid = 0.0
             may.append((n, offer, rest))
             most.append(paid)
-        worth = self.bank.evidences([[*rest, offer] for _, offer, rest in may]) + most
+        worth = self.bank.evidence_of_sets([[*rest, offer] for _, offer, rest in may]) + most
         yield from (may[k] for k in np.flatnonzero(worth >= least).tolist())
 
-    def _worth(self, offers: list[Offer], k: int) -> float:
+    def _bayes_factor(self, offers: list[Offer], k: int) -> float:
         """Return the log Bayes factor of offer k on top of the others."""
         rest = [*offers[:k], *offers[k + 1 :]]
         odds = self.bank.evidence(offers) - self.bank.evidence(rest)
         return odds - offers[k].log_prior + NONE
 
-    def _locate(self, chosen: Sequence[Offer]) -> list[Offer]:
+    def _drop_idle_places(self, chosen: Sequence[Offer]) -> list[Offer]:
         """Return the offers without the places that contribute too little."""
         offers = list(chosen)
         for k in range(len(offers)):
-            offers[k] = self._without_idle_places(offers, k)
+            offers[k] = self._drop_idle_places_of(offers, k)
         return offers
 
-    def _without_idle_places(self, offers: list[Offer], k: int) -> Offer:
+    def _drop_idle_places_of(self, offers: list[Offer], k: int) -> Offer:
         """Return offer k without the places that contribute too little.
 
         Each place costs as much as the choice among all places.  The rest pays for the choice of
@@ -280,7 +288,7 @@ class OfferedEffects:
             fewer = [offer for offer in less if not self.bank.has_a_name(offer)]
             if not fewer:
                 break
-            tried = self.bank.evidences([[*offers[:k], o, *offers[k + 1 :]] for o in fewer])
+            tried = self.bank.evidence_of_sets([[*offers[:k], o, *offers[k + 1 :]] for o in fewer])
             least = int(np.argmax(tried))
             if here - tried[least] >= price:
                 break
@@ -288,11 +296,11 @@ class OfferedEffects:
         choice = math.comb(len(whole.keys), len(offers[k].keys))
         return dataclasses.replace(offers[k], log_prior=whole.log_prior - math.log(choice))
 
-    def _terms(
+    def _terms_of(
         self, number: int, offer: Offer, values: np.ndarray | None = None
     ) -> tuple[Term, ...]:
         """Return the terms of an offer, or of what is left of it, with some coefficients."""
-        held = {t.key: t for t in self.things[number].terms}
+        held = {t.key: t for t in self.candidates[number].terms}
         if values is None:
             return tuple(held[key] for key in offer.keys)  # type: ignore[index]
         terms, start = [], 0
@@ -305,26 +313,30 @@ class OfferedEffects:
             terms.append(term.with_values(dict(zip(names, amount, strict=True))) if names else term)
         return tuple(terms)
 
-    def _alike(self, terms: Sequence[Term]) -> tuple[str, ...]:
+    def _list_aliases(self, terms: Sequence[Term]) -> tuple[str, ...]:
         """Return the names that no measurement distinguishes from that of some terms.
 
         Among them are functions of a joint that stood at few positions, where each takes any
         values.
         """
         name = terms[0].name
-        levels = max(map(self._levels, terms))
-        free = {n for n, k in self._first.items() if self.things[k].terms[0].free_levels >= levels}
+        levels = max(map(self._count_stands, terms))
+        free = {
+            n
+            for n, k in self._first_number.items()
+            if self.candidates[k].terms[0].free_levels >= levels
+        }
         few = free if levels else set()
         return tuple(sorted((self._aliases.get(name, set()) | few) - {name}))
 
-    def _levels(self, term: Term) -> int:
+    def _count_stands(self, term: Term) -> int:
         """Return at how many positions the joints of a term stood; 0 unless it is a free function
         of one."""
         if not term.free_levels:
             return 0
         commanded = self.fitted.model.arm.commanded
         stood = [self.fitted.session.q[:, commanded.index(j)] for j in term.joints]
-        return max((levels_of(q) for q in stood), default=0)
+        return max((count_levels(q) for q in stood), default=0)
 
     def _candidate_of_name(self, name: str, at: Sequence[Term]) -> Candidate:
         """Return an effect of another name at the places of terms, in their forms.
@@ -332,11 +344,11 @@ class OfferedEffects:
         Where it is not on offer there, its first offer is returned.
         """
         there: dict[str, Term] = {}
-        for offer in self.things:
+        for offer in self.candidates:
             for term in offer.terms if offer.name == name else ():
                 there.setdefault(term.where, term)
         if not all(t.where in there for t in at):
-            return self.things[self._first[name]]
+            return self.candidates[self._first_number[name]]
         terms = []
         for mine in at:
             term = there[mine.where]
@@ -345,9 +357,9 @@ class OfferedEffects:
         return Candidate(name, tuple(terms))
 
     @cached_property
-    def _first(self) -> dict[str, int]:
+    def _first_number(self) -> dict[str, int]:
         """The number of the first candidate of every name."""
-        return {c.name: n for n, c in reversed(list(enumerate(self.things)))}
+        return {c.name: n for n, c in reversed(list(enumerate(self.candidates)))}
 
     @cached_property
     def _aliases(self) -> dict[str, set[str]]:
@@ -358,10 +370,12 @@ class OfferedEffects:
         made: dict[str, set[str]] = {}
         arm = self.fitted.model.arm
         read = [arm.commanded[k] for k in self.fitted.session.read_joints]
-        for name, number in self._first.items():
-            term = self.things[number].terms[0]
-            for other in set(term.aliases) & set(self._first):
-                if not tell_apart(arm, read, term, self.things[self._first[other]].terms[0]):
+        for name, number in self._first_number.items():
+            term = self.candidates[number].terms[0]
+            for other in set(term.aliases) & set(self._first_number):
+                if not tell_apart(
+                    arm, read, term, self.candidates[self._first_number[other]].terms[0]
+                ):
                     made.setdefault(name, set()).add(other)
                     made.setdefault(other, set()).add(name)
         return made

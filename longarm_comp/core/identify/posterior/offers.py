@@ -16,17 +16,23 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
-from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
-from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalise
-from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms, list_variants
+from longarm_comp.core.calibration.fit_columns import FitColumns
+from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalise_first
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.model_tolerance import ModelTolerance, background_columns
-from longarm_comp.core.identify.posterior.found import NONE, UNNAMED, FoundEffect, ProposedFunction
+from longarm_comp.core.identify.posterior.found import (
+    NONE,
+    UNNAMED,
+    FoundEffect,
+    ProposedFunction,
+    keys_of,
+)
 from longarm_comp.core.identify.posterior.offer import Offer
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
-from longarm_comp.core.identify.structure import smooth_in
+from longarm_comp.core.identify.structure import smooth_functions
 from longarm_comp.core.model.model import slots_of
 
 AMPLITUDES = (3.0, 30.0, 300.0)
@@ -59,29 +65,29 @@ def make_offers(
     """
     listed = _list_with_prices(fitted.model.arm, library, functions, found)
     if not others:
-        kept = {_variant(f.terms) for f in found}
-        listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
-    raw = _raw(fitted, listed)
-    marginal = FitColumns(fitted).without({t.key for f in found for t in f.terms})
-    beside, sizes = _beside(fitted, library, found, tolerances, near)
+        kept = {list_variants(f.terms) for f in found}
+        listed = [entry for entry in listed if list_variants(entry[0].terms) in kept]
+    raw = _stack_columns(fitted, listed)
+    marginal = FitColumns(fitted).marginal_without(keys_of(found))
+    beside, sizes = _besides_findings(fitted, library, found, tolerances, near)
     columns = np.concatenate([beside, raw.b], axis=1)
     if counts is not None:
         root = np.sqrt(np.repeat(counts[fitted.weights > 0], fitted.width))
         marginal = Marginal(root[:, None] * marginal.a, root * marginal.y)
         columns = root[:, None] * columns
-    gram, along = marginal.normal(columns)
+    gram, along = marginal.project_products(columns)
     own = gram[beside.shape[1] :, beside.shape[1] :]
     moving, plain = _make_offers_that_move(fitted.model.arm, np.diag(own), raw, listed)
     every = OfferBank(plain, own, along[beside.shape[1] :], raw.lower, raw.upper)
     free = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
     moving, plain = [moving[n] for n in free], [plain[n] for n in free]
     things = [listed[n][0] for n in moving]
-    at = {_variant(c.terms): n for n, c in enumerate(things)}
-    known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
+    at = {list_variants(c.terms): n for n, c in enumerate(things)}
+    known = tuple(at[list_variants(f.terms)] for f in found if list_variants(f.terms) in at)
     banks = []
     for tolerance, size in zip(tolerances, sizes, strict=True):
-        evidence, s, t = marginalise(gram, along, size)
-        offers = [_as_stiff(o, c, tolerance) for o, c in zip(plain, things, strict=True)]
+        evidence, s, t = marginalise_first(gram, along, size)
+        offers = [_scale_to_stiffness(o, c, tolerance) for o, c in zip(plain, things, strict=True)]
         bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like, fitted.model.arm.n)
         base = marginal.evidence + evidence + tolerance.log_prior
         banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, tolerance))
@@ -110,9 +116,9 @@ def _list_with_prices(
     for function in functions:
         thing = Candidate(function.terms[0].name, function.terms)
         listed.append((thing, math.log(UNNAMED) + function.log_prior, AMPLITUDES, even))
-    offered_now = {_variant(c.terms) for c, _, _, _ in listed}
+    offered_now = {list_variants(c.terms) for c, _, _, _ in listed}
     for f in found:
-        if _variant(f.terms) not in offered_now:
+        if list_variants(f.terms) not in offered_now:
             prior = share - math.log(forms[f.name]) if f.name in forms else math.log(UNNAMED)
             prior = prior if f.log_prior is None else f.log_prior
             sizes = (AMPLITUDES, even) if f.unnamed and not f.loose else (SIZES, CHANCES)
@@ -120,25 +126,21 @@ def _list_with_prices(
     return listed
 
 
-def _site(candidate: Candidate) -> str:
+def _find_site(candidate: Candidate) -> str:
     """Return where a cause without a name acts; "" for a named one, or one at several places."""
     sites = {"" if t.searched else t.where.partition(",")[0] for t in candidate.terms}
     return sites.pop() if len(sites) == 1 else ""
 
 
-def _as_stiff(offer: Offer, candidate: Candidate, tolerance: ModelTolerance) -> Offer:
+def _scale_to_stiffness(offer: Offer, candidate: Candidate, tolerance: ModelTolerance) -> Offer:
     """Scale the sizes of an elastic offer to what an arm as stiff as this may have."""
     if offer.fixed or not candidate.terms[0].elastic:
         return offer
     return dataclasses.replace(offer, sizes=tuple(tolerance.elastic_share * s for s in offer.sizes))
 
 
-def _variant(terms: Sequence[Term]) -> tuple[object, ...]:
-    return tuple(t.variant for t in terms)
-
-
 def _make_offers_that_move(
-    arm: Arm, squares: np.ndarray, raw: _Raw, listed: Sequence[_Listed]
+    arm: Arm, squares: np.ndarray, raw: _StackedColumns, listed: Sequence[_Listed]
 ) -> tuple[list[int], list[Offer]]:
     """Return the numbers of the candidates that move a row, and their offers.
 
@@ -156,7 +158,7 @@ def _make_offers_that_move(
         if fixed:
             sizes, chances = (1.0,), (0.0,)
         offers.append(
-            Offer(candidate.name, keys, own, prior, sizes, chances, fixed, _site(candidate))
+            Offer(candidate.name, keys, own, prior, sizes, chances, fixed, _find_site(candidate))
         )
         kept.append(n)
     return kept, offers
@@ -175,8 +177,8 @@ def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candid
     listed = [
         (c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,)) for c in each
     ]
-    raw = _raw(fitted, listed)
-    gram, along = marginal.normal(raw.b)
+    raw = _stack_columns(fitted, listed)
+    gram, along = marginal.project_products(raw.b)
     kept, offers = _make_offers_that_move(fitted.model.arm, np.diag(gram), raw, listed)
     made = np.zeros(len(listed))
     made[kept] = OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like).scores
@@ -191,11 +193,11 @@ def tolerance_columns(
 ) -> np.ndarray:
     """Return (m, k) whitened columns of what moves the rows besides the findings, each in its
     size."""
-    made, (sizes,) = _beside(fitted, library, found, [tolerance])
+    made, (sizes,) = _besides_findings(fitted, library, found, [tolerance])
     return (made * sizes)[:, sizes > 0]
 
 
-def _beside(
+def _besides_findings(
     fitted: ModelFit,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
@@ -213,43 +215,45 @@ def _beside(
         (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
     """
     session = fitted.session
-    ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
+    ways = np.concatenate([smooth_functions(q)[:, :2] for q in session.q.T], axis=1)
     ways = ways / math.sqrt(max(ways.shape[1], 1))
     arm = fitted.model.arm
     forms = np.array([tolerance.form for tolerance in tolerances])
     every = np.ones((len(tolerances), 1))
-    usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
+    usual = [t for t in distinct_terms(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made, sizes = [FitColumns(fitted).white(usual)], [every * shares]
+    made, sizes = [FitColumns(fitted).white_columns(usual)], [every * shares]
     if any(tolerance.compliance for tolerance in tolerances):
         little, size = background_columns(FitColumns(near or fitted), library, tolerances)
         made.append(little)
         sizes.append(size)
     held = {t.key: t for t in fitted.model.terms}
     moving = [held[t.key] for f in found for t in f.terms if t.key in held and t.scales()]
-    ends = [e for t in moving for form in np.unique(forms) for e in _ends(t, float(form))]
-    FitColumns(fitted).of([end for pair in ends for end in pair])  # all at once: much faster
+    ends = [e for t in moving for form in np.unique(forms) for e in _scale_ends(t, float(form))]
+    FitColumns(fitted).prior_columns(
+        [end for pair in ends for end in pair]
+    )  # all at once: much faster
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
-            shift = shift_of(fitted, FitColumns(fitted), terms)
+            shift = FitColumns(fitted).shift_by(terms)
             made.append(fitted.whiten_columns(shift[:, :, None] * ways[:, None, :]))
             sizes.append(forms[:, None] * np.ones(ways.shape[1]))
             for term in terms:
                 for form in np.unique(forms).tolist() if term.scales() else ():
-                    made.append(fitted.whiten_columns(_undecided_rows(fitted, term, form)))
+                    made.append(fitted.whiten_columns(_undecided_row_columns(fitted, term, form)))
                     sizes.append((forms == form)[:, None] * np.ones(made[-1].shape[1]))
     return np.concatenate(made, axis=1), np.concatenate(sizes, axis=1)
 
 
-def _undecided_rows(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
+def _undecided_row_columns(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
     """Return (N, d, k) columns of single rows that a form's tolerance changes by more than its
     share."""
     columns = FitColumns(fitted)
-    largest = np.abs(shift_of(fitted, columns, [term])).max()
+    largest = np.abs(columns.shift_by([term])).max()
     made = []
-    for up, down in _ends(term, tolerance):
-        change = (shift_of(fitted, columns, [up]) - shift_of(fitted, columns, [down])) / 2
+    for up, down in _scale_ends(term, tolerance):
+        change = (columns.shift_by([up]) - columns.shift_by([down])) / 2
         rows = np.flatnonzero(np.abs(change).max(axis=1) > tolerance * largest)
         alone = np.zeros((*change.shape, len(rows)))
         alone[rows, :, np.arange(len(rows))] = change[rows]
@@ -257,7 +261,7 @@ def _undecided_rows(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarra
     return np.concatenate(made, axis=-1)
 
 
-def _ends(term: Term, tolerance: float) -> list[tuple[Term, Term]]:
+def _scale_ends(term: Term, tolerance: float) -> list[tuple[Term, Term]]:
     """Return a term with each of its scales larger, and smaller, by a relative tolerance.
 
     Scales stay within their limits.
@@ -271,7 +275,7 @@ def _ends(term: Term, tolerance: float) -> list[tuple[Term, Term]]:
     return made
 
 
-class _Raw(NamedTuple):
+class _StackedColumns(NamedTuple):
     """Columns of all terms on offer side by side.
 
     Attributes:
@@ -290,7 +294,11 @@ class _Raw(NamedTuple):
     like: np.ndarray
 
 
-def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
+def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColumns:
+    """Stack the columns of the listed candidates' terms, each variant once.
+
+    First come the columns of parameters, then one column, the shift, of each term without any.
+    """
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     slots = slots_of(fitted.model.arm, terms)
     of_term: dict[int, list[int]] = {}
@@ -298,10 +306,10 @@ def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
         of_term.setdefault(slot.term, []).append(k)
     where = {terms[t].variant: tuple(own) for t, own in of_term.items()}
     columns = FitColumns(fitted)
-    widths = priors(slots)
+    widths = prior_widths(slots)
     whole = [term for t, term in enumerate(terms) if t not in of_term]
     where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}
-    shifts = [fitted.whiten_columns(columns.shift([term])[..., None]) for term in whole]
+    shifts = [fitted.whiten_columns(columns.shift_by([term])[..., None]) for term in whole]
     most = np.array([INCREDIBLE if s.owner.searched else np.inf for s in slots])
     free = np.full(len(whole), np.inf)
     first: dict[object, int] = {}
@@ -309,11 +317,13 @@ def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
         first.setdefault((*s.owner.variant, s.parameter.like) if s.parameter.like else k, k)
         for k, s in enumerate(slots)
     ]
-    return _Raw(
-        np.concatenate([columns.white([terms[t] for t in of_term]), *shifts], axis=1),
-        where,
-        np.concatenate([np.maximum([s.parameter.lower for s in slots] / widths, -most), -free]),
-        np.concatenate([np.minimum([s.parameter.upper for s in slots] / widths, most), free]),
-        np.concatenate([widths, np.ones(len(whole))]),
-        np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
+    return _StackedColumns(
+        b=np.concatenate([columns.white_columns([terms[t] for t in of_term]), *shifts], axis=1),
+        where=where,
+        lower=np.concatenate(
+            [np.maximum([s.parameter.lower for s in slots] / widths, -most), -free]
+        ),
+        upper=np.concatenate([np.minimum([s.parameter.upper for s in slots] / widths, most), free]),
+        widths=np.concatenate([widths, np.ones(len(whole))]),
+        like=np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
     )

@@ -19,15 +19,15 @@ from longarm_comp.core.effects.shapes import Function, Shape, Threshold, Wave
 from longarm_comp.core.identify.discover.bank import (
     CAMERA,
     SHORTLIST,
-    Bank,
+    FunctionBank,
     FunctionCandidate,
-    banks,
-    marginal_of,
-    term_of,
+    make_banks,
+    make_term,
+    marginalise_columns,
 )
-from longarm_comp.core.identify.discover.functions import DENSE, nearby
+from longarm_comp.core.identify.discover.functions import DENSE, vary_shape
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction
+from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, keys_of
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
 
 REFINED = 4
@@ -54,33 +54,39 @@ def propose_functions(
         library, tolerance: what may move the rows besides.
     """
     gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found if not f.terms[0].elastic)]
-    marginals = [_without(fit, found, some, library, tolerance) for some in gone]
+    marginals = [_marginalise_without(fit, found, some, library, tolerance) for some in gone]
     ranked: list[list[_Ranked]] = [[] for _ in gone]
-    for bank in banks(fit):
-        looked = bank.shortlist(_columns_beside(fit, found), [left for _, left in marginals])
+    for bank in make_banks(fit):
+        looked = bank.shortlist_candidates(
+            _mask_other_columns(fit, found), [left for _, left in marginals]
+        )
         for (marginal, _), kinds, mine in zip(marginals, looked, ranked, strict=True):
-            mine += _of_bank(bank, marginal, kinds)
+            mine += _rank_bank(bank, marginal, kinds)
     few = SHORTLIST // 2 if found else SHORTLIST
-    offered: dict[FunctionCandidate, Bank] = {}
+    offered: dict[FunctionCandidate, FunctionBank] = {}
     for mine in ranked:
         better = sorted((one for one in mine if one.worth > 0), key=lambda one: -one.worth)
         offered |= {one.candidate: one.bank for one in better[:few]}
         offered |= {one.candidate: one.bank for one in better if one.first}
         few = SHORTLIST // (2 * max(len(gone) - 1, 1))  # of what may take the place of each
-    return tuple(_propose(bank, h) for h, bank in offered.items())
+    return tuple(_make_proposed(bank, h) for h, bank in offered.items())
 
 
-def _without(
+def _marginalise_without(
     fit: ModelFit,
     found: Sequence[FoundEffect],
     gone: Sequence[FoundEffect],
     library: Sequence[Candidate],
     tolerance: ModelTolerance,
 ) -> tuple[Marginal, np.ndarray]:
-    """Return `marginal_of` a fit without some effects, with what may move the rows besides."""
+    """Marginalise the columns of a fit without some effects, and what may move the rows besides.
+
+    Returns:
+        As `marginalise_columns`.
+    """
     rest = [f for f in found if f not in gone]
     besides = tolerance_columns(dataclasses.replace(fit, rho=0.0), library, rest, tolerance)
-    return marginal_of(fit, _columns_beside(fit, gone), besides)
+    return marginalise_columns(fit, _mask_other_columns(fit, gone), besides)
 
 
 class _Ranked(NamedTuple):
@@ -88,39 +94,41 @@ class _Ranked(NamedTuple):
 
     worth: float
     candidate: FunctionCandidate
-    bank: Bank
+    bank: FunctionBank
     first: bool = False
 
 
-def _of_bank(
-    bank: Bank, marginal: Marginal, kinds: Sequence[Sequence[FunctionCandidate]]
+def _rank_bank(
+    bank: FunctionBank, marginal: Marginal, kinds: Sequence[Sequence[FunctionCandidate]]
 ) -> list[_Ranked]:
     """Return the best candidates of a bank on top of a marginal, also with other thresholds."""
     made, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
     for some in kinds:
-        weighed = _rank_by_odds(bank, marginal, [h for h in some if not _geometric(h)])[:each]
+        weighed = _rank_by_odds(bank, marginal, [h for h in some if not _is_constant_shift(h)])[
+            :each
+        ]
         made += [_Ranked(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed)]
     made.sort(key=lambda one: -one.worth)
     best = [(one.worth, one.candidate) for one in made[:REFINED]]
-    refined = (_Ranked(worth, h, bank) for worth, h in _refine(bank, marginal, best))
+    refined = (_Ranked(worth, h, bank) for worth, h in _refine_shapes(bank, marginal, best))
     return [*made, *refined]
 
 
-def _columns_beside(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
+def _mask_other_columns(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
     """Return a mask (p,) of the columns of a fit that do not belong to some effects."""
-    of = {t.key for f in found for t in f.terms}
+    of = keys_of(found)
     return np.array([s.owner.key not in of for s in fit.slots], dtype=bool)
 
 
 def _rank_by_odds(
-    bank: Bank, marginal: Marginal, few: Sequence[FunctionCandidate]
+    bank: FunctionBank, marginal: Marginal, few: Sequence[FunctionCandidate]
 ) -> list[tuple[float, FunctionCandidate]]:
     """Return the log odds of each candidate with it, the best first."""
-    worth = bank.evidences(marginal, few).tolist()
+    worth = bank.log_odds_of(marginal, few).tolist()
     return sorted(zip(worth, few, strict=True), key=lambda each: -each[0])
 
 
-def _geometric(candidate: FunctionCandidate) -> bool:
+def _is_constant_shift(candidate: FunctionCandidate) -> bool:
     """Tell whether it is a constant displacement, which is an error of geometry or placement."""
     still = all(not function.factors for _, function in candidate.members)
     rigid = (isinstance(COMPONENTS.get(p.component), (Move, Turn)) for p, _ in candidate.members)
@@ -128,41 +136,46 @@ def _geometric(candidate: FunctionCandidate) -> bool:
     return still and all(a or b for a, b in zip(rigid, seen, strict=True))
 
 
-def _propose(bank: Bank, candidate: FunctionCandidate) -> ProposedFunction:
+def _make_proposed(bank: FunctionBank, candidate: FunctionCandidate) -> ProposedFunction:
     """Return the terms of a candidate, with its log prior.
 
     One prior standard deviation of each moves the rows by one noise, rms, times its decay.
     """
-    scales = np.array(candidate.decay) / bank.sizes(candidate)
+    scales = np.array(candidate.decay) / bank.unit_shifts(candidate)
     terms = tuple(
-        term_of(place, f.text, f.domain, float(scale))
+        make_term(place, f.text, f.domain, float(scale))
         for (place, f), scale in zip(candidate.members, scales, strict=True)
     )
     return ProposedFunction(terms, candidate.log_prior)
 
 
-def _refine(
-    bank: Bank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
+def _refine_shapes(
+    bank: FunctionBank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
 ) -> Iterator[tuple[float, FunctionCandidate]]:
     """Yield each candidate with better thresholds or frequencies, sought closer and closer to the
     best."""
     for best in first:
         prior = best[1].log_prior - math.log(REFINED)
         for width in (1.0, 2.0 / (DENSE - 1)):  # then between the neighbours of the best
-            tried = (dataclasses.replace(h, log_prior=prior) for h in _around(bank, best[1], width))
+            tried = (
+                dataclasses.replace(h, log_prior=prior)
+                for h in _vary_candidate(bank, best[1], width)
+            )
             best = max(
                 (best, *_rank_by_odds(bank, marginal, list(tried))), key=lambda each: each[0]
             )
         yield best
 
 
-def _around(bank: Bank, candidate: FunctionCandidate, width: float) -> Iterator[FunctionCandidate]:
+def _vary_candidate(
+    bank: FunctionBank, candidate: FunctionCandidate, width: float
+) -> Iterator[FunctionCandidate]:
     """Yield the candidate with thresholds or frequencies near its own."""
     factors = dict.fromkeys(f for _, function in candidate.members for f in function.factors)
     bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
     if len(bent) == 1 or all(isinstance(f, Wave) for f in bent):
         by_name = bank.functions.inputs.by_name
-        for moved in zip(*(nearby(f, by_name[f.of], width) for f in bent), strict=True):
+        for moved in zip(*(vary_shape(f, by_name[f.of], width) for f in bent), strict=True):
             other: dict[Shape, Shape] = dict(zip(bent, moved, strict=True))
             members = tuple(
                 (place, Function(tuple(other.get(f, f) for f in function.factors)))

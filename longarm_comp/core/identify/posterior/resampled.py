@@ -16,12 +16,12 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
-from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.holdout import resample
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, Rival
+from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, Rival, keys_of
 from longarm_comp.core.identify.posterior.offers import make_offers
 
 SAMPLES = 12
@@ -92,22 +92,22 @@ class Resampling:
             if other is None:
                 continue
             if n >= SAMPLES and linear is not None and other.name in found.credible:
-                other = replace(linear, there=other.there)
-            there += other.there / len(samples)
+                other = replace(linear, presence=other.presence)
+            there += other.presence / len(samples)
             theirs = {other.name: Candidate(other.name, other.terms)}
             theirs |= {r.name: r.candidate for r in other.rivals}
             likely = {name: p * fitted.get(name, 1.0) for name, p in other.names.items()}
             for name, chance in likely.items():
-                share = other.there * chance / sum(likely.values())
+                share = other.presence * chance / sum(likely.values())
                 chances[name] = chances.get(name, 0.0) + share / len(samples)
                 rivals.setdefault(name, Rival(theirs[name], found.log_bayes_factor, 0.0))
         total = sum(chances.values())
         if not total:
-            return replace(found, there=0.0)
+            return replace(found, presence=0.0)
         others = [replace(r, probability=chances[n] / total) for n, r in rivals.items()]
         return replace(
             found,
-            there=min(there, found.there),
+            presence=min(there, found.presence),
             chance=chances[found.name] / total,
             rivals=tuple(
                 sorted((r for r in others if r.name != found.name), key=lambda r: -r.probability)
@@ -123,23 +123,22 @@ class Resampling:
         another finds at all.
         """
         mine = self._shift(found.terms)
-        shares = {e: _correlation(mine, self._shift(e.terms)) ** 2 for e in effects}
+        shares = {e: _correlate(mine, self._shift(e.terms)) ** 2 for e in effects}
         namesakes = [e for e in effects if found.name in e.credible]
         each = [self._shift((t,)) for e in namesakes for t in e.terms]
         if each and _explained_share(mine, np.stack(each, axis=1)) >= SAME_ROLE:
-            missing = math.prod(1.0 - e.there for e in namesakes)
-            return replace(max(namesakes, key=shares.__getitem__), there=1.0 - missing)
+            missing = math.prod(1.0 - e.presence for e in namesakes)
+            return replace(max(namesakes, key=shares.__getitem__), presence=1.0 - missing)
         alike = [e for e, share in shares.items() if share >= SAME_ROLE]
         return max(alike, key=shares.__getitem__, default=None)
 
     @cached_property
     def _geometry(self) -> Marginal:
-        places = {t.key for f in self.found for t in f.terms}
-        return FitColumns(self.fit).without(places)
+        return FitColumns(self.fit).marginal_without(keys_of(self.found))
 
     def _shift(self, terms: Sequence[Term]) -> np.ndarray:
         """Return the (m,) shift of the rows by terms beyond the geometry, in units of the noise."""
-        shift = shift_of(self.fit, FitColumns(self.fit), terms)
+        shift = FitColumns(self.fit).shift_by(terms)
         return self._geometry.project(self.fit.whiten_columns(shift[..., None]))[:, 0]
 
 
@@ -149,5 +148,5 @@ def _explained_share(y: np.ndarray, columns: np.ndarray) -> float:
     return 1.0 - float(left @ left / max(y @ y, 1e-300))
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+def _correlate(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))

@@ -14,39 +14,31 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.model_tolerance import (
-    FORMS,
-    TOLERANCES,
-    ModelTolerance,
-)
+from longarm_comp.core.identify.model_tolerance import FORMS, TOLERANCES, ModelTolerance
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.explained import (
     NEAR,
     ExplainedSession,
     judge_noise_and_fit,
-    loosen,
-    put_in,
+    put_found,
+    widen_prior,
 )
-from longarm_comp.core.identify.posterior.forms import agreement, better_forms
-from longarm_comp.core.identify.posterior.found import (
-    NONE,
-    FoundEffect,
-    ProposedFunction,
-)
+from longarm_comp.core.identify.posterior.forms import find_better_forms, measure_agreement
+from longarm_comp.core.identify.posterior.found import NONE, FoundEffect, ProposedFunction
 from longarm_comp.core.identify.posterior.offered_effects import (
     IMPOSSIBLE,
-    Explained,
     OfferedEffects,
+    PosteriorResult,
 )
 from longarm_comp.core.identify.posterior.offers import make_offers
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
-from longarm_comp.core.identify.step_scan import scan
+from longarm_comp.core.identify.step_scan import scan_steps
 from longarm_comp.core.model.model import Model
 
 ROUNDS = 8
@@ -55,7 +47,20 @@ ROUNDS = 8
 
 @dataclass
 class ExplanationSearch:
-    """A search, which goes from explanation to explanation, each better than the one before."""
+    """A search, which goes from explanation to explanation, each better than the one before.
+
+    An explanation is the set of effects that are in the model besides the geometry.
+
+    Attributes:
+        base: the declared model with its geometry terms, into which found effects are put.
+        session: the rows that are explained.
+        candidates: the library; steps that the residual shows are added and taken out.
+        known: the noise by repeats; None where there are too few.
+        stepped: effects whose steps are scanned (`step_scan.py`).
+        say: called with what was found, in words.
+        functions: functions without a name that are on offer.
+        nameless: whether an arm of which every part is soft may be an explanation.
+    """
 
     base: Model
     session: Session
@@ -66,12 +71,22 @@ class ExplanationSearch:
     functions: tuple[ProposedFunction, ...] = ()
     nameless: bool = False
 
-    def repeat(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
-        """Explain and fit while that is better; with `functions`, propose new ones each time."""
+    def repeat_until_best(
+        self, state: ExplainedSession, functions: bool = False
+    ) -> ExplainedSession:
+        """Explain and fit in turn, as long as the fitted explanation is better than before.
+
+        Args:
+            state: the explained session to begin with.
+            functions: whether functions without a name are proposed anew in each round.
+
+        Returns:
+            The best explained session, which is `state` itself where none is better.
+        """
         for _ in range(ROUNDS):
-            self._scan(state)
+            self._scan_steps(state)
             if functions:
-                tolerance = self.standing(state.fit, state.found)[1]
+                tolerance = self.weigh_tolerances(state.fit, state.found)[1]
                 self.functions = propose_functions(
                     state.fit, state.found, self.candidates, tolerance
                 )
@@ -80,11 +95,11 @@ class ExplanationSearch:
                 break
             for f in explained.found:
                 self.say(Candidate(f.name, f.terms).label)
-            taken = self.fit_with(state, tuple(map(loosen, explained.found)))
+            taken = self.fit_with(state, tuple(map(widen_prior, explained.found)))
             if taken is None:
                 break
             taken = self._move_forms(taken)
-            if not self._rose(state, taken):
+            if not self._is_better(state, taken):
                 break
             state = taken
         return state
@@ -92,8 +107,16 @@ class ExplanationSearch:
     def fit_with(
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
-        """Fit the model with these effects; None where the fit diverges."""
-        model = put_in(self.base, state.fit.model, found)
+        """Fit the base model with some effects in the place of those of a state.
+
+        Args:
+            state: gives the values to begin with, and the columns by which noise is judged.
+            found: the effects.
+
+        Returns:
+            The explained session; None where the fit diverges.
+        """
+        model = put_found(self.base, state.fit.model, found)
         try:
             return judge_noise_and_fit(
                 model, self.session, self.candidates, found, state, known=self.known
@@ -101,33 +124,47 @@ class ExplanationSearch:
         except JobError:
             return None
 
-    def odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
+    def compare_odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
         """Return the log odds of `other` against `one`: the mean of those at the noise of
         either."""
         made = []
-        for judged in (one.fit.judged, other.fit.judged):
-            fits = (fit(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other))
+        for judged in (one.fit.noise_arguments, other.fit.noise_arguments):
+            fits = (
+                fit_model(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other)
+            )
             mine, theirs = (
-                self.evidence(f, e.found) for f, e in zip(fits, (one, other), strict=True)
+                self.evidence_of_all(f, e.found) for f, e in zip(fits, (one, other), strict=True)
             )
             made.append(theirs - mine)
         return sum(made) / len(made)
 
-    def standing(
+    def weigh_tolerances(
         self, fitted: ModelFit, found: Sequence[FoundEffect]
     ) -> tuple[float, ModelTolerance]:
-        """Return the log evidence of an explanation at its best tolerance, and that tolerance."""
-        every = self.offer_by_tolerance(fitted, found, others=False)
-        return max((bank.pruned, bank.tolerance) for bank in every)
+        """Find the model tolerance at which an explanation has the highest evidence.
 
-    def evidence(self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit) -> float:
+        Effects, and places of them, that are not worth their price do not count.
+
+        Args:
+            fitted: the fit that holds the effects.
+            found: the effects.
+
+        Returns:
+            That log evidence, and the tolerance.
+        """
+        every = self.offer_by_tolerance(fitted, found, others=False)
+        return max((bank.evidence_pruned, bank.tolerance) for bank in every)
+
+    def evidence_of_all(
+        self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit
+    ) -> float:
         """Return the log evidence of all effects of an explanation in the model.
 
         None of them is dropped: the columns tell little about the arm without an effect that is
         large.
         """
         every = self.offer_by_tolerance(fitted, found, others=False, **near)
-        return max(bank.standing for bank in every)
+        return max(bank.evidence_of_known for bank in every)
 
     def other_compliance(self, state: ExplainedSession) -> float:
         """Return how much every other part yields (`ModelTolerance.compliance`), once the names are
@@ -137,7 +174,7 @@ class ExplanationSearch:
         """
         soft = any(t.elastic for f in state.found for t in f.terms)
         every = self.offer_by_tolerance(state.fit, state.found, others=False)
-        best = max(every, key=lambda b: b.pruned - b.tolerance.log_prior * soft)
+        best = max(every, key=lambda b: b.evidence_pruned - b.tolerance.log_prior * soft)
         return best.tolerance.compliance
 
     def evidence_refitted(
@@ -155,13 +192,15 @@ class ExplanationSearch:
         if len(set(places)) < len(places):
             return -math.inf
         try:
-            model = put_in(self.base, state.fit.model, found)
-            begun = fit(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
+            model = put_found(self.base, state.fit.model, found)
+            begun = fit_model(
+                model, self.session, close=NEAR, near=state.fit, **state.fit.noise_arguments
+            )
         except JobError:
             return -math.inf
         if best_places:
-            return self.standing(begun, found)[0]
-        return self.evidence(begun, found, near=state.fit)
+            return self.weigh_tolerances(begun, found)[0]
+        return self.evidence_of_all(begun, found, near=state.fit)
 
     def offer_by_tolerance(
         self,
@@ -177,31 +216,31 @@ class ExplanationSearch:
         tried = [
             tolerance
             for tolerance in TOLERANCES
-            if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.soft)
+            if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.is_soft)
         ]
         return make_offers(
             fitted, self.candidates, self.functions, found, tried, others=others, near=near
         )
 
-    def _explain_better(self, state: ExplainedSession) -> Explained | None:
+    def _explain_better(self, state: ExplainedSession) -> PosteriorResult | None:
         """Return the best explanation by any tolerance, or None if the present one is as good.
 
         The likeliest tolerance is tried first.  Those by which the best explanation is impossible
         are not tried.
         """
         left = self.offer_by_tolerance(state.fit, state.found)
-        first = max(left, key=lambda bank: bank.standing)
+        first = max(left, key=lambda bank: bank.evidence_of_known)
         left.remove(first)
-        best = first.explain()
+        best = first.find_best()
         while left:
             likeliest = max(left, key=lambda bank: bank.evidence_of(best))
             if likeliest.evidence_of(best) < best.evidence + math.log(IMPOSSIBLE):
                 break
             left.remove(likeliest)
-            best = max(best, likeliest.explain(best.effects), key=lambda e: e.evidence)
-        return best if best.evidence >= first.standing + BETTER else None
+            best = max(best, likeliest.find_best(best.effects), key=lambda e: e.evidence)
+        return best if best.evidence >= first.evidence_of_known + BETTER else None
 
-    def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:
+    def _is_better(self, before: ExplainedSession, now: ExplainedSession) -> bool:
         """Tell whether the explanation in the model, once fitted, is better than the one before.
 
         The columns are those of small changes. Where two effects need each other, as a load needs a
@@ -210,14 +249,14 @@ class ExplanationSearch:
         same one with more effects.
         """
         was = before.fit
-        again = fit(was.model, self.session, close=NEAR, begun=was, **now.fit.judged)
-        least = self.evidence(again, before.found, near=now.fit) + BETTER
-        return self.evidence(now.fit, now.found) > least
+        again = fit_model(was.model, self.session, close=NEAR, begun=was, **now.fit.noise_arguments)
+        least = self.evidence_of_all(again, before.found, near=now.fit) + BETTER
+        return self.evidence_of_all(now.fit, now.found) > least
 
-    def _scan(self, state: ExplainedSession) -> None:
+    def _scan_steps(self, state: ExplainedSession) -> None:
         """Replace the scanned candidates by the steps that the residual shows now."""
         need = NONE + math.log(max(len(self.candidates), 1))
-        shown = [c for kind in self.stepped for c in scan(state.fit, kind, need)]
+        shown = [c for kind in self.stepped for c in scan_steps(state.fit, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
 
     def _move_forms(self, state: ExplainedSession) -> ExplainedSession:
@@ -226,7 +265,7 @@ class ExplanationSearch:
         A form that stays is not looked at again.
         """
         terms = [t for f in state.found for t in f.terms]
-        while moved := better_forms(state.fit, terms, self.candidates):
+        while moved := find_better_forms(state.fit, terms, self.candidates):
             terms = list(moved.values())
             for term in moved.values():
                 self.say(Candidate(term.name, (term,)).label)
@@ -234,8 +273,8 @@ class ExplanationSearch:
                 replace(f, terms=tuple(moved.get(t.key, t) for t in f.terms)) for f in state.found
             )
             taken = self.fit_with(state, found)
-            before = agreement(state.fit, state.fit.residual)
-            if taken is None or agreement(state.fit, taken.fit.residual) < before + BETTER:
+            before = measure_agreement(state.fit, state.fit.residual)
+            if taken is None or measure_agreement(state.fit, taken.fit.residual) < before + BETTER:
                 break
             state = taken
         return state

@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_prior_mass, root_of
+from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_prior_mass, prior_root
 from longarm_comp.core.identify.model_tolerance import FORMS
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
-from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
+from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.offer_table import OfferTable, Products
 
 
@@ -92,20 +92,20 @@ class OfferBank:
         Then it is that effect, described in another way. Two are the same within the middle one of
         `FORMS`, because no form of a real joint is known better.
         """
-        if not offer.site or len(offer.places) > 1:
+        if not offer.site or len(offer.column_numbers) > 1:
             return False
-        (k,) = offer.places
+        (k,) = offer.column_numbers
         squares = np.diag(self.gram)
-        product = squares[k] * squares[self._named] * (1.0 - FORMS[1] ** 2)
-        return bool((self.gram[k, self._named] ** 2 > np.maximum(product, 0.0)).any())
+        product = squares[k] * squares[self._named_columns] * (1.0 - FORMS[1] ** 2)
+        return bool((self.gram[k, self._named_columns] ** 2 > np.maximum(product, 0.0)).any())
 
     @cached_property
-    def _named(self) -> np.ndarray:
+    def _named_columns(self) -> np.ndarray:
         """Columns of named effects that have a single column."""
-        alone = (o.places for o in self.offers if not o.site and len(o.places) == 1)
+        alone = (o.column_numbers for o in self.offers if not o.site and len(o.column_numbers) == 1)
         return np.array([k for (k,) in alone], dtype=int)
 
-    def single(self, along: np.ndarray, others: Others) -> SingleEffect:
+    def compute_single_effect(self, along: np.ndarray, others: OtherEffects) -> SingleEffect:
         """Compute the effect that explains what the others leave.
 
         Args:
@@ -117,7 +117,7 @@ class OfferBank:
         for tables in (self._tables, beside.tables):
             scores[beside.taken] = -np.inf
             for table in tables:
-                scores[table.numbers], each = table.score(along)
+                scores[table.numbers], each = table.score_offers(along)
                 found.append(each)
         scores[list(others.shut)] = -np.inf
         for name in others.names:
@@ -131,7 +131,9 @@ class OfferBank:
         untouched[beside.taken] = 0.0
         shares = [untouched] * len(self._tables) + [q] * len(beside.tables)
         every = zip([*self._tables, *beside.tables], found, shares, strict=True)
-        mean = sum(table.mean(each, share[table.numbers]) for table, each, share in every)
+        mean = sum(
+            table.mean_coefficients(each, share[table.numbers]) for table, each, share in every
+        )
         return SingleEffect(self.offers, q, np.asarray(mean), beside.left)
 
     def _beside_places(self, held: frozenset[Hashable]) -> _Beside:
@@ -148,17 +150,17 @@ class OfferBank:
         """(C,) log odds of every offer alone against none."""
         made = np.full(len(self.offers), -np.inf)
         for table in self._tables:
-            made[table.numbers] = table.score(self.along)[0]
+            made[table.numbers] = table.score_offers(self.along)[0]
         return made
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
         """Return the log evidence of some offers together, each with its prior odds against
         none."""
-        return float(self.evidences([chosen])[0])
+        return float(self.evidence_of_sets([chosen])[0])
 
-    def evidences(self, sets: Sequence[Sequence[Offer]]) -> np.ndarray:
+    def evidence_of_sets(self, sets: Sequence[Sequence[Offer]]) -> np.ndarray:
         """Return the (C,) `evidence` of many sets of offers at once, which is much faster."""
-        return self._joint(sets)[0]
+        return self._solve_sets(sets)[0]
 
     def worth_their_price(self, chosen: Sequence[Offer]) -> list[int]:
         """Return the numbers of the offers that are worth their price.
@@ -169,30 +171,30 @@ class OfferBank:
         kept, best = list(range(len(chosen))), self.evidence(chosen)
         while kept:
             fewer = [[n for n in kept if n != gone] for gone in kept]
-            worth = self.evidences([[chosen[n] for n in some] for some in fewer])
+            worth = self.evidence_of_sets([[chosen[n] for n in some] for some in fewer])
             if worth.max() < best:
                 break
             kept, best = fewer[int(np.argmax(worth))], float(worth.max())
         return kept
 
-    def joint(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
+    def solve_together(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
         """Return `evidence`, and the coefficients of each offer at the posterior mode."""
-        total, (mean,) = self._joint([chosen])
-        free = [0 if offer.fixed else len(offer.places) for offer in chosen]
+        total, (mean,) = self._solve_sets([chosen])
+        free = [0 if offer.fixed else len(offer.column_numbers) for offer in chosen]
         parts = np.split(mean, np.cumsum(free, dtype=int))
-        fixed = (np.ones(len(offer.places)) for offer in chosen)
+        fixed = (np.ones(len(offer.column_numbers)) for offer in chosen)
         return float(total[0]), [
             part if count else ones for part, count, ones in zip(parts, free, fixed, strict=False)
         ]
 
-    def _alike(self, chosen: Sequence[Offer]) -> float:
+    def _odds_of_likes(self, chosen: Sequence[Offer]) -> float:
         """Return the log odds that offers gain beside others of their name or of their cause."""
         sites = [offer.site for offer in chosen if offer.site]
         together = len(sites) - len(set(sites))
         again = len(chosen) - len({offer.name for offer in chosen}) - together
         return self.again * again + self.together * together
 
-    def _joint(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _solve_sets(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the (C,) evidence of sets of offers, and the free coefficients of each, offer by
         offer."""
         totals, means = np.zeros(len(sets)), [np.zeros(0) for _ in sets]
@@ -201,29 +203,29 @@ class OfferBank:
         along = self.along[None].repeat(len(sets), axis=0)
         for n, chosen in enumerate(sets):
             totals[n] = sum(offer.log_prior - NONE for offer in chosen)
-            totals[n] += self._alike(chosen)
-            whole = [k for offer in chosen if offer.fixed for k in offer.places]
+            totals[n] += self._odds_of_likes(chosen)
+            whole = [k for offer in chosen if offer.fixed for k in offer.column_numbers]
             if whole:
                 shared = self.gram[whole].sum(0)
                 totals[n] += along[n, whole].sum() - 0.5 * shared[whole].sum()
                 along[n] -= shared
             if free[n]:
-                size = sum(len(offer.places) for offer in free[n]), len(free[n][0].sizes)
+                size = sum(len(offer.column_numbers) for offer in free[n]), len(free[n][0].sizes)
                 alike.setdefault(size, []).append(n)
         for ns in alike.values():
-            places = np.array([[k for o in free[n] for k in o.places] for n in ns])
-            sizes = np.array([[o.sizes for o in free[n] for _ in o.places] for n in ns])
-            chances = np.array([[o.chances for o in free[n] for _ in o.places] for n in ns])
+            places = np.array([[k for o in free[n] for k in o.column_numbers] for n in ns])
+            sizes = np.array([[o.sizes for o in free[n] for _ in o.column_numbers] for n in ns])
+            chances = np.array([[o.chances for o in free[n] for _ in o.column_numbers] for n in ns])
             s = self.gram[places[:, :, None], places[:, None, :]]
             t = np.take_along_axis(along[ns], places, axis=1)
             lower, upper, like = self.lower[places], self.upper[places], self.like[places]
-            root, found = root_of(like), []
+            root, found = prior_root(like), []
             # Sizes are chosen at the coefficients that the smallest, or the largest, would give:
             # where the data hardly tell two apart, the largest lets them grow against each other.
             for begun in (sizes.min(-1), sizes.max(-1)):
-                first = _solve_joint(s, t, begun[..., None] * root)[0]
+                first = _solve_coefficients(s, t, begun[..., None] * root)[0]
                 scale, chance = choose_sizes(first, sizes, chances, like)
-                mean, sd, factor = _solve_joint(s, t, scale[..., None] * root)
+                mean, sd, factor = _solve_coefficients(s, t, scale[..., None] * root)
                 inside = log_mass((lower - mean) / sd, (upper - mean) / sd).sum(-1)
                 inside = inside - log_prior_mass(lower / scale, upper / scale, like)
                 found.append((factor + chance + inside, mean))
@@ -235,7 +237,7 @@ class OfferBank:
         return totals, means
 
 
-def _solve_joint(
+def _solve_coefficients(
     s: np.ndarray, t: np.ndarray, root: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return mean, standard deviation and log evidence of coefficients ``root w``, w unit
