@@ -159,6 +159,11 @@ class UnfinishedMove(JointTerm):
         """
         return [tuple(cls(joint=row) for row in cls.rows(arm))]
 
+    def price(self, arm: Arm) -> float:
+        """Its part of what the choice among single joints and all costs an effect that has it."""
+        count = len(self.rows(arm))
+        return super().price(arm) + math.log(count + 1) / count
+
     @property
     def inputs(self) -> tuple[str, ...]:
         return ("last_way",)
