@@ -93,7 +93,9 @@ _OURS: tuple[Kind, ...] = (
 )
 BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}
 """The effects of this package, in the order of listing and search."""
-LIBRARY: tuple[Kind, ...] = tuple(k for k in _OURS if k.searched and not k.geometry)
+LIBRARY: tuple[Kind, ...] = tuple(
+    k for k in _OURS if k.searched and not k.geometry and not k.on_request
+)
 """The effects of this package that a diagnosis tries; used by studies and benchmarks."""
 
 _STORED = (int, float, str, "int", "float", "str")
@@ -108,8 +110,9 @@ def registered() -> dict[str, Kind]:
 
 
 def searched_effects() -> tuple[Kind, ...]:
-    """Return the effects that a diagnosis tries."""
-    return tuple(k for k in registered().values() if k.searched and not k.geometry)
+    """Return the effects that a diagnosis tries unasked."""
+    every = registered().values()
+    return tuple(k for k in every if k.searched and not k.geometry and not k.on_request)
 
 
 def possible_compliances(arm: Arm, held: Container[tuple[str, str]]) -> tuple[Effect, ...]:

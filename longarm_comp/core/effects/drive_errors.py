@@ -147,16 +147,13 @@ class UnfinishedMove(JointTerm):
     action = "Wait longer before measuring; raise the servo's gains."
     actions: ClassVar = {"hydraulic": "Wait longer before measuring; check pump, valve and air."}
     needs = ("approach",)
+    on_request = True  # with it the palletiser's, UR5's and UR10's rows held out err more
 
     share: float = parameter("1", "share of the last way that is left", prior=3e-3, lower=0.0)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """All joints together: whoever does not wait long enough waits as long for every joint.
-
-        Single joints explain a few poses of other causes: with them the palletiser's, UR5's and
-        UR10's rows held out err 4 to 90 % more.
-        """
+        """All joints together: whoever does not wait long enough waits as long for every joint."""
         return [tuple(cls(joint=row) for row in cls.rows(arm))]
 
     def price(self, arm: Arm) -> float:

@@ -64,6 +64,7 @@ class _Term:
         elastic: whether it is a part that yields under its load. A little of it at every place is
             no finding.
         searched: whether a diagnosis tries it. Geometry is always fitted instead.
+        on_request: whether it tries it only where it is among the `kinds` that it is given.
         through_others: whether it moves the tip only through other effects of the model; it is then
             not searched.
         aliases: effects that no measurement of the tip tells from it. One of the two declares it.
@@ -93,6 +94,7 @@ class _Term:
     elastic: ClassVar[bool] = False
     continuous: ClassVar[bool] = True
     searched: ClassVar[bool] = True
+    on_request: ClassVar[bool] = False
     through_others: ClassVar[bool] = False
     aliases: ClassVar[tuple[str, ...]] = ()
     limit_aliases: ClassVar[tuple[str, ...]] = ()

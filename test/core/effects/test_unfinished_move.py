@@ -16,6 +16,7 @@ from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import LIBRARY, searched_effects
 from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.effects.drive_errors import JointCoupling, JointGain, UnfinishedMove
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
@@ -50,7 +51,7 @@ def session(n: int, seed: int, run_up: bool = False) -> tuple[Session, np.ndarra
 
 @pytest.fixture(scope="module")
 def late() -> Diagnosis:
-    return diagnose(ARM, session(150, 1)[0])
+    return diagnose(ARM, session(150, 1)[0], kinds=(*LIBRARY, UnfinishedMove))
 
 
 def test_a_joint_stands_short_of_its_command_by_a_share_of_its_last_way() -> None:
@@ -100,6 +101,10 @@ def test_joints_that_are_measured_too_early_are_named_with_their_share(late: Dia
     assert {t.joint for t in terms} >= {1, 2}
     for term in terms[:2]:
         assert term.share == pytest.approx(SHARE, rel=0.1)
+
+
+def test_it_is_tried_only_where_it_is_asked_for() -> None:
+    assert UnfinishedMove not in searched_effects()
 
 
 def test_rows_that_nobody_fitted_are_predicted(late: Diagnosis) -> None:
