@@ -105,8 +105,7 @@ def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     """Hold touches against a fit that has not seen their places: tips against their mean."""
     known, touched = measure_uncertainty(fitted), rows.labels["touch"]
     model = fitted.model
-    slots = [s for s in model.slots if isinstance(s.owner, Effect)]
-    slots += slots_of(model.arm, known.absent)
+    slots = model.uncertain_slots(known)
     names = [slot.identity for slot in slots]
     tip, columns = model.columns(posture(model, rows), slots)
     off, alone = subtract_point_means(tip, touched)

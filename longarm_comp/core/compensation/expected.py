@@ -88,7 +88,9 @@ def expected_miss(
         moved = model.columns(at, slots)[1].reshape(-1, 3, len(slots)) * widths
         covariance = moved @ np.swapaxes(moved, -1, -2)
         return ExpectedMiss(mean, covariance.reshape(*mean.shape, 3))
-    slots = model.uncertain_slots
+    if "uncertain" not in model.memo:
+        model.memo["uncertain"] = model.uncertain_slots(known)
+    slots = model.memo["uncertain"]
     columns = model.columns(at, slots)[1].reshape(-1, 3, len(slots))
     carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
     carried = carried.reshape(*mean.shape, 3)

@@ -93,9 +93,14 @@ _OURS: tuple[Kind, ...] = (
 )
 BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}
 """The effects of this package, in the order of listing and search."""
-LIBRARY: tuple[Kind, ...] = tuple(
-    k for k in _OURS if k.searched and not k.geometry and not k.on_request
-)
+
+
+def _is_tried(kind: Kind) -> bool:
+    """Tell whether a diagnosis tries an effect unasked."""
+    return kind.searched and not kind.geometry and not kind.on_request
+
+
+LIBRARY: tuple[Kind, ...] = tuple(filter(_is_tried, _OURS))
 """The effects of this package that a diagnosis tries; used by studies and benchmarks."""
 
 _STORED = (int, float, str, "int", "float", "str")
@@ -111,8 +116,7 @@ def registered() -> dict[str, Kind]:
 
 def searched_effects() -> tuple[Kind, ...]:
     """Return the effects that a diagnosis tries unasked."""
-    every = registered().values()
-    return tuple(k for k in every if k.searched and not k.geometry and not k.on_request)
+    return tuple(filter(_is_tried, registered().values()))
 
 
 def possible_compliances(arm: Arm, held: Container[tuple[str, str]]) -> tuple[Effect, ...]:

@@ -126,16 +126,11 @@ class Model:
         """All free parameters, in the order of `values` and of the columns."""
         return tuple(self._within(slot) for slot in slots_of(self.arm, self.terms))
 
-    @cached_property
-    def uncertain_slots(self) -> tuple[Slot, ...]:
-        """The parameters of the arm that its record knows, also of effects that are not held."""
-        if self.uncertainty is None:
-            return ()
+    def uncertain_slots(self, known: ModelUncertainty) -> tuple[Slot, ...]:
+        """Return the arm's parameters that a record knows, also of effects that are not held."""
         held = {term.key for term in self.effects}
-        absent = [t for t in self.uncertainty.absent if t.key not in held]
-        slots = (*self.slots, *slots_of(self.arm, absent))
-        row = self.uncertainty.row
-        return tuple(s for s in slots if isinstance(s.owner, Effect) and s.identity in row)
+        slots = (*self.slots, *slots_of(self.arm, [t for t in known.absent if t.key not in held]))
+        return tuple(s for s in slots if isinstance(s.owner, Effect) and s.identity in known.row)
 
     def _within(self, slot: Slot) -> Slot:
         """Return the parameter with the prior that this model gives it."""
