@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.calibration.calibrate import declared_model, fit_stages
 from longarm_comp.core.calibration.candidates import list_candidates
-from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import noise_from_repeats
@@ -21,7 +19,6 @@ from longarm_comp.core.calibration.plausible import (
     mark_believed_rows,
     refuse_implausible,
 )
-from longarm_comp.core.calibration.standing import place_as_seen
 from longarm_comp.core.data.holdout import spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
@@ -32,18 +29,12 @@ from longarm_comp.core.identify.discover.causes import describe_doubts, list_cau
 from longarm_comp.core.identify.findings import complete_findings, make_findings
 from longarm_comp.core.identify.intervals import compute_intervals
 from longarm_comp.core.identify.posterior.explain import explain_session
-from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
 from longarm_comp.core.identify.proof import (
     CALIBRATED,
-    WITH_EFFECTS,
-    WITH_FUNCTIONS,
-    Fold,
     Proof,
-    describe_worsening,
-    fit_folds,
-    prove_models,
 )
+from longarm_comp.core.identify.proved_models import ProvedModels, Train, prove_written
 from longarm_comp.core.identify.run_ups import (
     find_run_up,
     set_run_up,
@@ -51,12 +42,12 @@ from longarm_comp.core.identify.run_ups import (
     with_run_ups,
 )
 from longarm_comp.core.identify.structure import (
+    Structure,
     find_structure,
     with_held_out,
     with_left_out,
     with_scatter,
 )
-from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import splitting_poses
 
@@ -65,7 +56,6 @@ POSES = 12
 MOST_ROWS = 2000
 """Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
 further rows cost time and change nothing."""
-Train = Callable[[Model, Session], Predictor]
 
 
 def diagnose(
@@ -99,14 +89,8 @@ def diagnose(
             residual is more than an instrument's noise.
     """
     say = progress or (lambda _: None)
-
     nominal = model or declared_model(arm)
-    session = with_fitted_run_ups(session, nominal)
-    test = None if test is None else with_fitted_run_ups(test.on_clock_of(session), nominal)
-    if not any(ORDER in e.inputs for e in nominal.effects):  # what the model holds has happened
-        test = None if test is None else _number_rows(test, len(session))
-        session = _number_rows(session)
-    train, test = _split_test_rows(session, test)
+    train, test = _prepare_rows(session, test, nominal)
     staged = dict(fit_stages(nominal, train, say, kind))
     calibrated = staged["geometry"].model
     start = calibrated.with_missing(through_others(arm))
@@ -126,48 +110,21 @@ def diagnose(
         seed=seed,
         progress=say,
     )
-    say("structure")
-    fits = _fit_written_models(calibrated, found)
-    models = {
-        "nominal": place_as_seen(nominal, train)[0],
-        "frames_only": staged["frames_only"].model,
-        **{name: fold_directions(fitted).model for name, fitted in fits.items()},
-    }
     say("every row held out once")
-    if test is None:
-        held_out, made = fit_folds(nominal, staged["frames_only"].model, fits, found, seed)
-    else:
-        held_out = test.take(test.seen)
-        made = (Fold(models, fits, held_out, np.arange(len(held_out))),)
-    proof = prove_models(made)
-    lengths = proof.expected_errors(found.found, list(fits))
-    seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
-    written, failed = _choose_written(lengths, seen)
-    beside = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
-    structure = find_structure(found.fit, fits[CALIBRATED], beside)
-    structure = with_left_out(structure, found.fit)
-    fullest = [(list(f.fits.values())[-1], f.rows) for f in made]
-    structure = with_held_out(with_scatter(structure, found.fit), fullest)
-    final = fold_directions(fits[written])
-    added = [t for f in found.found for t in f.terms if t.key in {s.key for s in final.model.terms}]
+    proved = prove_written(nominal, staged, found, test, seed)
+    say("structure")
+    structure = _find_structure(proved)
+    final = proved.final
+    held = {t.key for t in final.model.terms}
+    added = [t for f in found.found for t in f.terms if t.key in held]
     ends = compute_intervals(final, added, candidates)
-    named = complete_findings(make_findings(found.found), arm, found.fit, final, ends, fullest)
-    network = None
+    named = make_findings(found.found)
+    named = complete_findings(named, arm, found.fit, final, ends, proved.fullest)
+    network, proof = None, proved.proof
     if structure.flag and train_network is not None and final.session.located.any():
         say("network")
-        learned = train_network(final.model, final.session.take(final.weights > 0))
-        network = learned if learned.gain.helps else None
-    if network is not None and train_network is not None:
-        train_one = train_network
-
-        def train_on_fold(fold: Fold) -> tuple[Model, Predictor]:
-            if test is not None:
-                return final.model, network
-            kept = fold.fits[written]
-            return kept.model, train_one(kept.model, kept.session.take(kept.weights > 0))
-
-        proof = prove_models(made, train_on_fold)
-    aside = _refuse_as_calibrate(final, proof, held_out.take(proof.rows_at), written)
+        network, proof = proved.train_network(train_network, anew=test is None)
+    aside = _refuse_as_calibrate(final, proof, proved)
     without_name = list_causes(found.fit, found.found)
     unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")
@@ -181,15 +138,15 @@ def diagnose(
         search=found,
         findings=named,
         causes=without_name,
-        fits={name: fold_directions(fitted) for name, fitted in fits.items()},
-        expected={name: float(each.mean()) for name, each in lengths.items()},
-        written=written,
-        failed=failed,
+        fits={name: fold_directions(fitted) for name, fitted in proved.fits.items()},
+        expected={name: float(each.mean()) for name, each in proved.expected.items()},
+        written=proved.written,
+        failed=proved.failed,
         intervals=ends,
         structure=structure,
         set_aside=aside,
-        models=models,
-        folds=made,
+        models=proved.models,
+        folds=proved.folds,
         proof=proof,
         network=network,
         split_by=split_by,
@@ -197,7 +154,7 @@ def diagnose(
         next_q=propose_poses(found.fit, unnamed, POSES, seed),
         not_testable=offered.not_testable,
         train=train,
-        held_out=held_out,
+        held_out=proved.held_out,
         seed=seed,
     )
     if diagnosis.verdict == "noise":
@@ -205,49 +162,33 @@ def diagnose(
     return diagnosis
 
 
-def _refuse_as_calibrate(final: ModelFit, proof: Proof, rows: Session, written: str) -> SetAside:
+def _prepare_rows(
+    session: Session, test: Session | None, nominal: Model
+) -> tuple[Session, Session | None]:
+    """Return the rows to fit and those to hold out (None: folds), with all that effects read."""
+    session = with_fitted_run_ups(session, nominal)
+    test = None if test is None else with_fitted_run_ups(test.on_clock_of(session), nominal)
+    if not any(ORDER in e.inputs for e in nominal.effects):  # what the model holds has happened
+        test = None if test is None else _number_rows(test, len(session))
+        session = _number_rows(session)
+    return _split_test_rows(session, test)
+
+
+def _find_structure(proved: ProvedModels) -> Structure:
+    """Find what the explanation leaves: in its own rows, in rows left out, in rows held out."""
+    found = proved.search
+    beside = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
+    structure = find_structure(found.fit, proved.fits[CALIBRATED], beside)
+    structure = with_scatter(with_left_out(structure, found.fit), found.fit)
+    return with_held_out(structure, proved.fullest)
+
+
+def _refuse_as_calibrate(final: ModelFit, proof: Proof, proved: ProvedModels) -> SetAside:
     """Refuse a fit that `calibrate` would refuse; return the rows that it set aside."""
+    rows = proved.held_out.take(proof.rows_at)
     at = {name: error[mark_believed_rows(final, rows)] for name, error in proof.errors.items()}
     plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}
-    return refuse_implausible(final, None, at[written], plainer)
-
-
-def _choose_written(
-    expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]
-) -> tuple[str, str]:
-    """Choose the model to write, and say how the proof of a fuller model failed.
-
-    A model is out if a command is expected to err more with it, beyond chance, than with a plainer
-    one. Its proof fails if its errors as seen are larger, beyond chance, than a plainer one's; no
-    doubt about the measuring side explains that. Of the others the one of least mean error is
-    chosen, of equals the plainer.
-
-    Args:
-        expected: by model, plainer ones first: errors (M,), m, that a command may expect.
-        seen: by model: errors (M,), m, as seen.
-    """
-    written, failed = dict(expected), dict[str, str]()
-    for name, plainer in combinations(list(expected)[::-1], 2):
-        if describe_worsening(expected[plainer], expected[name]):
-            written.pop(name, None)
-        if rise := describe_worsening(seen[plainer], seen[name]):
-            failed[name] = f"{plainer} -> {name}: {rise}"
-    left = {name: each.mean() for name, each in written.items() if name not in failed}
-    return min(left, key=left.__getitem__), "; ".join(failed.values())
-
-
-def _fit_written_models(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
-    """Fit the calibration alone, the model with named effects, and that with functions, to the same
-    rows."""
-    whole = found.fit
-    bare = fit_model(start, whole.session, **whole.noise_arguments)
-    more = found.found or found.tolerance.compliance
-    made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
-    functions = {t.key for f in found.found if f.unnamed for t in f.terms}
-    if functions:
-        less = fit_model(whole.model.without(functions), whole.session, **whole.noise_arguments)
-        made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
-    return made
+    return refuse_implausible(final, None, at[proved.written], plainer)
 
 
 def _number_rows(session: Session, first: int = 0) -> Session:

@@ -6,7 +6,6 @@ that of the whole procedure, not of one lucky model.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,17 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.plausible import WORST
-from longarm_comp.core.calibration.standing import place_as_seen
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.holdout import folds_of
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
-from longarm_comp.core.identify.posterior.explained import NEAR, ExplainedSession
-from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, keys_of
+from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -111,79 +106,6 @@ def describe_worsening(before: np.ndarray, after: np.ndarray) -> str:
             change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} mm"
             return f"{change} at {len(rows)} {said}"
     return ""
-
-
-def fit_folds(
-    nominal: Model,
-    frames_only: Model,
-    fits: Mapping[str, ModelFit],
-    search: ExplainedSession,
-    seed: int,
-) -> tuple[Session, tuple[Fold, ...]]:
-    """Fit everything anew without each fold of the rows.
-
-    Args:
-        nominal: the declared model.
-        frames_only: the same with its placements fitted.
-        fits: fits of the calibrated model and those above it, to all rows.
-        search: the search that found what they hold.
-        seed: seed of the folds.
-
-    Returns:
-        The rows, each held out once, and the folds.
-
-    Raises:
-        JobError: a fit without some rows did not stay finite.
-    """
-    session = search.fit.session
-    fold = folds_of(session, seed)
-    numbers = np.flatnonzero(fold >= 0)
-    made = []
-    for number in range(int(fold.max()) + 1):
-        kept = fold != number
-        rows = session.take(kept)
-        models = {
-            "nominal": place_as_seen(nominal, rows)[0],
-            "frames_only": fit_model(frames_only, rows, close=NEAR).model,
-        }
-        again = _refit_fold(fits, search, kept)
-        models |= {name: fitted.model for name, fitted in again.items()}
-        at = np.flatnonzero(fold[numbers] == number)
-        made.append(Fold(models, again, session.take(~kept), at))
-    return session.take(numbers), tuple(made)
-
-
-def _refit_fold(
-    fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
-) -> dict[str, ModelFit]:
-    """Fit to the kept rows (N,) the models with the effects that these rows alone would find."""
-    whole, session = search.fit, search.fit.session.take(kept)
-    judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
-
-    def again(model: Model) -> ModelFit:
-        return fit_model(model, session, close=NEAR, **judged)
-
-    made = {CALIBRATED: again(fits[CALIBRATED].model)}
-    found = search.linear.explain_sample(kept.astype(float)) if search.linear is not None else ()
-    sure = [f for f in found if f.presence >= CREDIBLE]
-    named = again(_replace_found(search, [f for f in sure if not f.unnamed]))
-    made[WITH_EFFECTS] = named
-    if WITH_FUNCTIONS in fits:
-        more = any(f.unnamed for f in sure)
-        made[WITH_FUNCTIONS] = again(_replace_found(search, sure)) if more else named
-    return made
-
-
-def _replace_found(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
-    """Return the model of a search with other effects in the place of what it found."""
-    model = search.fit.model
-    known = {t.variant: t for t in model.terms}
-    terms = {t.key: known.get(t.variant, t) for f in found for t in f.terms}
-    gone = keys_of(search.found)
-    other = model.without(gone | set(terms)).plus(*terms.values())
-    small = {s.identity for s in other.slots if s.owner.key in terms}
-    beyond = tuple(b for b in model.beyond if b[0] not in small)
-    return dataclasses.replace(other, beyond=beyond)
 
 
 def prove_models(

@@ -23,6 +23,7 @@ from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.proof import Fold, prove_models
+from longarm_comp.core.identify.proved_models import choose_written
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import parse_report, text
@@ -74,10 +75,10 @@ def test_the_least_is_written_and_of_equals_the_plainer() -> None:
     names = ("calibrated", "with_effects", "with_functions")
     lengths = {name: np.full(9, size) for name, size in zip(names, (2.0, 1.0, 1.5), strict=True)}
     even = dict.fromkeys(names, np.ones(9))
-    written, failed = core._choose_written(lengths, lengths)
+    written, failed = choose_written(lengths, lengths)
     assert written == names[1] and failed.startswith("with_effects -> with_functions: ")
-    assert core._choose_written(even, even) == (names[0], "")
-    assert core._choose_written(lengths, even) == (names[1], ""), (
+    assert choose_written(even, even) == (names[0], "")
+    assert choose_written(lengths, even) == (names[1], ""), (
         "a doubt about the camera fails no proof"
     )
 

@@ -1,0 +1,242 @@
+"""The models that a diagnosis may write: fitted, proved on rows held out, and one chosen."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.kind_of_arm import fold_directions
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.standing import place_as_seen
+from longarm_comp.core.data.holdout import folds_of
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.posterior.explained import NEAR, ExplainedSession
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, keys_of
+from longarm_comp.core.identify.proof import (
+    CALIBRATED,
+    WITH_EFFECTS,
+    WITH_FUNCTIONS,
+    Fold,
+    Proof,
+    describe_worsening,
+    prove_models,
+)
+from longarm_comp.core.learn.predictor import Predictor
+from longarm_comp.core.model.model import Model
+
+Train = Callable[[Model, Session], Predictor]
+
+
+@dataclass(frozen=True)
+class ProvedModels:
+    """Models that may be written, with the proof of each and the choice among them.
+
+    Attributes:
+        search: what they hold, and how sure it is.
+        fits: fits of the calibrated model and of those above it, plainer ones first, to the same
+            rows with the same noise.
+        models: nominal, frames_only and the models of `fits`, as files hold them.
+        held_out: the rows of the proof.
+        folds: the same models fitted without some rows; every row is left out once.
+        proof: their errors at these rows.
+        expected: by name of `fits`, the error (M,), m, that a command may expect at each row.
+        written: name of the model to write.
+        failed: how a fuller model failed its proof; empty where none did.
+    """
+
+    search: ExplainedSession
+    fits: Mapping[str, ModelFit]
+    models: Mapping[str, Model]
+    held_out: Session
+    folds: tuple[Fold, ...]
+    proof: Proof
+    expected: Mapping[str, np.ndarray]
+    written: str
+    failed: str
+
+    @property
+    def final(self) -> ModelFit:
+        """The fit of the model to write."""
+        return fold_directions(self.fits[self.written])
+
+    @property
+    def fullest(self) -> list[tuple[ModelFit, Session]]:
+        """Of each fold the fit of the fullest model, and the rows that it was fitted without."""
+        return [(list(f.fits.values())[-1], f.rows) for f in self.folds]
+
+    def train_network(self, train: Train, anew: bool) -> tuple[Predictor | None, Proof]:
+        """Train a network on what the model to write leaves, and prove it with the models.
+
+        Args:
+            train: trains a predictor for a model and the rows it was fitted to.
+            anew: whether it is trained without each fold; else the one network is proved.
+
+        Returns:
+            The network, None where it does not help; and the proof.
+        """
+        final = self.final
+        network = train(final.model, final.session.take(final.weights > 0))
+        if not network.gain.helps:
+            return None, self.proof
+
+        def train_on_fold(fold: Fold) -> tuple[Model, Predictor]:
+            if not anew:
+                return final.model, network
+            kept = fold.fits[self.written]
+            return kept.model, train(kept.model, kept.session.take(kept.weights > 0))
+
+        return network, prove_models(self.folds, train_on_fold)
+
+
+def prove_written(
+    nominal: Model,
+    staged: Mapping[str, ModelFit],
+    search: ExplainedSession,
+    test: Session | None,
+    seed: int,
+) -> ProvedModels:
+    """Fit the models that may be written, prove them on rows held out, and choose one.
+
+    Args:
+        nominal: the declared model.
+        staged: fits of its placements (``frames_only``) and of its geometry (``geometry``).
+        search: the search that found what else they hold.
+        test: rows that are held out; None: every fitted row is, once, in folds.
+        seed: seed of the folds.
+
+    Raises:
+        JobError: a fit without some rows did not stay finite.
+    """
+    fits = _fit_written_models(staged["geometry"].model, search)
+    frames_only = staged["frames_only"].model
+    models = {
+        "nominal": place_as_seen(nominal, search.fit.session)[0],
+        "frames_only": frames_only,
+        **{name: fold_directions(fitted).model for name, fitted in fits.items()},
+    }
+    if test is None:
+        held_out, folds = _fit_folds(nominal, frames_only, fits, search, seed)
+    else:
+        held_out = test.take(test.seen)
+        folds = (Fold(models, fits, held_out, np.arange(len(held_out))),)
+    proof = prove_models(folds)
+    expected = proof.expected_errors(search.found, list(fits))
+    seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
+    choice = choose_written(expected, seen)
+    return ProvedModels(search, fits, models, held_out, folds, proof, expected, *choice)
+
+
+def choose_written(
+    expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]
+) -> tuple[str, str]:
+    """Choose the model to write, and say how the proof of a fuller model failed.
+
+    A model is out if a command is expected to err more with it, beyond chance, than with a plainer
+    one. Its proof fails if its errors as seen are larger, beyond chance, than a plainer one's; no
+    doubt about the measuring side explains that. Of the others the one of least mean error is
+    chosen, of equals the plainer.
+
+    Args:
+        expected: by model, plainer ones first: errors (M,), m, that a command may expect.
+        seen: by model: errors (M,), m, as seen.
+    """
+    written, failed = dict(expected), dict[str, str]()
+    for name, plainer in combinations(list(expected)[::-1], 2):
+        if describe_worsening(expected[plainer], expected[name]):
+            written.pop(name, None)
+        if rise := describe_worsening(seen[plainer], seen[name]):
+            failed[name] = f"{plainer} -> {name}: {rise}"
+    left = {name: each.mean() for name, each in written.items() if name not in failed}
+    return min(left, key=left.__getitem__), "; ".join(failed.values())
+
+
+def _fit_written_models(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
+    """Fit the calibration alone, the model with named effects, and that with functions, to the same
+    rows."""
+    whole = found.fit
+    bare = fit_model(start, whole.session, **whole.noise_arguments)
+    more = found.found or found.tolerance.compliance
+    made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
+    functions = {t.key for f in found.found if f.unnamed for t in f.terms}
+    if functions:
+        less = fit_model(whole.model.without(functions), whole.session, **whole.noise_arguments)
+        made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
+    return made
+
+
+def _fit_folds(
+    nominal: Model,
+    frames_only: Model,
+    fits: Mapping[str, ModelFit],
+    search: ExplainedSession,
+    seed: int,
+) -> tuple[Session, tuple[Fold, ...]]:
+    """Fit everything anew without each fold of the rows.
+
+    Args:
+        nominal: the declared model.
+        frames_only: the same with its placements fitted.
+        fits: fits of the calibrated model and those above it, to all rows.
+        search: the search that found what they hold.
+        seed: seed of the folds.
+
+    Returns:
+        The rows, each held out once, and the folds.
+
+    Raises:
+        JobError: a fit without some rows did not stay finite.
+    """
+    session = search.fit.session
+    fold = folds_of(session, seed)
+    numbers = np.flatnonzero(fold >= 0)
+    made = []
+    for number in range(int(fold.max()) + 1):
+        kept = fold != number
+        rows = session.take(kept)
+        models = {
+            "nominal": place_as_seen(nominal, rows)[0],
+            "frames_only": fit_model(frames_only, rows, close=NEAR).model,
+        }
+        again = _refit_fold(fits, search, kept)
+        models |= {name: fitted.model for name, fitted in again.items()}
+        at = np.flatnonzero(fold[numbers] == number)
+        made.append(Fold(models, again, session.take(~kept), at))
+    return session.take(numbers), tuple(made)
+
+
+def _refit_fold(
+    fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
+) -> dict[str, ModelFit]:
+    """Fit to the kept rows (N,) the models with the effects that these rows alone would find."""
+    whole, session = search.fit, search.fit.session.take(kept)
+    judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
+
+    def again(model: Model) -> ModelFit:
+        return fit_model(model, session, close=NEAR, **judged)
+
+    made = {CALIBRATED: again(fits[CALIBRATED].model)}
+    found = search.linear.explain_sample(kept.astype(float)) if search.linear is not None else ()
+    sure = [f for f in found if f.presence >= CREDIBLE]
+    named = again(_replace_found(search, [f for f in sure if not f.unnamed]))
+    made[WITH_EFFECTS] = named
+    if WITH_FUNCTIONS in fits:
+        more = any(f.unnamed for f in sure)
+        made[WITH_FUNCTIONS] = again(_replace_found(search, sure)) if more else named
+    return made
+
+
+def _replace_found(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
+    """Return the model of a search with other effects in the place of what it found."""
+    model = search.fit.model
+    known = {t.variant: t for t in model.terms}
+    terms = {t.key: known.get(t.variant, t) for f in found for t in f.terms}
+    gone = keys_of(search.found)
+    other = model.without(gone | set(terms)).plus(*terms.values())
+    small = {s.identity for s in other.slots if s.owner.key in terms}
+    beyond = tuple(b for b in model.beyond if b[0] not in small)
+    return dataclasses.replace(other, beyond=beyond)
