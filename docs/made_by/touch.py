@@ -13,7 +13,7 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.fit import fit_model
-from longarm_comp.core.calibration.standing import place_frames, placement_terms
+from longarm_comp.core.calibration.placed_model import place_frames, placement_terms
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.read import read_session

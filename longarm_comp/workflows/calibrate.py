@@ -17,8 +17,8 @@ from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import Place, list_places, list_undetermined
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.calibration.undetermined import Place, list_places, list_undetermined
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import errors, turns

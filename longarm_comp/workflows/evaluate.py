@@ -11,8 +11,8 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
+from longarm_comp.core.calibration.placed_model import place_as_seen
 from longarm_comp.core.calibration.plausible import describe_offset
-from longarm_comp.core.calibration.standing import place_as_seen
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.html_table import html_table

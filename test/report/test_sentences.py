@@ -22,7 +22,7 @@ from report_pages import Page
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify import diagnosis
-from longarm_comp.core.identify.practical import compute_gains, measure_tip_shift
+from longarm_comp.core.identify.gains import compute_gains, measure_tip_shift
 from longarm_comp.core.identify.proof import WITH_FUNCTIONS
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, record, words

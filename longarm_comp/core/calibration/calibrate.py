@@ -15,7 +15,7 @@ from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, choose_sizes
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import place_as_seen, place_frames, placement_terms
+from longarm_comp.core.calibration.placed_model import place_as_seen, place_frames, placement_terms
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.special import chdtr
 
-from longarm_comp.core.calibration.lasting import check_lasting
 from longarm_comp.core.calibration.linear import BEFOREHAND
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.moved_parts import refuse_moved_parts
 from longarm_comp.core.calibration.noise import ENOUGH_REPEATS
-from longarm_comp.core.calibration.standing import is_misplaced
+from longarm_comp.core.calibration.placed_model import is_misplaced
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
@@ -74,7 +74,7 @@ def refuse_implausible(
             "rows there, or let longarm diagnose look for it",
             session=source,
         )
-    check_lasting(final)
+    refuse_moved_parts(final)
     for than, plain in plainer.items():
         if rise := describe_rise(plain, held_out, WORSE, WORST):
             raise JobError(

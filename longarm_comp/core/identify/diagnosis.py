@@ -30,10 +30,10 @@ from longarm_comp.core.identify.findings import (
     describe_improvement,
     describe_structure,
 )
+from longarm_comp.core.identify.gains import Gain
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE
-from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, WITH_FUNCTIONS, Fold, Proof
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor

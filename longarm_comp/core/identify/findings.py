@@ -19,9 +19,9 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import for_people
+from longarm_comp.core.identify.gains import Gain, compute_gains, measure_tip_shift
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Rival
-from longarm_comp.core.identify.practical import Gain, compute_gains, measure_tip_shift
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.yaml_file import Closed
 

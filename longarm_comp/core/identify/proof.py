@@ -19,8 +19,8 @@ from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.identify.gains import Gain
 from longarm_comp.core.identify.posterior.found import FoundEffect
-from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 

@@ -12,7 +12,7 @@ import numpy as np
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.kind_of_arm import fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import place_as_seen
+from longarm_comp.core.calibration.placed_model import place_as_seen
 from longarm_comp.core.data.holdout import folds_of
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.posterior.explained import NEAR, ExplainedSession

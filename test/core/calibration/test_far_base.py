@@ -31,7 +31,7 @@ from longarm_comp.cli.fit import calibrate as calibrate_command
 from longarm_comp.cli.fit import evaluate as evaluate_command
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import list_places, list_undetermined
+from longarm_comp.core.calibration.undetermined import list_places, list_undetermined
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError

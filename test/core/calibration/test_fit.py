@@ -24,8 +24,8 @@ from longarm_comp.core.calibration.noise import (
     limit_by_repeats,
     noise_from_repeats,
 )
+from longarm_comp.core.calibration.placed_model import placement_terms
 from longarm_comp.core.calibration.placement import place_bases
-from longarm_comp.core.calibration.standing import placement_terms
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance, LinkBending
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero

@@ -18,9 +18,9 @@ from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.calibration import plausible
 from longarm_comp.core.calibration.calibrate import fit_ladder, fit_stages
 from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.placed_model import placement_terms
 from longarm_comp.core.calibration.placement import place_bases
 from longarm_comp.core.calibration.plausible import INCREDIBLE, RISES, WORSE, WORST, describe_rise
-from longarm_comp.core.calibration.standing import placement_terms
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session

@@ -14,7 +14,7 @@ from small_arm import measured
 
 import longarm_comp as la
 from longarm_comp.core.calibration.calibrate import fit_stages
-from longarm_comp.core.calibration.lasting import check_lasting
+from longarm_comp.core.calibration.moved_parts import refuse_moved_parts
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.errors import InputError, JobError
@@ -127,7 +127,7 @@ def test_a_base_that_was_moved_is_told_with_its_row(made: Model) -> None:
     away = dataclasses.replace(session, xyz=session.xyz + late[:, None] * [0.02, 0.0, 0.0])
     *_, (_, fitted) = fit_stages(Model(PALLETISER), away)
     with pytest.raises(JobError, match=r"from row 24 on the base looks moved \(9\.\d+ -> 0\.\d+ "):
-        check_lasting(fitted)
+        refuse_moved_parts(fitted)
     far = dataclasses.replace(session, xyz=session.xyz + late[:, None] * [0.2, 0.0, 0.0])
     with pytest.raises(InputError, match="row 73 on looks measured from another base"):
         la.calibrate(PALLETISER, far)
@@ -147,7 +147,7 @@ def test_a_reflector_that_was_moved_is_told_with_its_row(made: Model) -> None:
 
 def test_an_arm_that_stayed_was_not_moved(made: Model) -> None:
     *_, (_, fitted) = fit_stages(Model(PALLETISER), anywhere(made))
-    check_lasting(fitted)
+    refuse_moved_parts(fitted)
 
 
 def test_both_commands_name_the_rows_that_they_set_aside(

@@ -27,7 +27,7 @@ from longarm_comp.core.calibration.calibrate import geometry_terms
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.noise import noise_from_repeats
 from longarm_comp.core.calibration.placement import place_sensors
-from longarm_comp.core.calibration.standing import list_undetermined
+from longarm_comp.core.calibration.undetermined import list_undetermined
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, errors, posture, spreads

@@ -18,12 +18,12 @@ from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.gains import Gain
 from longarm_comp.core.identify.posterior.explain import _explain_halves, explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession, judge_noise_and_fit
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.resampled import SAMPLES
 from longarm_comp.core.identify.posterior.search import ExplanationSearch
-from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import describe_worsening
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives

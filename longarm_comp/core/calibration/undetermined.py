@@ -1,4 +1,4 @@
-"""Places an arm before anything is fitted, and tells what its rows cannot tell about its place.
+"""Tells where a fit puts bases and sensors, and what the rows do not tell about it.
 
 A tip that only ever touched unknown points looks the same on an arm twice as large.  The size is
 then that of the drawing. To know it takes a known distance between two points, or a slide's travel.
@@ -8,101 +8,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import ZERO, Frame, exp_large, roll_pitch_yaw, scale, tangent
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.noise import number_sightings
-from longarm_comp.core.calibration.placement import (
-    choose_reference_rows,
-    place_bases,
-    place_sensors,
-    sensor_terms,
-)
-from longarm_comp.core.data.measurement import equations, errors, posture, turns
-from longarm_comp.core.data.registration import median_distance, median_spread
-from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.geometry_errors import ELSEWHERE
-from longarm_comp.core.effects.placements import BasePose, RigidMotion, TipOffset, TipOrientation
+from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.effects.placements import BasePose, RigidMotion
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.tip_motion import stack
 
-TWICE = 2
-"""Numbers that rows hold, in those that place an arm, from which the rest says what it errs by."""
 UNTOLD = 0.1
 """Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
 STEP = 1e-4
 """Share by which the arm is made larger, to see what changes."""
-
-
-def placement_terms(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
-    """Return the placement terms of any measurement: bases, markers and what sensors leave open."""
-    groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
-    bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
-    placed = bases if session.framed(arm) else ()
-    return (*placed, *TipOffset.for_arm(arm), *sensor_terms(arm, session))
-
-
-def place_frames(model: Model, session: Session) -> Model:
-    """Return the model with bases, markers and sensors placed by the rows, in closed form."""
-    whole = model.with_missing(placement_terms(model.arm, session))
-    return place_sensors(place_bases(whole, choose_reference_rows(session)), session)
-
-
-class SeenModel(NamedTuple):
-    """A model whose errors can be shown.
-
-    `elsewhere`: whether the rows show the arm at another place. `placed`: whether they placed it,
-    because they tell more than a place.
-    """
-
-    model: Model
-    elsewhere: bool
-    placed: bool
-
-
-def place_as_seen(model: Model, session: Session) -> SeenModel:
-    """Place a model by the rows if they show it at another place, and tell more than a place.
-
-    The axes of a tracked body are never declared, so how they sit on the tip is always solved. Rows
-    tell more if they hold `TWICE` the numbers that place the model, each sighting counted once:
-    with hardly more numbers the placement would fit them whatever the arm does.  The numbers that
-    solve touched points are subtracted from both.
-    """
-    bodies = [t for t in placement_terms(model.arm, session) if isinstance(t, TipOrientation)]
-    whole = model.with_missing(bodies)
-    axes = model if whole.terms == model.terms else place_sensors(whole, session)
-    groups = (session.take(session.frames == name) for name in np.unique(session.frames))
-    if not any(is_misplaced(axes, rows) for rows in groups):
-        return SeenModel(axes, elsewhere=False, placed=False)
-    moved, seen = place_frames(model, session), session.take(session.seen)
-    rows = seen.take(np.unique(number_sightings(seen), axis=0, return_index=True)[1])
-    slots = [slot for slot in moved.slots if slot.parameter.unknown]
-    found = equations(moved, rows, posture(moved, rows), slots)
-    columns = (found.columns * [slot.parameter.width for slot in slots]).reshape(-1, len(slots))
-    passing = columns[:, [slot.owner.passing for slot in slots]]
-    placing, points = (int(np.linalg.matrix_rank(each, rtol=1e-6)) for each in (columns, passing))
-    more = int(rows.measured.sum()) - points >= TWICE * (placing - points)
-    return SeenModel(moved if more else axes, elsewhere=True, placed=more)
-
-
-def is_misplaced(model: Model, session: Session) -> bool:
-    """Tell whether the rows show the arm at another place than a model puts it.
-
-    Then the median error exceeds `ELSEWHERE` of the way that its frames travel (or in rad).  A tip
-    that touches a point does not travel; the arm behind it does.
-    """
-    if not session.placed.any():
-        return bool(session.turned.any()) and median_distance(turns(model, session)) > ELSEWHERE
-    rows = session.take(session.placed)
-    at = posture(model, rows)
-    frames = [stack(frame.p) for frame in (*at.frames, model.tip_frame(at))]
-    travel = max(median_spread(p) for p in frames if p.ndim == 2)
-    return median_distance(errors(model, rows)) > ELSEWHERE * travel
 
 
 def list_undetermined(fit: ModelFit) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ MOST_TAKEN = 0.5
 """Share of the squared residual that a move may take: beyond it, it is what is wrong."""
 
 
-def check_lasting(fit: ModelFit) -> None:
+def refuse_moved_parts(fit: ModelFit) -> None:
     """Refuse rows during which a base or a marker moved.
 
     Raises:
