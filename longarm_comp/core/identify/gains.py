@@ -1,4 +1,4 @@
-"""What a finding is worth: its size at the tip, and its gain on held-out rows.
+"""The worth of a finding: its size at the tip, and its gain on held-out rows.
 
 The gain of one finding among several is that of the whole model over the model without it, all
 others fitted again (to first order). So what geometry can take up does not count for it.
