@@ -1,22 +1,27 @@
 """Checks that the arm and its markers stayed where they were while the rows were recorded.
 
-From each row on in turn, a base or a marker is supposed to stand elsewhere. How much of the
-residual that would explain is computed from the design, with everything fitted anew (no fit is
-repeated).
+From each row on in turn, to the end or to a later row, a base or a marker is supposed to stand
+elsewhere. How much of the residual that would explain is computed from the design, with everything
+fitted anew (no fit is repeated).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from itertools import combinations
 
 import numpy as np
 from scipy.stats import f
 
+from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.set_aside import SIGNIFICANT
 from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.errors import JobError
 
+CUTS = 64
+"""Rows at which a move is supposed to begin or end at first; the best two are then moved."""
 MOST_TAKEN = 0.5
 """Share of the squared residual that a move may take: beyond it, it is what is wrong."""
 
@@ -39,7 +44,7 @@ def refuse_moved_parts(fit: ModelFit) -> None:
     fitted = np.linalg.qr(np.vstack([a, np.eye(a.shape[1])]))[0][: len(a)]
     residual -= fitted @ (fitted.T @ residual)
     square, equations = float(residual @ residual), int(rows.measured.sum())
-    found, least = None, 0.0
+    found, least, tried = None, 0.0, len(rows) * (len(rows) + 1) / 2
     terms = [k for k, t in enumerate(fit.model.terms) if isinstance(t, BasePose | TipOffset)]
     for k in terms:
         mine = [i for i, slot in enumerate(fit.slots) if slot.term == k]
@@ -47,30 +52,62 @@ def refuse_moved_parts(fit: ModelFit) -> None:
         if not mine or free < 1:
             continue
         each = (part.reshape(len(rows), fit.width, -1) for part in (fitted, a[:, mine], residual))
-        falls = _falls_by_row(*each)
-        at = int(np.argmax(falls))
-        left = max(square - float(falls[at]), 1e-12 * square)
+        first, end = _find_best_interval(_falls_by_interval(*each), len(rows))
+        moving = np.repeat(
+            (np.arange(len(rows)) >= first) & (np.arange(len(rows)) < end), fit.width
+        )
+        moved = a[:, mine] * moving[:, None]
+        moved -= fitted @ (fitted.T @ moved)
+        shift = linear.solve_posterior(moved, residual).u
+        left = float(((residual - moved @ shift) ** 2).sum())
         chance = f.sf((square - left) / len(mine) / (left / free), len(mine), free)
         worth = free * math.log(left / square) + len(mine) * math.log(equations)
-        if worth < least and chance * len(falls) * len(terms) < SIGNIFICANT:
+        if worth < least and chance * tried * len(terms) < SIGNIFICANT:
             least = worth
-            found = fit.model.terms[k].where, int(rows.index[at]), math.sqrt(left / square)
+            last = "on" if end == len(rows) else f"to {rows.index[end - 1]}"
+            found = (
+                fit.model.terms[k].where,
+                f"{rows.index[first]} {last}",
+                math.sqrt(left / square),
+            )
     if found is None:
         return
-    where, index, share = found
+    where, when, share = found
     size = np.linalg.norm(fit.residual[kept] * fit.metres, axis=1)
     before = float(np.sqrt((size**2).mean()))
     if (share * before) ** 2 < (1.0 - MOST_TAKEN) * before**2:
         raise JobError(
-            f"the rows fall into two groups in order: from row {index} on the {where} "
+            f"the rows fall into two groups in order: from row {when} the {where} "
             f"looks moved ({1e3 * before:.3g} -> {1e3 * share * before:.3g} mm); tell the "
-            "groups by a column group (the base), or by another marker from there on",
+            "groups by a column group (the base), or by another marker there",
             session=fit.session.source,
         )
 
 
-def _falls_by_row(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Return (M,) by how much the squared residual falls if some parameters change at each row.
+Falls = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def _find_best_interval(falls: Falls, count: int) -> tuple[int, int]:
+    """Return the interval [first, end) of rows in which a move explains most.
+
+    What moves before a row stands elsewhere from that row on: the interval ends with the rows then.
+    """
+    cuts = np.unique(np.linspace(0, count, min(count, CUTS) + 1).astype(int))
+    pairs = np.array([pair for pair in combinations(cuts, 2) if pair != (0, count)])
+    first, end = pairs[int(np.argmax(falls(*pairs.T)))].tolist()
+    before = None
+    while before != (first, end):
+        before = first, end
+        tried = np.arange(0 if end < count else 1, end)
+        first = int(tried[np.argmax(falls(tried, np.full(len(tried), end)))])
+        tried = np.arange(first + 1, count + (first > 0))
+        end = int(tried[np.argmax(falls(np.full(len(tried), first), tried))])
+    return (first, end) if first > 0 else (end, count)
+
+
+def _falls_by_interval(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) -> Falls:
+    """Return the function of K first rows and K ends of intervals that computes (K,) by how much
+    the squared residual falls if some parameters change there.
 
     Args:
         fitted: (M, d, p) orthonormal basis of what the parameters of the fit explain.
@@ -78,12 +115,17 @@ def _falls_by_row(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) 
         residual: (M, d, 1).
     """
 
-    def sum_from_row_on(each: np.ndarray) -> np.ndarray:
-        return np.cumsum(each[::-1], axis=0)[::-1]
+    def sum_before(each: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.zeros((1, *each.shape[1:])), np.cumsum(each, axis=0)])
 
-    along = sum_from_row_on(np.einsum("ndk,ndo->nk", moving, residual))
-    across = sum_from_row_on(np.einsum("ndp,ndk->npk", fitted, moving))
-    own = sum_from_row_on(np.einsum("ndk,ndl->nkl", moving, moving))
-    size, ways = np.linalg.eigh(own - np.swapaxes(across, 1, 2) @ across)
-    parts = np.einsum("nkl,nk->nl", ways, along) ** 2 / (np.maximum(size, 0.0) + 1.0)
-    return np.asarray(parts.sum(axis=1))
+    along = sum_before(np.einsum("ndk,ndo->nk", moving, residual))
+    across = sum_before(np.einsum("ndp,ndk->npk", fitted, moving))
+    own = sum_before(np.einsum("ndk,ndl->nkl", moving, moving))
+
+    def falls(first: np.ndarray, end: np.ndarray) -> np.ndarray:
+        t, c, s = (each[end] - each[first] for each in (along, across, own))
+        size, ways = np.linalg.eigh(s - np.swapaxes(c, 1, 2) @ c)
+        parts = np.einsum("nkl,nk->nl", ways, t) ** 2 / (np.maximum(size, 0.0) + 1.0)
+        return np.asarray(parts.sum(axis=1))
+
+    return falls

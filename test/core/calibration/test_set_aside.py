@@ -121,6 +121,20 @@ def anywhere(made: Model, n: int = 60) -> Session:
     return rows(np.random.default_rng(7).uniform(-0.6, 0.6, (n, 6)), made, seed=8)
 
 
+@pytest.mark.parametrize(
+    ("first", "end", "when"), [(18, 41, "18 to 40"), (0, 21, "21 on"), (39, 60, "39 on")]
+)
+def test_rows_of_a_base_that_stood_elsewhere_for_a_while_are_told(
+    made: Model, first: int, end: int, when: str
+) -> None:
+    session = anywhere(made)
+    there = (session.index >= first) & (session.index < end)
+    away = dataclasses.replace(session, xyz=session.xyz + there[:, None] * [0.0, 0.012, 0.016])
+    *_, (_, fitted) = fit_stages(Model(PALLETISER), away)
+    with pytest.raises(JobError, match=rf"from row {when} the base looks moved \(.* -> 0\.\d+ "):
+        refuse_moved_parts(fitted)
+
+
 def test_a_base_that_was_moved_is_told_with_its_row(made: Model) -> None:
     session = anywhere(made)
     late = session.index >= 24
