@@ -185,7 +185,7 @@ def compensate(
     chosen = method_of(method, predictor)
     goals, told, numbers = goals_of(model, targets, context)
     contexts = told.each(len(goals))
-    placements = placements_of(model, targets, goals, contexts, frame or "")
+    placements = placements_of(model, targets, contexts, frame or "")
     seeds = None
     if seed is not None:
         starts = np.asarray(seed, dtype=float)
@@ -240,7 +240,6 @@ def compensate(
 def placements_of(
     model: Model,
     targets: ArrayLike | Targets,
-    goals: list[np.ndarray],
     contexts: list[Context],
     frame: str,
 ) -> tuple[Placement, ...]:
@@ -250,15 +249,12 @@ def placements_of(
     other = next((said for said in own if said and frame and said != frame), "")
     if other:
         raise InputError(where, "frame", other, f"{frame}, as asked for, or none")
-    said = own or ("",) * len(goals)
-    alike: dict[tuple[str, str], list[np.ndarray]] = {}
+    said = own or ("",) * len(contexts)
     keys = [
         (name or frame, str(context.labels.get("group", "")))
         for name, context in zip(said, contexts, strict=True)
     ]
-    for key, goal in zip(keys, goals, strict=True):
-        alike.setdefault(key, []).append(goal if goal.ndim == 1 else goal[:3, 3])
-    found = {k: placement(model, np.array(points), *k, where) for k, points in alike.items()}
+    found = {key: placement(model, *key, where) for key in dict.fromkeys(keys)}
     return tuple(found[key] for key in keys)
 
 

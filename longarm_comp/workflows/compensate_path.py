@@ -100,7 +100,7 @@ def compensate_path(
         check_predictor(predictor, model, "compensate")
     chosen = points.method_of(method, predictor)
     goals, told, numbers = points.goals_of(model, path, context)
-    placements = points.placements_of(model, path, goals, told.each(len(goals)), frame or "")
+    placements = points.placements_of(model, path, told.each(len(goals)), frame or "")
     if len({goal.ndim for goal in goals}) > 1:
         raise InputError("path", "qx", "at some way-points", "at every way-point or at none")
     if times is None and isinstance(path, Targets):

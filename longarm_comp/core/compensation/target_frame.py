@@ -3,7 +3,8 @@
 A calibrated model computes in the frame of the measurements, and carries a target from the base
 into it.  A motion of all rows by the measuring side belongs to that frame, as in the errors as
 commanded (`core/data/commanded.py`).  Where the frame is not stated, both must mean the same
-place, to within an ordinary error of setting up; else the targets are refused.
+place, to within an ordinary error of setting up, wherever the arm reaches; else the targets are
+refused.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.compensation.expected import geometry_of
 from longarm_comp.core.compensation.result import Compensation
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.model import Model, slots_of, unstack
 from longarm_comp.core.model.uncertainty import sizes
 
 BASE, MEASURED = "base", "measured"
@@ -98,13 +99,11 @@ class Placement:
         )
 
 
-def placement(
-    model: Model, points: np.ndarray, frame: str = "", group: str = "", where: str = "targets"
-) -> Placement:
+def placement(model: Model, frame: str = "", group: str = "", where: str = "targets") -> Placement:
     """Find where targets of one frame and group lie for a model.
 
     Args:
-        points: (k, 3) m, their positions.
+        model: the model.
         frame: ``base``, ``measured``, or nothing where nobody said it.
         group: rows of the measurements that they belong to, where the base was moved.
     """
@@ -123,12 +122,13 @@ def placement(
         return Placement(MEASURED, seen, base, motion, seen, bool(found))
     if frame == BASE:
         return Placement(BASE, motion, base, motion, seen, bool(found))
-    away = _away(motion, points)
-    if away > (usual := _is_usual(model.arm)):
+    away, usual = _farthest_apart(motion, model.arm)
+    if away > usual:
         allowed = (
-            f"{BASE} (the arm's own) or {MEASURED} (that of the measurements), by a column frame "
-            f"or --frame: the calibration found the base elsewhere, {1e3 * away:.4g} mm apart at "
-            f"a target; up to {1e3 * usual:.3g} mm would count as an error of setup"
+            f"{BASE} (the arm's own) or {MEASURED} (that of the measurements), by a column frame, "
+            "--frame or frame=: the calibration found the base elsewhere, "
+            f"{1e3 * away:.4g} mm apart at a tip that the arm reaches; up to {1e3 * usual:.3g} mm "
+            "would count as an error of setup"
         )
         raise InputError(where, "frame", "not said", allowed)
     return Placement(MEASURED if found else BASE, seen, base, np.eye(4), seen, bool(found))
@@ -144,8 +144,8 @@ def base_of_graph(model: Model) -> Placement:
     declared = arm.base.frame().matrix()
     base = _bases(model).get("", declared)
     motion = base @ np.linalg.inv(declared)
-    corners = Model(arm).tip(np.array([arm.mid, *np.clip(arm.bounds, -2 * np.pi, 2 * np.pi)]))
-    if _away(motion, corners) > _is_usual(arm):
+    away, usual = _farthest_apart(motion, arm)
+    if away > usual:
         return Placement(BASE, motion, base, motion, seen, True)
     return Placement(MEASURED, seen, base, np.eye(4), seen, base is not declared)
 
@@ -167,19 +167,32 @@ def _bases(model: Model) -> dict[str, np.ndarray]:
     return found
 
 
-def _away(motion: np.ndarray, points: np.ndarray) -> float:
-    """Compute the largest distance, m, by which a motion (4, 4) moves points (k, 3)."""
-    return float(np.linalg.norm(carry_place(motion, points) - points, axis=1).max())
+def _farthest_apart(motion: np.ndarray, arm: Arm) -> tuple[float, float]:
+    """Compute how far apart two frames put a tip, and how far an error of setup usually does, m.
+
+    A motion (4, 4) has points that it hardly moves. So it is the tip at which the first is most,
+    as a share of the second.
+    """
+    tips, usual = _tips_in_reach(arm)
+    away = np.linalg.norm(carry_place(motion, tips) - tips, axis=1)
+    most = int(np.argmax(away / usual))
+    return float(away[most]), float(usual[most])
 
 
-def _is_usual(arm: Arm) -> float:
-    """Compute how far off a declared base, with the tip on it, usually is (90 of 100), m."""
-    if arm.hash not in _usual_of:
+def _tips_in_reach(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+    """Return (k, 3) tips over the arm's range, m, and (k,) how far off each usually is (90 of 100).
+
+    The joints stand in the middle of their ranges, each or all of them at either end.
+    """
+    if arm.hash not in _in_reach:
+        ends = np.clip(arm.bounds, -2 * np.pi, 2 * np.pi)
+        each = np.where(np.eye(arm.n, dtype=bool), ends[:, None], arm.mid)
+        q = np.vstack([arm.mid, *ends, *each])
         model, slots = Model(arm), slots_of(arm, geometry_of(arm))
-        columns = model.columns(model.posture(tuple(arm.mid.tolist())), slots)[1].reshape(3, -1)
+        tips, columns = model.columns(model.posture(unstack(q)), slots)
         moved = columns * [slot.parameter.prior for slot in slots]
-        _usual_of[arm.hash] = float(sizes(moved @ moved.T)[1])
-    return _usual_of[arm.hash]
+        _in_reach[arm.hash] = tips, sizes(moved @ np.swapaxes(moved, 1, 2))[1]
+    return _in_reach[arm.hash]
 
 
-_usual_of: dict[str, float] = {}
+_in_reach: dict[str, tuple[np.ndarray, np.ndarray]] = {}

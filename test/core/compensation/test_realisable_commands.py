@@ -335,7 +335,7 @@ def test_a_line_of_commands_csv_has_what_was_settled_on(model: Model, joints: np
     chosen = arrival.outcome.realisable
     assert chosen is not None
     names = [f"q{j}" for j in range(1, model.arm.n + 1)]
-    where = placement(model, model.tip(joints[:1]), "base")
+    where = placement(model, "base")
     (line,) = Commands(np.array([4]), (arrival,), (where,)).lines()
     assert list(line) == [
         *("index", "status", "reason", *names, "target_x", "target_y", "target_z"),

@@ -98,6 +98,10 @@ def test_where_it_matters_and_nobody_said_it_both_are_offered() -> None:
     made = la.compensate(Model(ARM, (NEAR,)), target)
     assert made.success.all() and "frame measured" in made.frames[0]
     assert "frame base" in la.compensate(Model(ARM), target).frames[0]
+    pivot = BasePose(x=0.8 * target[1], y=-0.8 * target[0], rz=0.8)  # a turn about the target
+    np.testing.assert_allclose(moved(pivot, target), target, atol=1e-12)
+    with pytest.raises(la.InputError, match=r"base .* or measured"):
+        la.compensate(Model(ARM, (pivot,)), target)
 
 
 def test_the_base_of_a_graph_is_the_arms_own_wherever_the_tracker_stands() -> None:
@@ -122,7 +126,7 @@ def test_a_graph_and_files_carry_what_was_measured_alike(base: BasePose) -> None
     point = moved(base, Model(ARM).tip(ARM.mid))
     graph = base_of_graph(model)
     in_base = carry_place(graph.measurements, point)
-    files = placement(model, point[None], "measured").carried(point)
+    files = placement(model, "measured").carried(point)
     np.testing.assert_allclose(graph.carried(in_base), files, atol=1e-12)
     np.testing.assert_allclose(files, point - model.frame_shift, atol=1e-12)
 
@@ -153,7 +157,7 @@ def test_a_base_that_was_moved_is_named_by_its_group() -> None:
         with pytest.raises(la.InputError, match="group"):
             la.compensate(model, target, frame=frame)
     for name, x in (("a", 1.0), ("b", -1.0)):
-        found = placement(model, target[None], "base", name)
+        found = placement(model, "base", name)
         np.testing.assert_allclose(found.carried(target), target + np.array([x, 0, 0]), atol=1e-9)
         context = Context(labels={"group": np.array([name])})
         assert la.compensate(model, target, frame="base", context=context).success.all()

@@ -118,13 +118,13 @@ def test_a_target_in_the_frame_of_the_measurements_is_missed_as_the_report_says(
     model = load_model(tmp_path / "model.yaml", ARM)
     assert model.frame_shift == fitted.model.frame_shift
     assert np.linalg.norm(model.frame_shift) > 5e-3
-    there = placement(model, seen.xyz, "measured")
+    there = placement(model, "measured")
     tips = as_commanded(model).tip(seen.q, seen.context())
     missed = np.array([there.carried(xyz) for xyz in seen.xyz]) - tips
     np.testing.assert_allclose(missed, commanded_errors(fitted.model, seen), atol=1e-9)
     np.testing.assert_allclose(missed.mean(axis=0), 0.0, atol=1e-4)
-    bare = placement(model.with_terms(model.effects), seen.xyz, "base")
-    np.testing.assert_allclose(bare.motion, placement(model, seen.xyz, "base").motion)
+    bare = placement(model.with_terms(model.effects), "base")
+    np.testing.assert_allclose(bare.motion, placement(model, "base").motion)
 
 
 def test_the_frame_of_a_sensor_stays() -> None:
