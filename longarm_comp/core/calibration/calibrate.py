@@ -3,9 +3,10 @@ held-out poses."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,21 +14,30 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
-from longarm_comp.core.calibration.linear import CHANCES, SIZES, choose_sizes
+from longarm_comp.core.calibration.linear import (
+    CHANCES,
+    OUTLIER,
+    SIZES,
+    Marginal,
+    choose_sizes,
+)
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.placed_model import place_as_seen, place_frames, placement_terms
+from longarm_comp.core.calibration.undetermined import is_size_determined
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, JointZero
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
 WORST = 5
 """Rows that are named as the worst."""
+BETTER = 1.0
+"""Log evidence by which a fit from another start must be better."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +147,9 @@ def fit_stages(
 ) -> Iterator[tuple[str, ModelFit]]:
     """Fit frames only, joint zeros, and full geometry on top of a model, each from the last.
 
-    The frames are placed in closed form first.  The last fit is what every command calls
+    The frames are placed in closed form first.  The geometry is fitted from two starts, with the
+    drawing's priors and with the widest, and that of higher evidence is taken: while the noise
+    counts as large, nothing tells that a part is far off.  The last fit is what every command calls
     calibrated.  Errors are those of `fit_model`.
 
     Args:
@@ -157,16 +169,48 @@ def fit_stages(
         whole, usual = model.with_missing(terms), None
         if kind is not None and name == "geometry":
             whole, usual, start = kind.apply_to(whole), kind.noise, placed
-        fitted = fit_model(copy_known_values(start, whole), session, usual=usual)
-        if name == "geometry":
-            tried = [fitted.model.beyond]
-            while (beyond := _find_beyond(fitted.model)) not in tried:
-                tried.append(beyond)
-                fitted = fit_model(
-                    dataclasses.replace(fitted.model, beyond=beyond), session, usual=usual
-                )
+        whole = copy_known_values(start, whole)
+        if name != "geometry":
+            fitted = fit_model(whole, session, usual=usual)
+        else:
+            fitted = _settle_priors(whole, session, usual)
+            with contextlib.suppress(JobError):  # a part far off may show only if all may be
+                other = _settle_priors(_with_widest_priors(whole), session, usual)
+                more = _log_evidence(other) - _log_evidence(fitted)
+                if more > BETTER and is_size_determined(other):  # a smaller arm misses by less
+                    fitted = other
         start = fitted.model
         yield name, fitted
+
+
+def _settle_priors(model: Model, session: Session, usual: Mapping[str, float] | None) -> ModelFit:
+    """Fit a model, again and again, until the same parts are beyond what their drawing allows."""
+    fitted = fit_model(model, session, usual=usual)
+    tried = [fitted.model.beyond]
+    while (beyond := _find_beyond(fitted.model)) not in tried:
+        tried.append(beyond)
+        model = dataclasses.replace(fitted.model, beyond=beyond)
+        fitted = fit_model(model, session, usual=usual)
+    return fitted
+
+
+def _with_widest_priors(model: Model) -> Model:
+    """Return a model of which every part may be as far off as any part is."""
+    slots = [s for s in model.slots if not s.parameter.unknown]
+    return dataclasses.replace(model, beyond=tuple((s.identity, SIZES[-1]) for s in slots))
+
+
+def _log_evidence(fit: ModelFit) -> float:
+    """Return the log evidence of a fit, of its noise and of its parts beyond the drawing.
+
+    A row that it set aside counts as one at the limit of an outlier.
+    """
+    noise = np.where(np.isfinite(fit.sigma), fit.sigma, 1.0)
+    rows = Marginal(fit.design, fit.data, fit.gram).evidence
+    rows -= float(fit.session.measured.sum(axis=0) @ np.log(noise))
+    rows -= 0.5 * OUTLIER**2 * float((fit.weights == 0).sum())
+    chance = dict(zip(SIZES, CHANCES, strict=True))
+    return rows + sum(chance[size] - chance[1.0] for _, size in fit.model.beyond)
 
 
 def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
@@ -174,7 +218,7 @@ def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
 
     A part far beyond its tolerance pays for that only once.  Otherwise any effect that moves the
     tip as the part does would be worth what the part's prior costs.  A fit with these parts may
-    give others, so `fit_stages` repeats both until the same parts come again.
+    give others, so `_settle_priors` repeats both until the same parts come again.
     """
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]

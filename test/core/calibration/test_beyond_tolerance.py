@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 from small_arm import ARM
+from touching import ARM as TOUCHING
+from touching import errors_of_the_drawing, touching
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import fit_stages
@@ -58,6 +60,25 @@ def test_a_part_far_beyond_its_tolerance_has_a_wider_prior_alone() -> None:
     assert (mine.label, times) == (f"dh_error / row {ROW} / alpha", 16.0)
     assert mine.parameter.width == pytest.approx(16.0 * np.radians(TOLERANCE_DEG))
     assert fitted.model.values[fitted.slots.index(mine)] == pytest.approx(12e-3, rel=0.1)
+
+
+@pytest.mark.parametrize("off_m", [0.3, -0.2])
+def test_a_length_far_off_its_drawing_is_found(off_m: float) -> None:
+    """Counted as noise, 100 mm would make the drawing worth more than every row."""
+    rng = np.random.default_rng(5)
+    truth = Model(ARM, (*declared_model(ARM).effects, DhError(3, a=off_m)))
+    q = rng.uniform(ARM.lower, ARM.upper, (80, ARM.n))
+    rows = Session.record(q, truth.tip(q) + 1e-4 * rng.standard_normal((80, 3)))
+    fitted = calibrated(ARM, rows)
+    assert dict(fitted.model.beyond)["dh_error", ("row", 3), "a"] == SIZES[-1]
+    np.testing.assert_allclose(fitted.sigma, 1e-4, rtol=0.3)
+
+
+def test_touches_that_hold_no_size_leave_the_arm_as_large_as_drawn() -> None:
+    """On a smaller arm every touch misses by less."""
+    rows = dataclasses.replace(touching(errors_of_the_drawing(), 120), touch_distances=())
+    tips, drawn = (m.tip(rows.q) for m in (calibrated(TOUCHING, rows).model, Model(TOUCHING)))
+    assert np.std(tips, axis=0) == pytest.approx(np.std(drawn, axis=0), rel=0.03)
 
 
 def test_parts_within_their_tolerance_keep_it() -> None:
