@@ -144,6 +144,24 @@ def catalogue_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def few_names() -> Iterator[None]:
+    """A diagnosis in this test tries four names: its choice among all is not the question."""
+    from few_effects import few_effects
+
+    with few_effects():
+        yield
+
+
+@pytest.fixture(scope="module")
+def few_names_here() -> Iterator[None]:
+    """The same in all tests of a file."""
+    from few_effects import few_effects
+
+    with few_effects():
+        yield
+
+
+@pytest.fixture
 def shell(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Shell:
