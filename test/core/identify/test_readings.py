@@ -250,7 +250,7 @@ def test_no_pose_splits_two_names_of_one_physics_at_some_joints() -> None:
     assert said.poses == 0 and "(read_q2, read_q4)" in said.reason
 
 
-@pytest.mark.parametrize("half", [5e-4, 2e-3])
+@pytest.mark.parametrize("half", [pytest.param(5e-4, marks=pytest.mark.long), 2e-3])
 def test_play_at_a_vertical_axis_that_leans_is_found_beside_a_soft_joint(half: float) -> None:
     """The load at joint 1 is that of its lean alone, and decides nothing."""
     lean = np.zeros((4, ARM.n))
