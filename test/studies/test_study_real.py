@@ -70,6 +70,7 @@ def test_justin(dlr_justin: dict[str, dict]) -> None:
     assert "joint_compliance" in lines["diagnosed"]["effects"]
 
 
+@pytest.mark.long
 def test_wam(wam: dict[str, dict]) -> None:
     """A cable drive: the training rows ask for play, and a command is no worse for it."""
     lines = wam
@@ -168,6 +169,7 @@ def test_folder_without_the_data(tmp_path: Path) -> None:
         dict(real_sets(tmp_path))
 
 
+@pytest.mark.long
 def test_the_rigid_fit_by_scipy_agrees_with_calibration(data_dir: Path) -> None:
     """Two codes that share nothing leave the same at rows that neither saw."""
     (wam,) = every_robot(data_dir)["wam"]

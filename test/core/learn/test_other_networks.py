@@ -200,14 +200,14 @@ def test_training_takes_the_threads_of_others_only_for_a_while() -> None:
 
 
 def test_the_page_runs_as_it_is_written(shell: Shell) -> None:
-    """docs/your_own_network.md, with two networks instead of five."""
+    """docs/your_own_network.md, with one network instead of five."""
     for words in lines("docs/your_own_network.md"):
         words = [str(ROOT / w) if w.startswith("examples/") else w for w in words]
         if words[0] == "python" and words[1] != "-m":
             env = {**os.environ, "PYTHONPATH": str(ROOT)}
             subprocess.run([sys.executable, *words[1:]], env=env, check=True)
         elif words[1] in ("train", "evaluate"):
-            more = ["--ensemble", "2"] if words[1] == "train" else []
+            more = ["--ensemble", "1"] if words[1] == "train" else []
             assert shell(*words[1:], *more) == 0, f"{shlex.join(words)}\n{shell.err}"
     rows = [line for line in shell.out.splitlines() if "│" in line]
     mean = {row.split("│")[1].strip(): float(row.split("│")[3]) for row in rows}
