@@ -145,7 +145,7 @@ def catalogue_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def few_names() -> Iterator[None]:
-    """A diagnosis in this test tries four names: its choice among all is not the question."""
+    """A diagnosis in this test tries few names: its choice among all is not the question."""
     from few_effects import few_effects
 
     with few_effects():

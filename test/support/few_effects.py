@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import pytest
 
 from longarm_comp.core.calibration import candidates
+from longarm_comp.core.effects.camera_errors import CameraDrift
+from longarm_comp.core.effects.catalogue import Kind
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.plays import Backlash
 
-FEW = (JointGain, GearEccentricity, JointCompliance, Backlash)
-"""A name with one that imitates it at few levels, and one of either other kind."""
+FEW = (JointGain, GearEccentricity, JointCompliance, Backlash, CameraDrift)
+"""A name, what imitates it at few levels, two of other kinds, and one that needs times."""
 
 
 @contextlib.contextmanager
-def few_effects() -> Iterator[None]:
-    """Diagnoses of this process try these four names, and functions without one."""
+def few_effects(kinds: Sequence[Kind] = FEW) -> Iterator[None]:
+    """Diagnoses of this process try these effects, and functions without one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(candidates, "searched_effects", lambda: FEW)
+        patch.setattr(candidates, "searched_effects", lambda: tuple(kinds))
         yield

@@ -148,6 +148,7 @@ def test_rows_on_two_sides_of_friction_are_explained_not_refused(demo: Arm) -> N
     assert [f.names for f in found.findings] == [("friction_hysteresis",)]
 
 
+@pytest.mark.usefixtures("few_names")
 def test_nothing_is_written_for_rows_that_do_not_belong(
     demo: Arm, session: Session, tmp_path: Path
 ) -> None:

@@ -132,6 +132,7 @@ def scaled(rows: Session) -> Session:
     return dataclasses.replace(rows, xyz=rows.xyz + 0.004 * (rows.xyz - DEMO.camera.position_m))
 
 
+@pytest.mark.long
 def test_a_scale_of_the_camera_is_the_cameras_and_has_its_size() -> None:
     cause = one(explained(DEMO, scaled(measured(DEMO, (), ROWS, 3))))
     assert cause.amounts[0].value == pytest.approx(0.004, rel=0.15)
