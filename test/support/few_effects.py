@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import pytest
 
 from longarm_comp.core.calibration import candidates
+from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.catalogue import Kind
 from longarm_comp.core.effects.compliances import JointCompliance
@@ -20,7 +21,10 @@ FEW = (JointGain, GearEccentricity, JointCompliance, Backlash, CameraDrift)
 
 @contextlib.contextmanager
 def few_effects(kinds: Sequence[Kind] = FEW) -> Iterator[None]:
-    """Diagnoses of this process try these effects, and functions without one."""
+    """Diagnoses of this process try these effects, registered ones, and functions."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(candidates, "searched_effects", lambda: tuple(kinds))
+        others = catalogue._others
+        patch.setattr(
+            candidates, "searched_effects", lambda: (*kinds, *(kind for kind, _ in others.values()))
+        )
         yield
