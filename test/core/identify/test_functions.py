@@ -271,7 +271,8 @@ def test_a_clock_that_counts_from_1970_will_do(of_time: Callable[[np.ndarray], n
             for of, own in ((rows, slice(120)), (late, slice(120, 160)))
         ]  # fmt: skip
         assert read_camera_inputs(parts[0].xyz, parts[0]).by_name["t_s"].low == 0.0
-        found.append(diagnose(SMALL, parts[0], test=parts[1]))
+        kinds = (CameraDrift, BaseSettling, JointGain)
+        found.append(diagnose(SMALL, parts[0], test=parts[1], kinds=kinds))
     here, there = ((f.verdict, f.proof.rows[f.written].mean) for f in found)
     assert here[0] == there[0] != "noise" and here[1] == pytest.approx(there[1], rel=1e-3)
     assert here[1] < 4e-4
