@@ -30,13 +30,13 @@ NOT_SHIPPED = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data
 
 
 LONGEST = (
-    *("test_readings_on_the_graph", "test_explain", "test_loop_graph", "test_hidden_effect"),
-    "test_mujoco_arm",
+    *("test_readings_on_the_graph", "test_fleet_cluster", "test_loop_graph", "test_hidden_effect"),
     *("test_servo_driver", "test_stops", "test_functions", "test_package"),
-    *("test_diagnosed", "test_collect", "test_fuzz", "test_arm_folder_graph"),
+    *("test_no_code_from_data", "test_diagnosed", "test_collect", "test_explain", "test_fuzz"),
+    *("test_close_the_loop", "test_arm_folder_graph"),
     *("test_open_catalogue", "test_view", "test_python_api", "test_tip_on_the_graph"),
-    *("test_fleet", "test_error_predictor", "test_readings", "test_away", "test_study_real"),
-    *("test_fleet_cluster", "test_servo_written_back", "test_servo_memory"),
+    *("test_fleet", "test_error_predictor", "test_readings", "test_away"),
+    *("test_servo_written_back", "test_servo_memory"),
     *("test_touch_graph", "test_diagnose", "test_at_work_graph", "test_belonging"),
     *("test_kinematics", "test_bench", "test_servo_setup", "test_realisable_arm"),
     *("test_driver_link", "test_study_touch", "test_demo", "test_study_table1"),
@@ -141,6 +141,24 @@ def catalogue_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
     from longarm_comp.core.effects import catalogue
 
     monkeypatch.setattr(catalogue, "_others", {})
+
+
+@pytest.fixture
+def few_names() -> Iterator[None]:
+    """A diagnosis in this test tries few names: its choice among all is not the question."""
+    from few_effects import few_effects
+
+    with few_effects():
+        yield
+
+
+@pytest.fixture(scope="module")
+def few_names_here() -> Iterator[None]:
+    """The same in all tests of a file."""
+    from few_effects import few_effects
+
+    with few_effects():
+        yield
 
 
 @pytest.fixture

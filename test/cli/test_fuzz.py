@@ -26,7 +26,7 @@ from damage import damaged
 from openpyxl import Workbook
 from places import EXAMPLES
 from session_bag import write_bag
-from small_arm import ARM
+from small_arm import ARM, measured
 
 from longarm_comp.arm_folder.measured import SIDES
 from longarm_comp.core.arm.arm import Arm
@@ -37,10 +37,11 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo.camera_file import write_camera
 from longarm_comp.report import record
 from longarm_comp.report.record import read_report
-from longarm_comp.sessions.csv import read_csv
+from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.cameras import CameraPair
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
+pytestmark = pytest.mark.usefixtures("few_names_here")
 RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "60"))
 PARTS = 10
 HANG_S = 120
@@ -82,6 +83,7 @@ class Reading:
     reads: tuple[str, ...]
 
 
+STIFF, KNOWN = "stiff.yaml", "known.yaml"
 FOLDER, MAPPING = "my_arm", "log.mapping.yaml"
 FILES = tuple(
     f"{FOLDER}/{name}.yaml" for name in ("arm", "servo_driver", "stereo_bridge", "simulated_arm")
@@ -108,8 +110,8 @@ READINGS = (
         ("few.csv",),
     ),
     Reading(
-        ("diagnose", ARM_FILE, "few.csv", "--model", MODEL, "--no-network", "-o", "found"),
-        ("few.csv", ARM_FILE, MODEL),
+        ("diagnose", STIFF, "few.csv", "--model", KNOWN, "--no-network", "-o", "found"),
+        ("few.csv", STIFF, KNOWN),
     ),
     Reading(
         ("bag", "to-csv", ARM_FILE, "bag", "-o", "b.csv"), ("bag/metadata.yaml", "bag/bag.mcap")
@@ -169,8 +171,10 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for copy in KIND[1:]:
         shutil.copy(model, folder / copy)
     shutil.copy(model, folder / "kept.previous.yaml")
-    rows = (work / "test.csv").read_text().splitlines()
-    (folder / "few.csv").write_text("\n".join(rows[:26]) + "\n")
+    few = folder / "few.csv"
+    write_csv(measured(25, np.random.default_rng(2)), few)
+    (folder / STIFF).write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_defaults=True)))
+    assert made("calibrate", folder / STIFF, few, "-o", folder / KNOWN) == 0
     aims = Model(ARM).tip(ARM.lower + np.array([[0.4], [0.6]]) * (ARM.upper - ARM.lower))
     lines = ["x,y,z,payload_kg,temperature_c,t_s,approach"]
     lines += [f"{x:.4f},{y:.4f},{z:.4f},0.0,20.5,12," for x, y, z in aims]
@@ -192,7 +196,7 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for side, info in zip(SIDES, pair.camera_infos(), strict=True):
         write_camera(folder / FOLDER / "cameras" / f"{side}.yaml", side, info, "")
     (folder / "arms" / "a").mkdir(parents=True)
-    shutil.copy(arm, folder / "arms" / "a")
+    shutil.copy(folder / STIFF, folder / "arms" / "a" / "arm.yaml")
     shutil.copy(folder / "few.csv", folder / "arms" / "a" / "s.csv")
     for name, source in (("ball.yaml", "arm.yaml"), ("touches.yaml", "touches.yaml")):
         shutil.copy(TOUCHED / source, folder / name)

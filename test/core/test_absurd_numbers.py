@@ -64,6 +64,11 @@ def test_a_network_of_absurd_scale(key: str, value: float, work: Path, tmp_path:
         load(tmp_path / "bad.npz")
 
 
+@pytest.fixture(scope="module")
+def touched() -> Session:
+    return touching(errors_of_the_drawing(), 60)
+
+
 @pytest.mark.parametrize(
     ("length", "tolerance", "words"),
     [
@@ -75,10 +80,10 @@ def test_a_network_of_absurd_scale(key: str, value: float, work: Path, tmp_path:
     ],
 )
 def test_a_known_distance_that_the_arm_did_not_touch(
-    length: float, tolerance: float, words: str, shell: Shell
+    length: float, tolerance: float, words: str, touched: Session, shell: Shell
 ) -> None:
     known = ((*DISTANCES[0][:2], length, tolerance), *DISTANCES[1:])
-    rows = dataclasses.replace(touching(errors_of_the_drawing(), 60), touch_distances=known)
+    rows = dataclasses.replace(touched, touch_distances=known)
     data = TOUCHED.model_dump(mode="json", exclude_defaults=True)
     (shell.folder / "arm.yaml").write_text(yaml.safe_dump(data))
     write_csv(rows, shell.folder / "s.csv")

@@ -16,6 +16,7 @@ import yaml
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
+from diagnosis_folders import small_networks
 from hidden_arm import at
 from nodes_bench import PATIENCE_S, bench
 from own_graph import own_graph
@@ -136,10 +137,12 @@ def test_a_move_that_is_over_before_the_wait_has_arrived(files: Path) -> None:
             client.arrive(path, replace(pace, arrive_s=0.3))
 
 
+@pytest.mark.usefixtures("few_names")
 def test_the_loop_asks_goes_on_and_is_taken_back(
     files: Path, client: ArmClient, runner: TargetRunner, shell: Shell,
-    answers: Callable[[str], None],
+    answers: Callable[[str], None], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
+    monkeypatch.setattr("longarm_comp.workflows.apply.train", small_networks())
     at_work(client, files, Model(ARM))
     client.set_parameter("kinematics", "method", "both")
     kept = (files / "model.yaml").read_bytes()

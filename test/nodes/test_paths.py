@@ -241,7 +241,10 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(
     assert len(controller.got) == 1
 
 
-@pytest.mark.parametrize(("free", "tracked"), [(False, False), (True, False), (False, True)])
+@pytest.mark.parametrize(
+    ("free", "tracked"),
+    [(False, False), pytest.param(True, False, marks=pytest.mark.long), (False, True)],
+)
 def test_an_arm_that_cannot_hold_the_orientation_follows_a_plan_and_says_so(
     stage: Bench, tmp_path: Path, free: bool, tracked: bool
 ) -> None:

@@ -179,6 +179,7 @@ def tracked(arm: Arm, count: int, path: Path, seed: int) -> np.ndarray:
     return seen
 
 
+@pytest.mark.usefixtures("few_names")
 def test_the_walk_with_a_boom_and_a_tracker_runs_as_it_is_written(shell: Shell) -> None:
     Path("robot.urdf").write_text(BOOM)
     for said in commands("docs/laser_tracker.md"):

@@ -92,6 +92,7 @@ def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
     demo = Arm.load(arm)
     target = [f"{each:.4f}" for each in declared_model(demo).tip(demo.mid)]
     with_predictor, mine = ("--model", model, "--predictor", predictor), str(tmp_path / "mine")
+    code = ""
     for words in (
         ("init", mine, "--like", "demo"),
         ("check", mine),
@@ -99,4 +100,5 @@ def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
         ("compensate", str(arm), *target, "--position-only", "--predictor", predictor,
          "-o", str(tmp_path / "commands.csv")),
     ):  # fmt: skip
-        assert "torch" not in loaded(command_line(*words)), words
+        code += command_line(*words) + f"assert 'torch' not in sys.modules, {words!r}\n"
+    assert "torch" not in loaded("import sys\n" + code)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from few_effects import few_effects
 from places import EXAMPLES
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: run make setup")
@@ -18,9 +19,10 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 sys.path.append(str(EXAMPLES))
 
 from mujoco_arm import JOINTS, RealArm
-from mujoco_draws import HAS, measured
+from mujoco_draws import HAS, measured, reached
 
 import longarm_comp as la
+from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
 
 SOFT = (2, 3)
 """Shoulder and elbow: their drives carry enough that the rows tell how soft they are."""
@@ -42,6 +44,20 @@ def test_nothing_of_the_arm_is_ours() -> None:
     assert found.stdout.strip() == "[]"
 
 
+def test_its_tip_goes_where_it_is_told_by_what_its_rows_say() -> None:
+    """Without a graph; in `make long` over one."""
+    arm, rng = la.Arm.load(EXAMPLES / "mujoco_arm.yaml"), np.random.default_rng([1, 3])
+    rows = measured(RealArm(1), la.plan(arm, 40, seed=1).q, rng)
+    with few_effects((JointCompliance, ServoDroop)):
+        found = la.diagnose(arm, rows, network=False)
+    assert {"joint_compliance"} & {name for f in found.findings for name in f.names}
+    targets = la.declared_model(arm).tip(la.plan(arm, 8, seed=101).q)
+    before, _ = reached(RealArm(1), targets, la.declared_model(arm))
+    missed, p90 = reached(RealArm(1), targets, found.model)
+    assert before.mean() > 5.0 and missed.mean() < 0.15 and p90.mean() < 0.3
+
+
+@pytest.mark.long
 def test_the_whole_way_over_the_graph(ros_domain: int, tmp_path: Path) -> None:
     walk = tmp_path / "walk"
     said = ran(EXAMPLES / "mujoco_walk.py", walk, "--poses", 60, "--targets", 10, "--speed", 100)

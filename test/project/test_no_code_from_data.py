@@ -100,7 +100,8 @@ def test_a_node_takes_it_from_its_command_line_only(trap: Path, node: str, optio
     code, said = program(trap.parent, *ros, script=node)
     assert (code, executed(trap)) == (2, False), said
     assert option in said and len(said.splitlines()) == 1
-    for words in (["--effect", trap], [f"--{option}"], [trap, f"--{option}"]):
+    wrong = (["--effect", trap], [f"--{option}"], [trap, f"--{option}"])
+    for words in wrong if node == "kinematics" else ():  # one reader of words for all nodes
         code, said = program(trap.parent, *words, *ros, script=node)
         assert (code, executed(trap)) == (2, False), said
         assert "command line: arguments: " in said
@@ -139,7 +140,7 @@ def test_workers_of_a_fleet(trap: Path, engine: tuple[str, ...]) -> None:
         (trap.parent / "arms" / name / "arm.yaml").write_text(yaml.safe_dump(data))
         session = measured(3, np.random.default_rng(1))  # too few: refused at once
         write_csv(session, trap.parent / "arms" / name / "samples.csv")
-    words = ("arms", "--jobs", 2, "-o", "out", "--no-network", *engine)
+    words = ("arms", "--jobs", 1 if engine else 2, "-o", "out", "--no-network", *engine)
     _, said = program(trap.parent, "fleet", *words)
     assert (trap.parent / "out" / "fleet.json").is_file(), said
     assert not executed(trap)

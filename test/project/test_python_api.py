@@ -78,6 +78,7 @@ def test_every_effect_of_the_catalogue_is_in_the_namespace() -> None:
 # ------------------------------------------------------------------ ten lines
 
 
+@pytest.mark.usefixtures("few_names")
 def test_ten_lines_diagnose_train_compensate_and_reach(tmp_path: Path) -> None:
     """A wrong joint gain, lost markers, plain lists: the real tip comes to the targets."""
     gain = (drives.JointGain(at(2, 0.02)),)
@@ -109,6 +110,7 @@ def test_ten_lines_diagnose_train_compensate_and_reach(tmp_path: Path) -> None:
     assert la.load_model(tmp_path / "model.yaml", ARM) == calibrated.model
 
 
+@pytest.mark.usefixtures("few_names")
 def test_the_page_says_what_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -30,9 +30,14 @@ ROWS = [
     for name, (place, *_) in catalogue.BENCHMARKS["kinematics"].items()
     if name not in ("ik_single_vs_ikpy", "ik_compile_seconds", "forward_cost")  # long
 ]
+ALIKE = ("compensate_path_240", "compensate_path_15_play")
+"""Measured by the code of `compensate_path_15`."""
 
 
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.long] * (n in ALIKE)) for n in ROWS],
+)
 def test_every_row_has_its_figures(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if name == "compensate_batch_10000":
         row = compensation.compensate_batch_10000(count=16)

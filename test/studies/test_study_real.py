@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from few_effects import few_effects
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.read import read_session
 from longarm_comp.workflows.calibrate import calibrate
@@ -70,6 +73,25 @@ def test_justin(dlr_justin: dict[str, dict]) -> None:
     assert "joint_compliance" in lines["diagnosed"]["effects"]
 
 
+def test_of_a_quarter_of_the_rows_every_model_is_told(data_dir: Path, tmp_path: Path) -> None:
+    """The command, with few effects to try; in `make long` with all rows and all effects."""
+    head, *rows = (data_dir / TRACKED.format("wam")).read_text("utf-8").splitlines()
+    grid = [row for row in rows if row.startswith("grid")]
+    rest = [row for row in rows if not row.startswith("grid")]
+    file = tmp_path / "part" / TRACKED.format("wam")
+    file.parent.mkdir(parents=True)
+    file.write_text("\n".join([head, *grid[::4], *rest]) + "\n", "utf-8")
+    (tmp_path / "data").mkdir()
+    with few_effects((Backlash, JointCompliance)):
+        lines = printed_of(tmp_path / "data", file)
+    assert lines["set"]["rows"] == lines["frames_only"]["n"] == 20
+    assert lines["diagnosed"]["mean_mm"] == pytest.approx(lines["set"]["written_mm"])
+    assert lines["rigid"]["mean_mm"] < lines["frames_only"]["mean_mm"] < 4.5
+    low, high = lines["set"]["written_commanded_ci95_mm"]
+    assert low <= lines["set"]["written_commanded_mm"] <= high
+
+
+@pytest.mark.long
 def test_wam(wam: dict[str, dict]) -> None:
     """A cable drive: the training rows ask for play, and a command is no worse for it."""
     lines = wam
@@ -168,6 +190,7 @@ def test_folder_without_the_data(tmp_path: Path) -> None:
         dict(real_sets(tmp_path))
 
 
+@pytest.mark.long
 def test_the_rigid_fit_by_scipy_agrees_with_calibration(data_dir: Path) -> None:
     """Two codes that share nothing leave the same at rows that neither saw."""
     (wam,) = every_robot(data_dir)["wam"]

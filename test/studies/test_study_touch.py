@@ -32,6 +32,7 @@ def written(path: Path, session: Session) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("few_names")
 def test_a_planted_arm_goes_through_the_whole_study(tmp_path: Path) -> None:
     sockets = {name: place for name, place in SOCKETS.items() if not name.startswith("high")}
     session = touching(errors_of_the_drawing(), 72, sockets=sockets)

@@ -18,6 +18,11 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.camera_errors import CameraDrift
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, ServoDroop
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
+from longarm_comp.core.effects.plays import Backlash, ServoDeadband
+from longarm_comp.core.effects.slow_changes import BaseSettling
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.findings import Finding, RunnerUp
@@ -27,6 +32,7 @@ from longarm_comp.sim.hidden import drives, loads
 from studies import real_sessions
 
 TOUCHED = EXAMPLES / "panda_touch"
+AT_JOINTS = (JointGain, GearEccentricity, Backlash, ServoDeadband)
 CALLED = ("slew", "luff", "extend", "knuckle")
 
 
@@ -43,7 +49,8 @@ def in_doubt() -> Diagnosis:
     rng = np.random.default_rng(3)
     q = arm.lower + rng.random((150, arm.n)) * (arm.upper - arm.lower)
     real = TrueArm(arm, (loads.JointCompliance(at(2, 4e-3)),))
-    return diagnose(arm, Session.record(q, real.tip(q) + white(rng, len(q))))
+    kinds = (JointCompliance, ServoDroop, BearingTilt, JointGain)
+    return diagnose(arm, Session.record(q, real.tip(q) + white(rng, len(q))), kinds=kinds)
 
 
 @cache
@@ -52,7 +59,8 @@ def real() -> Diagnosis:
     made = session((drives.JointGain(at(2, 0.02)), drives.Backlash(at(1, 5e-3), 0.0)), n=150)
     t_s = 60.0 * np.arange(len(made))
     drift = np.outer(t_s / 3600, (1e-3, -2e-3, 1e-3))
-    return diagnose(ARM, dataclasses.replace(made, xyz=made.xyz + drift, columns={"t_s": t_s}))
+    rows = dataclasses.replace(made, xyz=made.xyz + drift, columns={"t_s": t_s})
+    return diagnose(ARM, rows, kinds=(*AT_JOINTS, CameraDrift, BaseSettling))
 
 
 def touched(session: str) -> Diagnosis:

@@ -22,8 +22,8 @@ def test_the_tip_of_a_crane_goes_where_it_is_told(gear: float, shell: Shell) -> 
     rows = [word for row in TABLE for word in ("--joint", row)]
     assert shell("init", "crane", "--only-arm", *rows, "--tip-at", *TIP) == 0
     arm = la.Arm.load(Path("crane/arm.yaml"))
-    q = rng.uniform(LOWER, UPPER, (200, 4))
-    xyz = np.array([crane.at(each) for each in q]) + NOISE * rng.standard_normal((200, 3))
+    q = rng.uniform(LOWER, UPPER, (120, 4))
+    xyz = np.array([crane.at(each) for each in q]) + NOISE * rng.standard_normal((120, 3))
     found = la.diagnose(arm, Session.record(q, xyz))
     names = {name for finding in found.findings for name in finding.names}
     assert ("gear_eccentricity" in names) == bool(gear)

@@ -77,6 +77,7 @@ def test_the_arm_that_was_knocked_is_told(folders: Path, told: tuple[Path, str])
     assert json.loads((out / "fleet.json").read_text("utf-8"))["arms"] == list(arms.values())
 
 
+@pytest.mark.usefixtures("few_names")
 def test_a_cause_without_a_name_is_told_with_its_place_and_size(tmp_path: Path) -> None:
     arm_yaml(tmp_path / "arms" / "shaken")
     pump = np.random.default_rng(5).uniform(1.0, 2.0, 150)

@@ -309,7 +309,7 @@ def test_memory_of_several_radii_is_found_named_and_predicts(
 ) -> None:
     """Among what acts at one joint; in `make long` among all effects."""
     arm = Arm.load(demo_arm_path)
-    session, _ = planted(arm, 220, rng, told)
+    session, _ = planted(arm, 220 if kinds is None else 150, rng, told)
     found = diagnose(arm, session, kinds=kinds)
     assert found.verdict == "named"
     assert [f.name for f in found.findings] == ["friction_hysteresis"]

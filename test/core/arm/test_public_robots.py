@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +43,10 @@ def base_of(robot: UrdfRobot) -> str:
     return next((link for link in robot.links if link not in robot.above), "")
 
 
-def chains(robot: UrdfRobot) -> tuple[dict[str, Arm], list[str]]:
+@cache
+def chains(path: Path) -> tuple[dict[str, Arm], list[str]]:
     """Arms from the base to all ends that one is read to, most joints first; the other errors."""
-    arms, errors = {}, []
+    robot, arms, errors = UrdfRobot(path), {}, []
     for end in [link for link in robot.links if link not in robot.children] or [""]:
         try:
             arms[end] = Arm.parse(read_chain(robot, base_of(robot), end), robot.where)
@@ -54,8 +56,8 @@ def chains(robot: UrdfRobot) -> tuple[dict[str, Arm], list[str]]:
 
 
 def check(robot: UrdfRobot, tip: str, arm: Arm) -> None:
-    """20 postures as pinocchio has them, and back again from the middle of the limits."""
-    q = drawn(arm, np.random.default_rng(0), 20)
+    """Eight postures as pinocchio has them, and back again from the middle of the limits."""
+    q = drawn(arm, np.random.default_rng(0), 8)
     compare(Path(robot.where), base_of(robot), tip, arm, q)
     model = Model(arm)
     found = solve_many(model, model.pose(q), engine=Engine.MODEL, max_starts=MOST_STARTS)
@@ -67,7 +69,7 @@ def check(robot: UrdfRobot, tip: str, arm: Arm) -> None:
 
 @each_robot
 def test_a_public_robot_is_read_or_refused_for_a_reason(path: Path) -> None:
-    arms, errors = chains(UrdfRobot(path))
+    arms, errors = chains(path)
     reasons = (*REASONS, re.escape(REFUSED.get(path.name, REASONS[0])))
     assert all(any(re.search(reason, error) for reason in reasons) for error in errors)
     assert (path.name in REFUSED) == (not arms)
@@ -81,7 +83,7 @@ def test_a_public_robot_is_read_or_refused_for_a_reason(path: Path) -> None:
 @each_robot
 def test_so_is_every_chain_of_it(path: Path) -> None:
     robot = UrdfRobot(path)
-    for tip, arm in list(chains(robot)[0].items())[1:]:
+    for tip, arm in list(chains(path)[0].items())[1:]:
         check(robot, tip, arm)
 
 
@@ -91,14 +93,14 @@ def test_a_folder_of_it_passes_the_check(path: Path, shell: Shell) -> None:
     """Of the chain of most joints: no head or rotor, whose tip is on a joint's axis."""
     if path.name in REFUSED:
         return
-    ends = ("--base", base_of(UrdfRobot(path)), "--tip", next(iter(chains(UrdfRobot(path))[0])))
+    ends = ("--base", base_of(UrdfRobot(path)), "--tip", next(iter(chains(path)[0])))
     assert shell("init", "arm", "--urdf", path, *ends) == 0, shell.err
     assert shell("check", "arm") == 0, shell.out
 
 
 @pytest.mark.skipif(not public_robots(), reason="example-robot-data is not installed")
 def test_the_page_says_how_many_are_read() -> None:
-    read = [chains(UrdfRobot(path))[0] for path in public_robots()]
+    read = [chains(path)[0] for path in public_robots()]
     table = dict(re.findall(r"^\| ([^|]+) \| (\d+) \|$", PAGE.read_text("utf-8"), re.MULTILINE))
     counted = {
         "URDFs": len(read),

@@ -222,6 +222,7 @@ def test_axes_alone_are_not_diagnosed_or_learned() -> None:
         la.train(arm(TURNS[0]), rows)
 
 
+@pytest.mark.usefixtures("few_names")
 def test_a_diagnosis_does_not_depend_on_where_the_base_stands() -> None:
     """The same rows seen from 20 m away: the same name, and the evidence but for the noise.
 
@@ -241,6 +242,7 @@ def test_a_diagnosis_does_not_depend_on_where_the_base_stands() -> None:
         assert far.held_out[name].mean == pytest.approx(near.held_out[name].mean, rel=0.02)
 
 
+@pytest.mark.usefixtures("few_names")
 def test_diagnose_names_the_effect_from_rays() -> None:
     turn = TURNS[0]
     near = sensed(GAIN, n=160, seed=5)

@@ -27,7 +27,7 @@ from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows.calibrate import kind_from
 
 NAMES = ("1", "2", "3", "4", "6", "7")
-ROWS, DRAWS = 6, 4
+ROWS, DRAWS = 6, 2
 
 
 def touches(name: str) -> Session:
@@ -141,6 +141,7 @@ def test_few_rows_of_a_real_arm_do_better_by_its_kind(models: dict[str, Model]) 
     assert by_kind < 0.7 * drawing
 
 
+@pytest.mark.long
 def test_many_rows_are_not_worse_by_their_kind(models: dict[str, Model]) -> None:
     left = []
     for name in NAMES:

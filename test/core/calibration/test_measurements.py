@@ -237,6 +237,7 @@ def test_orientations_alone_name_an_effect_of_no_gain_in_millimetres() -> None:
     assert (found.name, found.seen_mm) == ("joint_gain", (0.0, 0.0))
 
 
+@pytest.mark.usefixtures("few_names")
 @pytest.mark.parametrize("kind", [pytest.param("pose", marks=pytest.mark.long), "mixture"])
 def test_diagnose_names_the_effect_from_poses_and_from_a_mixture(kind: str, tmp_path: Path) -> None:
     """A wrong gain at joint 2, seen by poses, and by positions beside distances."""

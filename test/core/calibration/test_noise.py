@@ -73,6 +73,7 @@ def test_every_axis_counts_its_own_freedom() -> None:
     assert noise.sigma == pytest.approx(true, rel=0.15)
 
 
+@pytest.mark.usefixtures("few_names")
 def test_six_poses_that_can_be_fitted_exactly_keep_a_noise() -> None:
     """By a noise of nothing no prior would count, and rows held out would be met exactly too."""
     found = diagnose(ARM, session([drives.JointGain(at(2, 0.02))], n=6, seed=3))

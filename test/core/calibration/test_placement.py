@@ -242,6 +242,7 @@ def test_a_model_says_where_the_base_stands_and_targets_are_where_it_is_seen(
     assert np.linalg.norm(reached - target) < 1e-3
 
 
+@pytest.mark.usefixtures("few_names")
 def test_diagnosis_and_calibration_mean_the_same_by_calibrated(rng: np.random.Generator) -> None:
     truth = Model(SMALL, (JointZero(1, offset=6e-3),))
     session = measured(truth, box(SMALL, 120, rng), rng)
@@ -313,6 +314,7 @@ def test_gates() -> None:
     assert describe_rise(error, 9 * late, RISES).startswith("mean ")
 
 
+@pytest.mark.usefixtures("few_names")
 def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
     session = measured(Model(SMALL), box(SMALL, 80, rng), rng)
     monkeypatch.setattr(plausible, "NO_NOISE", 1e-6)

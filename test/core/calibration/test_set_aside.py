@@ -164,6 +164,7 @@ def test_an_arm_that_stayed_was_not_moved(made: Model) -> None:
     refuse_moved_parts(fitted)
 
 
+@pytest.mark.usefixtures("few_names")
 def test_both_commands_name_the_rows_that_they_set_aside(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
 ) -> None:

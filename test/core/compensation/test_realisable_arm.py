@@ -77,7 +77,7 @@ def on_steps(model: Model, q: np.ndarray, offset: Any = 0.0) -> np.ndarray:
 def test_positions_of_the_demonstration_arm(model: Model, rng: np.random.Generator) -> None:
     arm = model.arm
     offset = rng.uniform(-0.5, 0.5, arm.n) * arm.steps
-    got, targets = commanded(model, rng.uniform(arm.lower, arm.upper, (40, arm.n)), offset=offset)
+    got, targets = commanded(model, rng.uniform(arm.lower, arm.upper, (20, arm.n)), offset=offset)
     assert on_steps(model, got.joints, offset).max() < 1e-6
     assert (got.joints >= arm.lower).all() and (got.joints <= arm.upper).all()
     # by the model's own code
@@ -94,7 +94,7 @@ def test_positions_of_the_demonstration_arm(model: Model, rng: np.random.Generat
 
 def test_poses_weigh_angle_against_position(model: Model, rng: np.random.Generator) -> None:
     arm = model.arm
-    q = rng.uniform(arm.lower, arm.upper, (40, arm.n))
+    q = rng.uniform(arm.lower, arm.upper, (20, arm.n))
     got, targets = commanded(model, q, pose=True)
     made = model.pose(got.joints)
     turn = made[:, :3, :3] @ targets[:, :3, :3].swapaxes(1, 2)
@@ -148,13 +148,13 @@ def test_locked_joints_and_limits_of_the_demonstration_arm(
     model: Model, rng: np.random.Generator
 ) -> None:
     arm = model.arm
-    q = rng.uniform(arm.lower, arm.upper, (30, arm.n))
+    q = rng.uniform(arm.lower, arm.upper, (12, arm.n))
     got, _ = commanded(model, q, locked=(2, 6))
     np.testing.assert_array_equal(got.joints[:, [2, 6]], got.ideal[:, [2, 6]])
     assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
     assert got.error[:, 0].mean() < 0.25 * got.rounded_error[:, 0].mean()
     for joint in (1, 2, arm.n - 1):  # two joints on their limits
-        q[:, joint] = np.where(rng.random(30) < 0.5, arm.lower[joint], arm.upper[joint])
+        q[:, joint] = np.where(rng.random(12) < 0.5, arm.lower[joint], arm.upper[joint])
         q[:, (joint + 1) % arm.n] = arm.lower[(joint + 1) % arm.n]
         lattice = Lattice.of(arm, 0.4 * arm.steps)
         edge = choose_arrays(arm, lattice, lambda q: model.tip(q), model.tip(q), q, Search(LENGTH))
@@ -162,7 +162,7 @@ def test_locked_joints_and_limits_of_the_demonstration_arm(
         assert on_steps(model, edge.joints, 0.4 * arm.steps).max() < 1e-6
         assert (edge.error[:, 0] <= edge.rounded_error[:, 0]).all()
         assert np.median(edge.error[:, 0]) < 0.1 * np.median(edge.rounded_error[:, 0])
-        q = rng.uniform(arm.lower, arm.upper, (30, arm.n))
+        q = rng.uniform(arm.lower, arm.upper, (12, arm.n))
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -46,7 +46,7 @@ def model(stepped: dict[str, Any]) -> Model:
 @pytest.fixture
 def joints(model: Model, rng: np.random.Generator) -> np.ndarray:
     arm = model.arm
-    share = rng.uniform(0.1, 0.9, (12, arm.n))
+    share = rng.uniform(0.1, 0.9, (6, arm.n))
     return np.array(arm.lower + share * (arm.upper - arm.lower))
 
 

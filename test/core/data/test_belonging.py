@@ -20,10 +20,13 @@ from longarm_comp.core.data.belonging import MIN_POSES, believe, mistakes
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.placements import BasePose
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
 from studies import real_sets
 from studies.real_sessions import laser_tracked
@@ -140,10 +143,12 @@ def test_rows_on_two_sides_of_friction_are_explained_not_refused(demo: Arm) -> N
     """Half of them stray from the rigid arm; they share how their joints came."""
     *_, friction = real_sets.simulate_sets(demo, 1 + real_sets.NAMES.index("friction_hysteresis"))
     rows = friction.train.take(np.arange(len(friction.train) // 2))
-    found = la.diagnose(friction.arm, rows).diagnosis
+    kinds = (FrictionHysteresis, Backlash, JointGain)
+    found = diagnose(friction.arm, admit(rows, friction.arm).session, kinds=kinds)
     assert [f.names for f in found.findings] == [("friction_hysteresis",)]
 
 
+@pytest.mark.usefixtures("few_names")
 def test_nothing_is_written_for_rows_that_do_not_belong(
     demo: Arm, session: Session, tmp_path: Path
 ) -> None:
@@ -152,7 +157,7 @@ def test_nothing_is_written_for_rows_that_do_not_belong(
             command(wide(demo), joint(0, np.negative)(session))
 
 
-@pytest.mark.parametrize("name", ["wam", "ur5"])
+@pytest.mark.parametrize("name", [pytest.param("wam", marks=pytest.mark.long), "ur5"])
 def test_real_rows_are_told_from_spoilt_ones(data_dir: Path, name: str) -> None:
     (part,) = laser_tracked(data_dir, name)
     arm, rows = wide(part.arm), part.train

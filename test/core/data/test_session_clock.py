@@ -129,7 +129,7 @@ def test_a_base_that_turned_once_is_commanded_as_it_stands_since(tmp_path: Path)
         np.testing.assert_allclose(made.tip(command, context), TARGET, atol=1e-6)
 
 
-@pytest.mark.parametrize("slowing", [0.0, 8.0])
+@pytest.mark.parametrize("slowing", [pytest.param(0.0, marks=pytest.mark.long), 8.0])
 def test_targets_are_in_the_frame_that_a_drifting_camera_had_at_first(slowing: float) -> None:
     """For the tip does not move with it; and a camera that warms up is named, as it slows down."""
     rows = session(n=120)

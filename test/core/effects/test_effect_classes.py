@@ -151,13 +151,13 @@ class GainOfTwin(JointGain):
     [
         ((JointGain, Stranger), {"joint_gain"}),
         ((JointGain, Twin), {"joint_gain", "twin"}),
-        ((GainOfTwin, Stranger), {"gain_of_twin", "stranger"}),
+        pytest.param((GainOfTwin, Stranger), {"gain_of_twin", "stranger"}, marks=pytest.mark.long),
     ],
 )
 def test_an_alias_is_what_one_of_two_classes_says(
     kinds: tuple[type[Effect], ...], names: set[str]
 ) -> None:
-    found = diagnose(ARM, session([drives.JointGain(at(1, 0.1))], n=150), kinds=kinds)
+    found = diagnose(ARM, session([drives.JointGain(at(1, 0.1))], n=90), kinds=kinds)
     assert [set(f.names) for f in found.findings] == [names]
 
 

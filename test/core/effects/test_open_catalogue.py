@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from few_effects import few_effects
 from hidden_arm import at, session
 from places import ROOT
 
@@ -53,7 +54,8 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = ("--no-network", "--effects", EXAMPLE, "-o", folder / "diagnosis")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(catalogue, "_others", {})
-        assert run([str(word) for word in (*words, *options)]) == 0
+        with few_effects():
+            assert run([str(word) for word in (*words, *options)]) == 0
     return folder
 
 

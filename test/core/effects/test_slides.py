@@ -104,7 +104,9 @@ def test_the_effect_is_what_the_true_column_does(name: str) -> None:
     assert np.abs(said - moved).max() < 0.02 * np.linalg.norm(moved, axis=1).max()
 
 
-@pytest.mark.parametrize("name", ["guide_curvature", "slide_play"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("guide_curvature", marks=pytest.mark.long), "slide_play"]
+)
 def test_a_diagnosis_names_it_and_its_size(name: str) -> None:
     truth, effect = SLIDES[name]
     q = poses(140)
@@ -135,7 +137,8 @@ def test_sinking_and_a_drift_of_the_camera_are_a_set() -> None:
     t = np.linspace(0.0, 7200.0, len(q))
     model = Model(arm()).plus(BaseSettling(sink=-3e-3))
     seen = model.measured(q, Context(columns={"t_s": t})) + rng.normal(0.0, 3e-4, (len(q), 3))
-    found = diagnose(arm(), Session.record(q, seen, columns={"t_s": t}), seed=1)
+    kinds = (CameraDrift, BaseSettling, GuideCurvature)
+    found = diagnose(arm(), Session.record(q, seen, columns={"t_s": t}), seed=1, kinds=kinds)
     (finding,) = found.findings
     assert {"camera_drift", "base_settling"} <= set(finding.names)
     assert found.verdict == "set"
@@ -168,7 +171,7 @@ def test_links_that_bend_and_are_not_declared_are_named() -> None:
     truth = TrueArm(arm(BENT, *beams))
     q = poses(160)
     rows = Session.record(q, truth.tip(q) + np.random.default_rng(4).normal(0, 3e-4, (len(q), 3)))
-    found = diagnose(arm(), rows, seed=1)
+    found = diagnose(arm(), rows, seed=1, kinds=(LinkBending, GuideCurvature, SlidePlay))
     assert [(f.names, f.where) for f in found.findings] == [
         (("link_bending",), ("row 1", "row 3", "row 4"))
     ]

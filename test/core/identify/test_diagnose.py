@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from few_effects import few_effects
 from hidden_arm import at, files_of_a_gain, session
 from small_arm import ARM
 
@@ -53,7 +54,8 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A declared arm, a session with a wrong joint gain, a diagnosis of it."""
     folder = tmp_path_factory.mktemp("diagnose")
     arm, samples, test = files_of_a_gain(folder)
-    assert diagnosed(arm, samples, "--test", test, "--no-network", "-o", folder / "out") == 0
+    with few_effects():
+        assert diagnosed(arm, samples, "--test", test, "--no-network", "-o", folder / "out") == 0
     return folder
 
 
@@ -99,6 +101,7 @@ def test_before_and_after_can_be_recomputed_from_the_files(work: Path) -> None:
     assert shown["with_effects"]["mean_mm"] < shown["calibrated"]["mean_mm"]
 
 
+@pytest.mark.usefixtures("few_names")
 def test_python_writes_the_bytes_that_the_command_wrote(work: Path) -> None:
     """The same seed gives the same, too."""
     arm = Arm.load(work / "arm.yaml")
@@ -124,6 +127,7 @@ def test_python_writes_the_bytes_that_the_command_wrote(work: Path) -> None:
     assert "earlier" not in "".join(p.read_text() for p in (work / "mine").glob("next_poses.csv"))
 
 
+@pytest.mark.usefixtures("few_names")
 def test_a_second_diagnosis_adds_nothing_and_undo_restores_every_byte(work: Path) -> None:
     write_csv(session(GAIN, seed=5), work / "new.csv")
     before = work / "out" / "model.yaml"

@@ -119,7 +119,8 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
     rows, rest = (of_truth(Model(DEMO, soft), n, seed=n) for n in (200, 60))
     declared = DEMO.model_dump(exclude_defaults=True, exclude={"links", "point_masses", "payload"})
     arm = Arm.parse(declared, "weightless")
-    found = diagnose(arm, rows, test=rest)
+    kinds = (JointCompliance, GearEccentricity, JointGain)
+    found = diagnose(arm, rows, test=rest, kinds=kinds)
     (finding,) = found.findings
     assert "joint_compliance" in finding.names and "gear_eccentricity" not in finding.names
     assert "joint 2" in finding.where
@@ -128,13 +129,14 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
     assert written < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA < 0.6 * calibrated
     held = {e.name for e in found.model.effects if e.through_others}
     assert held == {"undeclared_weight", "undeclared_drive"}
-    solid = diagnose(arm, of_truth(Model(arm), 200))
+    solid = diagnose(arm, of_truth(Model(arm), 200), kinds=kinds)
     assert solid.verdict == "noise" and not any(e.through_others for e in solid.model.effects)
 
 
 def test_what_a_slide_moves_in_weighs_too() -> None:
     """The weight of a telescope's outer part does not move out with the inner one."""
-    found = diagnose(WEIGHTLESS, of_truth(heavy(1e9, 5e-6), 200))
+    kinds = (JointCompliance, GearEccentricity, JointGain)
+    found = diagnose(WEIGHTLESS, of_truth(heavy(1e9, 5e-6), 200), kinds=kinds)
     (finding,) = found.findings
     assert "joint_compliance" in finding.names
     assert found.proof.rows[found.written].mean < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA
@@ -194,6 +196,7 @@ def test_rows_in_which_a_switch_is_undecided_get_no_name(seed: int) -> None:
     assert found.where == ("joint 6",)
 
 
+@pytest.mark.long
 def test_a_threshold_between_those_that_are_tried_is_found() -> None:
     rows = session_of(DEMO, 10, Backlash(6, gate=0.2, blend=0.05, width=0.03))
     found = diagnose(DEMO, rows, kinds=(Backlash,)).search
@@ -204,7 +207,16 @@ def test_a_threshold_between_those_that_are_tried_is_found() -> None:
     assert play.width == pytest.approx(0.03, rel=0.05)
 
 
-@pytest.mark.parametrize("instrument", [None, "camera", "tracker", "total_station", "touch"])
+@pytest.mark.parametrize(
+    "instrument",
+    [
+        None,
+        "camera",
+        pytest.param("tracker", marks=pytest.mark.long),
+        "total_station",
+        "touch",
+    ],
+)
 def test_only_causes_of_what_measures_are_tried_and_said(instrument: str | None) -> None:
     camera = CameraPlacement(position_m=(0.5, -3.0, 1.0))
     arm = ARM.model_copy(update={"measuring": instrument, "camera": camera})

@@ -141,6 +141,7 @@ def test_what_gives_way_is_kept_where_it_may_for_another_load() -> None:
     assert (sure > 0.0).all()
 
 
+@pytest.mark.long
 def test_an_arm_of_which_every_part_is_soft_has_no_soft_part() -> None:
     """Its parts yield by half of what a finding does: no name, and the model holds them."""
     diagnosis = found(0.5)

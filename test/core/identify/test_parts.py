@@ -29,6 +29,7 @@ def test_play_and_a_deadband_at_the_same_joints_are_told_by_their_thresholds(
     assert errors["with_effects"] < 1.3 * errors["true_effects"] + 0.02
 
 
+@pytest.mark.long
 def test_play_and_servos_that_yield_at_the_same_joints_are_two(demo_arm_path: Path) -> None:
     found = result(demo_arm_path, "backlash", "servo_droop")
     assert {"backlash", "servo_deadband"} in map(set, found["found"])

@@ -228,7 +228,7 @@ def test_a_reading_names_what_no_pose_can(hidden, name, places) -> None:
 
 def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
     """And the report says what would split it."""
-    diagnosis = diagnose(ARM, session((soft(3),), encoders=False))
+    diagnosis = diagnose(ARM, session((soft(3),), encoders=False), kinds=RIVALS)
     (found,) = diagnosis.findings
     assert {"joint_compliance", "servo_droop"} <= set(found.names)
     page = detail(diagnosis, {})
@@ -239,7 +239,7 @@ def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
 
 def test_no_pose_splits_two_names_of_one_physics_at_some_joints() -> None:
     """Soft joints 2 and 4: the other name is tried at these two, and only readings tell."""
-    found = diagnose(ARM, session((soft(2, 4),), encoders=False))
+    found = diagnose(ARM, session((soft(2, 4),), encoders=False), kinds=RIVALS)
     (finding,) = found.findings
     assert finding.where == ("joint 2", "joint 4") and "servo_droop" in finding.names
     other = next(a.candidate for a in finding.alternatives if a.name != finding.name)
@@ -250,7 +250,7 @@ def test_no_pose_splits_two_names_of_one_physics_at_some_joints() -> None:
     assert said.poses == 0 and "(read_q2, read_q4)" in said.reason
 
 
-@pytest.mark.parametrize("half", [5e-4, 2e-3])
+@pytest.mark.parametrize("half", [pytest.param(5e-4, marks=pytest.mark.long), 2e-3])
 def test_play_at_a_vertical_axis_that_leans_is_found_beside_a_soft_joint(half: float) -> None:
     """The load at joint 1 is that of its lean alone, and decides nothing."""
     lean = np.zeros((4, ARM.n))

@@ -53,6 +53,23 @@ def trained(path: Path) -> Predictor:
     return train(rows().q, rows().residual, network=others.load_file(path), ensemble=2)
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Predictor:
+    """What the small network has learned, once for those tests that ask nothing of its training."""
+    path = tmp_path_factory.mktemp("network") / "small.py"
+    path.write_text(SMALL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(others, "_loaded", {})
+        return trained(path)
+
+
+@pytest.fixture(name="learned")
+def learned_(made: Predictor, small: Path) -> Predictor:
+    """The same, where the file that defines its network was given."""
+    others.load_file(small)
+    return made
+
+
 def test_it_learns_is_honest_and_comes_back_from_its_file(small: Path, tmp_path: Path) -> None:
     predictor, file = trained(small), tmp_path / "predictor.safetensors"
     found = predictor.predict(rows().test_q)
@@ -73,8 +90,8 @@ def test_it_learns_is_honest_and_comes_back_from_its_file(small: Path, tmp_path:
     np.testing.assert_array_equal(back.predict(rows().test_q).error, found.error)
 
 
-def test_the_slope_is_that_of_the_prediction_and_is_not_carried_on(small: Path) -> None:
-    predictor = trained(small)
+def test_the_slope_is_that_of_the_prediction_and_is_not_carried_on(learned: Predictor) -> None:
+    predictor = learned
     for q in rows().q[:3]:
         expansion, h = predictor.expand(q), 1e-6
         seen = predictor.predict(np.concatenate([q + h * np.eye(7), q - h * np.eye(7)])).error
@@ -90,8 +107,10 @@ def test_noise_alone_is_not_admitted(small: Path) -> None:
     assert not found.gain.helps
 
 
-def test_an_edited_or_unknown_network_is_refused(small: Path, tmp_path: Path) -> None:
-    predictor, file = trained(small), tmp_path / "predictor.safetensors"
+def test_an_edited_or_unknown_network_is_refused(
+    learned: Predictor, small: Path, tmp_path: Path
+) -> None:
+    predictor, file = learned, tmp_path / "predictor.safetensors"
     save(predictor, file)
     others._loaded.clear()
     with pytest.raises(InputError, match=r"not known.*give it with --network"):
@@ -105,8 +124,8 @@ def test_an_edited_or_unknown_network_is_refused(small: Path, tmp_path: Path) ->
     load(file)
 
 
-def test_a_predictor_that_names_a_file_executes_nothing(small: Path, tmp_path: Path) -> None:
-    predictor, file = trained(small), tmp_path / "predictor.safetensors"
+def test_a_predictor_that_names_a_file_executes_nothing(learned: Predictor, tmp_path: Path) -> None:
+    predictor, file = learned, tmp_path / "predictor.safetensors"
     evil = tmp_path / "evil.py"
     evil.write_text(f"import pathlib\npathlib.Path({str(tmp_path / 'executed')!r}).touch()\n")
     assert predictor.network is not None
@@ -116,8 +135,8 @@ def test_a_predictor_that_names_a_file_executes_nothing(small: Path, tmp_path: P
     assert not (tmp_path / "executed").exists()
 
 
-def test_damaged_files_never_get_through(small: Path, tmp_path: Path) -> None:
-    predictor, file = trained(small), tmp_path / "predictor.safetensors"
+def test_damaged_files_never_get_through(learned: Predictor, tmp_path: Path) -> None:
+    predictor, file = learned, tmp_path / "predictor.safetensors"
     save(predictor, file)
     whole, truth = file.read_bytes(), predictor.predict(rows().q[:1]).error
     for at in np.random.default_rng(8).integers(0, len(whole), 40):
@@ -135,9 +154,9 @@ def test_damaged_files_never_get_through(small: Path, tmp_path: Path) -> None:
             load(file)
 
 
-def test_the_ending_says_which_network_it_is(small: Path, tmp_path: Path) -> None:
+def test_the_ending_says_which_network_it_is(learned: Predictor, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.safetensors for a network of others"):
-        save(trained(small), tmp_path / "predictor.npz")
+        save(learned, tmp_path / "predictor.npz")
     own = train(rows().q, rows().residual, hidden=3, ensemble=1, init="xavier")
     with pytest.raises(InputError, match=r"\.npz for the paper's"):
         save(own, tmp_path / "predictor.safetensors")
@@ -200,14 +219,14 @@ def test_training_takes_the_threads_of_others_only_for_a_while() -> None:
 
 
 def test_the_page_runs_as_it_is_written(shell: Shell) -> None:
-    """docs/your_own_network.md, with two networks instead of five."""
+    """docs/your_own_network.md, with one network instead of five."""
     for words in lines("docs/your_own_network.md"):
         words = [str(ROOT / w) if w.startswith("examples/") else w for w in words]
         if words[0] == "python" and words[1] != "-m":
             env = {**os.environ, "PYTHONPATH": str(ROOT)}
             subprocess.run([sys.executable, *words[1:]], env=env, check=True)
         elif words[1] in ("train", "evaluate"):
-            more = ["--ensemble", "2"] if words[1] == "train" else []
+            more = ["--ensemble", "1"] if words[1] == "train" else []
             assert shell(*words[1:], *more) == 0, f"{shlex.join(words)}\n{shell.err}"
     rows = [line for line in shell.out.splitlines() if "│" in line]
     mean = {row.split("│")[1].strip(): float(row.split("│")[3]) for row in rows}

@@ -31,7 +31,7 @@ def small_():
     [
         (300, (0,), None, 0.20),
         pytest.param(300, (2, 3), 12, 0.20, marks=pytest.mark.long),
-        (900, (0,), 15, 0.13),
+        pytest.param(900, (0,), 15, 0.13, marks=pytest.mark.long),
     ],
 )
 def test_smooth_residual_is_learnt_to_the_floor_with_honest_intervals(

@@ -21,7 +21,7 @@ from bench.smooth import smooth_set
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor_file import save
 rows = smooth_set(300, 0)
-save(train(rows.q, rows.residual, seed=2, ensemble=1), sys.argv[1])
+save(train(rows.q, rows.residual, seed=2, ensemble=1, hidden=15), sys.argv[1])
 """
 
 

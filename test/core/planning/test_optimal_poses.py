@@ -188,6 +188,7 @@ def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
         la.plan(ARM, 5, model=Model(ARM))
 
 
+@pytest.mark.usefixtures("few_names")
 def test_a_diagnosis_is_what_is_known(tmp_path: Path) -> None:
     write_csv(read(sensed(n=60)), tmp_path / "rows.csv")
     la.diagnose(ARM, tmp_path / "rows.csv", network=False).save(tmp_path / "found")
