@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 PARAMS = (
     Param("learning", False, "the model learns from ordinary moves (docs/at_work.md)"),
-    Param("learning_step_m", 2e-3, "largest correction of the tip by one sighting", 1e-6, 0.1),
+    Param("learning_step_m", 2e-3, "largest correction of the tip where it was seen", 1e-6, 0.1),
 )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from longarm_comp.core.at_work.changes import Key, Parameters
 from longarm_comp.core.at_work.posterior import NEGLIGIBLE, RecursivePosterior, Row
+from longarm_comp.core.calibration.linear import most_probable_within
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 MOST = 4
@@ -122,8 +123,9 @@ class Explanations:
         """The mean of the parameters over all explanations, (q,)."""
         return np.sum([b.weight * b.known.expected for b in self.branches], axis=0)
 
+    @cached_property
     def covariance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the positions (p,) of the uncertain parameters, and their covariance (p, p)."""
+        """The positions (p,) of the uncertain parameters, and their covariance (p, p)."""
         active = np.unique(np.concatenate([b.known.active for b in self.branches]))
         made = np.zeros((len(active), len(active)))
         for b in self.branches:
@@ -132,6 +134,15 @@ class Explanations:
             made += b.weight * np.outer(off, off)
             made[np.ix_(own, own)] += b.weight * b.known.covariance
         return active, made
+
+    @cached_property
+    def within_bounds(self) -> np.ndarray:
+        """The most probable parameters within their bounds, (q,)."""
+        active, covariance = self.covariance
+        made = np.clip(self.expected, *self.space.bounds)
+        lower, upper = (bound[active] for bound in self.space.bounds)
+        made[active] = most_probable_within(self.expected[active], covariance, lower, upper)
+        return made
 
     @property
     def unexplained(self) -> float:

@@ -1,7 +1,8 @@
 """The learner: the model at work learns from sightings of ordinary moves.
 
 Each sighting is an equation of the model's parameters and of all that may have changed
-(`posterior.py`).  The mean over all explanations is served, and certain changes are reported.
+(`posterior.py`), also of the compliances that the fit lacked: they stay in the record, as well as
+they are known by then.  The mean over all explanations is served, and certain changes are reported.
 Where the ordinary moves do not tell two explanations apart, it asks for the pose that would.
 """
 
@@ -19,7 +20,9 @@ from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.explanations import DOUBT, Branch, Explanations
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
+from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.compensation.unknown import unknown_history
+from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
@@ -47,7 +50,9 @@ class PoseRequest:
 
 
 STEP_M = 2e-3
-"""Largest step of the tip by one sighting's learning, m."""
+"""Largest step of the tip where a sighting saw it, by that sighting's learning, m."""
+DRAWN = 32
+"""Poses all over the ranges of the joints at which a step is judged."""
 WORTH = 0.1
 """Step, in standard deviations of a sighting, from which on another model is served: less is
 lost in what scatters."""
@@ -99,7 +104,7 @@ class Learner:
     known: Explanations | None = None  # what is known; None before the first sighting
     versions: tuple[Version, ...] = ()  # of the model, the first as it was given
     frozen: bool = False  # whether sightings change nothing
-    step_m: float = STEP_M  # largest correction of the tip by one sighting
+    step_m: float = STEP_M  # largest correction of the tip where a sighting saw it
     sightings: int = 0  # taken in
     doubtful: int = 0  # left out
     pending: tuple[Explanations, Row, float] | None = None
@@ -136,7 +141,10 @@ class Learner:
         at = known.space.values(self.model)
         (spread,), _ = unknown_history(self.model, q[None], context)
         noise = np.maximum(self.record.noise, np.diag(variance)) + np.diag(spread**2)
-        noise = noise + self.record.structure
+        # By how much the equation is not linear up to what is known
+        bent = known.space.at(known.within_bounds).measured(q, context) - point
+        bent = bent - columns @ (known.within_bounds - at)
+        noise = noise + self.record.structure + np.outer(bent, bent)
         value = tip - point + columns @ at
         row = Row(t_s, columns, value, noise, float(np.linalg.norm(point)))
         known, pending, doubtful = _take_in(known, row, self.pending)
@@ -152,23 +160,50 @@ class Learner:
         versions, said = self.versions, {n.where for n in self.named}
         for where, chance in known.places.items():  # at which something has surely changed
             if where not in said and chance >= CREDIBLE:
-                served = self._model_at(known, known.expected)
+                served = self._model_at(known, known.within_bounds)
                 versions = (*versions, Version(t_s, served, _name_change(known, where)))
         after = dataclasses.replace(after, versions=versions)
         # Serve the mean over all explanations, in a bounded step
-        wanted = np.clip(known.expected, *known.space.bounds) - at
+        wanted = known.within_bounds - at
         step = float(np.linalg.norm(columns @ wanted))
         scatter = math.sqrt(float(np.trace(self.record.noise + self.record.structure)))
         if step < WORTH * scatter:
             return after
-        share = min(1.0, self.step_m / step)
+        share = self._share_of_step(known.space.at(known.within_bounds), q, context)
         return dataclasses.replace(after, model=self._model_at(known, at + share * wanted))
 
+    def _share_of_step(self, wanted: Model, q: np.ndarray, context: Context) -> float:
+        """Choose the share, 0 to 1, of the step to another model that one sighting may make.
+
+        The tip moves by at most `step_m` where it was seen, at joints q (n,).  Elsewhere it moves
+        no farther than the radius in which it was promised, where that is more.
+        """
+        poses = np.concatenate([q[None], random_joints(self.model.arm, DRAWN)])
+        there = _at_all(context, len(poses))
+        now = self.model.tip(poses, there)
+        moved = np.linalg.norm(wanted.tip(poses, there) - now, axis=1)
+        bound = np.full(len(poses), self.step_m)
+        far = 1 + np.flatnonzero(moved[1:] > self.step_m)
+        if len(far):
+            miss = expected_miss(self.model, poses[far], _at_all(context, len(far)), now[far])
+            bound[far] = np.maximum(self.step_m, miss.sizes[1])
+        return min(1.0, float((bound / np.maximum(moved, 1e-12)).min()))
+
     def _model_at(self, known: Explanations, values: np.ndarray) -> Model:
+        """Build the model with values (q,), and record how far the parameters may be from them."""
         model = known.space.at(values)
-        active, covariance = known.covariance()
+        active, covariance = known.covariance
+        off = (known.within_bounds - values)[active]
         slots = tuple(known.space.slots[k].identity for k in active)
-        record = dataclasses.replace(self.record, slots=slots, factor=factor_of(covariance))
+        given = self.versions[0].model.uncertainty
+        assert given is not None  # checked by `of`
+        held = {term.key for term in model.terms}
+        record = dataclasses.replace(
+            self.record,
+            slots=slots,
+            factor=factor_of(covariance + np.outer(off, off)),
+            absent=tuple(t for t in given.absent if t.key not in held),
+        )
         return dataclasses.replace(model, uncertainty=record)
 
     def request_pose(self, context: Context) -> PoseRequest | None:
@@ -190,11 +225,8 @@ class Learner:
         q, side = arm.lower + (arm.upper - arm.lower) * unit, np.where(turn < 0.5, -1.0, 1.0)
         legs = np.zeros((*q.shape, LEGS))
         legs[..., 0] = side * run_up_lengths(arm)
-        there = dataclasses.replace(
-            context,
-            **History(side, legs, legs[..., 0]).fields(),
-            columns={name: np.full(len(q), value) for name, value in context.columns.items()},
-        )
+        came = History(side, legs, legs[..., 0]).fields()
+        there = dataclasses.replace(_at_all(context, len(q)), **came)
         tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
         off = np.array(tips[1:]) - tips[0]
         precision = np.linalg.inv(self.record.noise + self.record.structure)
@@ -242,6 +274,12 @@ class Learner:
         )
 
 
+def _at_all(context: Context, count: int) -> Context:
+    """Repeat the circumstances of a sighting for a number of poses."""
+    columns = {name: np.full(count, value) for name, value in context.columns.items()}
+    return dataclasses.replace(context, columns=columns)
+
+
 def _new_effect(branch: Branch, other: Branch) -> str:
     """Name an effect that has changed by one explanation and not by another, or ""."""
     theirs = {change.key for change in other.changes}
@@ -277,8 +315,7 @@ def _name_change(known: Explanations, where: str) -> Named:
 def _begin(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
     """Begin with the uncertainty in a fitted model's record."""
     space = Parameters.of(model, context)
-    held = {slot.identity for slot in model.slots}  # others would be held at their bound, 0
-    fitted = [name for name in space.position if name in record.row and name in held]
+    fitted = [name for name in space.position if name in record.row]
     factor = record.factor[[record.row[name] for name in fitted]]
     active = np.array([space.position[name] for name in fitted], dtype=int)
     known = RecursivePosterior.begin(space, space.values(model), active, factor @ factor.T)

@@ -61,6 +61,31 @@ def solve_products(
     return Posterior(u, inverse, float(p - np.trace(inverse)))
 
 
+_ROUNDING = 1e-9
+"""Share of a variance that rounding leaves where nothing is left."""
+
+
+def most_probable_within(
+    mean: np.ndarray, covariance: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Return the most probable values (p,) of a normal distribution within bounds (p,).
+
+    Where a bound holds one value, those that are correlated with it follow.
+    """
+    if ((mean >= lower) & (mean <= upper)).all():
+        return mean
+    ends = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+    size = np.sqrt(np.maximum(np.diag(covariance)[ends], 1e-300))
+    own = covariance[np.ix_(ends, ends)] / np.outer(size, size)
+    values, vectors = np.linalg.eigh(own)
+    white = (vectors / np.sqrt(np.maximum(values, _ROUNDING))).T
+    limits = [(bound[ends] - mean[ends]) / size for bound in (lower, upper)]
+    moved = lsq_linear(white, np.zeros(len(ends)), bounds=limits, method="bvls").x
+    follows = covariance[:, ends] / size @ white.T @ (white @ moved)
+    follows[ends] = moved * size
+    return np.clip(mean + follows, lower, upper)
+
+
 class Marginal:
     """The evidence of further columns, with the columns already there marginalised.
 

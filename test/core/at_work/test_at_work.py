@@ -257,7 +257,7 @@ def test_it_does_not_ask_where_no_pose_tells() -> None:
 
 
 def test_right_sightings_leave_a_calibrated_model_as_good_as_it_was() -> None:
-    """Parts that yield were not fitted: the arm has none, and its model gets none at work."""
+    """Parts that yield were not fitted, and the arm has none: what is learned of them is little."""
     rng = np.random.default_rng(4)
     q = HEAVY.lower + rng.random((140, HEAVY.n)) * (HEAVY.upper - HEAVY.lower)
     tips = TrueArm(HEAVY).tip(q)

@@ -1,0 +1,140 @@
+"""What the model at work promises of an arm whose parts yield, and whose fit does not hold them."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from hidden_arm import SIGMA
+from read_arm import ARM
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.at_work.learner import Learner
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.compensation.expected import expected_miss
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.model_file import restore, store
+from longarm_comp.core.model.uncertainty import ModelUncertainty
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden.drives import JointGain
+from longarm_comp.sim.hidden.geometry import JointZero
+from longarm_comp.sim.hidden.loads import JointCompliance
+
+ZEROS = JointZero(np.array([3e-3, -4e-3, 2e-3, 4e-3]))
+SOFT = TrueArm(ARM, [ZEROS, JointCompliance(np.array([0.0, 4e-3, 2e-3, 0.0]))])
+RIGID = TrueArm(ARM, [ZEROS])
+RNG = np.random.default_rng(7)
+FRESH = ARM.lower + RNG.random((200, ARM.n)) * (ARM.upper - ARM.lower)
+WORK = ARM.lower + RNG.random((40, ARM.n)) * (ARM.upper - ARM.lower)
+NOISE = SIGMA * RNG.standard_normal((40, 3))
+
+
+@cache
+def calibrated(truth: TrueArm, rows: str) -> Model:
+    """The geometry that 80 rows give: on one line of the joint space, in a box, or all over."""
+    rng = np.random.default_rng(2)
+    share = {
+        "line": np.repeat(rng.random((80, 1)), ARM.n, axis=1),
+        "box": 0.4 + 0.2 * rng.random((80, ARM.n)),
+        "wide": rng.random((80, ARM.n)),
+    }[rows]
+    q = ARM.lower + share * (ARM.upper - ARM.lower)
+    seen = truth.tip(q) + SIGMA * rng.standard_normal((80, 3))
+    *_, (_, fit) = fit_stages(declared_model(ARM), Session.record(q, seen))
+    return with_uncertainty(fit)
+
+
+def learned(learner: Learner, truth: TrueArm, first: int, last: int) -> Learner:
+    """Learn from some of the sightings."""
+    for k in range(first, last):
+        tip = truth.tip(WORK[k][None])[0] + NOISE[k]
+        learner = learner.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
+    return learner
+
+
+def judged(model: Model, truth: TrueArm) -> tuple[float, float, float]:
+    """Share of true tips inside the promised radius, mean error, and the median radius, m."""
+    predicted = model.tip(FRESH, Context())
+    off = np.linalg.norm(predicted - truth.tip(FRESH), axis=1)
+    radius = expected_miss(model, FRESH, Context(), predicted).sizes[1]
+    return float((off <= radius).mean()), float(off.mean()), float(np.median(radius))
+
+
+@pytest.mark.parametrize("rows", ["line", "box", "wide"])
+@pytest.mark.parametrize("truth", [SOFT, RIGID], ids=["soft", "rigid"])
+def test_the_promise_holds_after_any_number_of_sightings(truth: TrueArm, rows: str) -> None:
+    learner = Learner.of(calibrated(truth, rows))
+    before, done = judged(learner.model, truth)[1], 0
+    for count in (1, 5, 20, 40):
+        learner, done = learned(learner, truth, done, count), count
+        inside, error, _ = judged(learner.model, truth)
+        assert inside >= 0.85
+        assert error < before + 0.2 * SIGMA
+    _, error, radius = judged(learner.model, truth)
+    assert error < 1.1 * SIGMA and learner.named == ()  # the arm is learned, and has not changed
+    assert rows == "wide" or radius < 2.0 * SIGMA  # all over, a misfit stays in the structure
+
+
+def test_compliances_that_are_not_held_stay_in_the_record() -> None:
+    given = calibrated(SOFT, "line")
+    begun, model = given.uncertainty, learned(Learner.of(given), SOFT, 0, 12).model
+    record = model.uncertainty
+    assert begun is not None and record is not None
+    held = {term.key for term in model.terms}
+    assert {t.key for t in begun.absent} == {t.key for t in record.absent} | (
+        held - {term.key for term in given.terms}
+    )
+    assert held.isdisjoint(t.key for t in record.absent)
+    assert set(begun.slots) <= set(record.slots)
+    assert 0.5 < sizes_of_compliances(record) / sizes_of_compliances(begun) < 0.95
+
+
+def sizes_of_compliances(record: ModelUncertainty) -> float:
+    """Standard deviations of all compliances of the calibrated record, in their priors', rms."""
+    known = calibrated(SOFT, "line").uncertainty
+    assert known is not None
+    slots = slots_of(ARM, known.absent)
+    sd = [np.linalg.norm(record.factor[record.row[s.identity]]) / s.parameter.prior for s in slots]
+    return float(np.sqrt(np.mean(np.square(sd))))
+
+
+def test_a_learned_model_is_stored_with_its_promise() -> None:
+    model = learned(Learner.of(calibrated(SOFT, "line")), SOFT, 0, 5).model
+    assert model.uncertainty is not None and model.uncertainty.absent
+    back = restore(store(model), ARM, "model.yaml")
+    assert judged(back, SOFT) == pytest.approx(judged(model, SOFT), rel=1e-3)
+    assert judged(learned(Learner.of(back), SOFT, 5, 40).model, SOFT)[0] >= 0.85
+
+
+def test_a_bounded_step_promises_what_it_left_undone() -> None:
+    learner = dataclasses.replace(Learner.of(calibrated(SOFT, "line")), step_m=2e-4)
+    learner = learned(learner, SOFT, 0, 5)
+    inside, error, _ = judged(learner.model, SOFT)
+    assert error > 5e-3 and inside >= 0.85
+
+
+def test_no_step_goes_farther_than_was_promised_there() -> None:
+    """A joint that slips moves the tip little where its sightings are, and far elsewhere."""
+    learner = learned(Learner.of(calibrated(RIGID, "wide")), RIGID, 0, 5)
+    slipped = TrueArm(ARM, [ZEROS, JointGain(np.array([0.05, 0.0, 0.0, 0.0]))])
+    truth, steps = slipped.tip(FRESH), []
+    for k in range(5, 40):
+        before = learner.model
+        q = WORK[k] * [0.1, 1.0, 1.0, 1.0]
+        tip = slipped.tip(q[None])[0] + NOISE[k]
+        learner = learner.learn(q, Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
+        now = before.tip(FRESH, Context())
+        moved = np.linalg.norm(learner.model.tip(FRESH, Context()) - now, axis=1)
+        promised = expected_miss(before, FRESH, Context(), now).sizes[1]
+        assert (moved < 1.3 * np.maximum(learner.step_m, promised)).all()
+        steps.append(moved.max())
+    assert max(steps) > learner.step_m
+    off = np.linalg.norm(learner.model.tip(FRESH, Context()) - truth, axis=1)
+    assert (
+        off.max() < 0.2 * np.linalg.norm(calibrated(RIGID, "wide").tip(FRESH) - truth, axis=1).max()
+    )

@@ -1,0 +1,23 @@
+"""The most probable values of a normal distribution within bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from longarm_comp.core.calibration import linear
+
+
+def test_the_most_probable_values_within_bounds_are_the_constrained_minimum(
+    rng: np.random.Generator,
+) -> None:
+    """Of four correlated values two are below their bound; the free one follows."""
+    root = rng.normal(size=(4, 4)) * [[1e-3], [1.0], [1e2], [1.0]]
+    covariance, mean = root @ root.T, np.array([-1e-3, 0.5, -50.0, 2.0])
+    lower, upper = np.array([0.0, -np.inf, 0.0, -np.inf]), np.array([np.inf, np.inf, 1e3, 1e3])
+    found = linear.most_probable_within(mean, covariance, lower, upper)
+    slope = np.linalg.solve(covariance, found - mean) * np.sqrt(np.diag(covariance))
+    held = found == lower
+    assert held.any() and (found >= lower).all() and (slope[held] > 0).all()
+    np.testing.assert_allclose(slope[~held], 0, atol=1e-6)
+    inside = np.array([1e-3, 0.5, 50.0, 2.0])
+    assert linear.most_probable_within(inside, covariance, lower, upper) is inside
