@@ -163,12 +163,12 @@ class JointConfig(ServoSettings):
             raise InputError(where, field, value, allowed)
 
     def nearest_within_limits(self, ticks: float) -> int:
-        """The goal within the limits that is nearest to a number of ticks."""
+        """Return the goal within the limits that is nearest to a number of ticks."""
         low, high = self.tick_limits
         return min(max(round(ticks), low), high)
 
     def to_ticks(self, value: float) -> int:
-        """The goal nearest to a joint value, rad or m."""
+        """Return the goal, in ticks, that is nearest to a joint value, rad or m."""
         self.check_inside(value, f"servo {self.servo_id}", "position")
         return self.nearest_within_limits(self._exact_ticks(value))
 
@@ -177,11 +177,11 @@ class JointConfig(ServoSettings):
         return self.direction * (ticks - self.zero_ticks) * self.si_per_tick
 
     def speed_to_si(self, ticks_s: float) -> float:
-        """Joint velocity (rad/s or m/s) of an encoder speed."""
+        """Return the joint velocity (rad/s or m/s) of an encoder speed."""
         return self.direction * ticks_s * self.si_per_tick
 
     def effort_to_si(self, load: float) -> float:
-        """Effort (N m, N) of a load, a signed share of full effort; NaN where that is unknown."""
+        """Return the effort (N m, N) of a load, a signed share of full effort; NaN if not known."""
         return math.nan if self.full_effort is None else self.direction * load * self.full_effort
 
     @property
@@ -194,7 +194,7 @@ class JointConfig(ServoSettings):
         return self.top_speed_ticks_s or self.servo.top_speed_ticks_s or math.inf
 
     def having(self, **values: object) -> JointConfig:
-        """The same joint with other values, checked."""
+        """Return the same joint with other values, checked."""
         return JointConfig.model_validate(self.model_dump() | values)
 
     def _exact_ticks(self, value: float) -> float:
