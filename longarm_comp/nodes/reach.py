@@ -89,12 +89,12 @@ class ReachServer:
             goal.abort()
             return result
         command = answer.outcome.command
-        result.command = joints_message(self._arm, command, answer.target.header.stamp)
+        result.command = joints_message(self._arm, command, answer.stamp)
         if not await self._follow(goal, answer.name, command, result):
             return result
         await self._look(goal, command, before, result)
         result.success = True
-        stands, at = self._tips.tell(), answer.target.pose.position
+        stands, at = self._tips.tell(), answer.target.pose.pose.position
         if stands is not None:
             said = stands.said(np.array([at.x, at.y, at.z]))
             result.message = f"{result.message}; {said}" if result.message else said
@@ -111,7 +111,11 @@ class ReachServer:
                 halted, name = True, self._targets.halt()
             self._feedback(goal, Reach.Feedback.MOVING, command)
             await self._ticks.next()
-        self._at_rest(result, motion)
+        # Where the joints are: by the driver's word, else by the last of their readings
+        if motion is not None and motion.joints.name:
+            result.reached = motion.joints
+        elif (q := self._state.joints) is not None:
+            result.reached = joints_message(self._arm, q, self._state.stamp)
         if motion is not None and motion.event == Motion.REACHED and not halted:
             return True
         if halted:
@@ -144,13 +148,6 @@ class ReachServer:
                 return
             self._feedback(goal, Reach.Feedback.LOOKING, command)
             await self._ticks.next()
-
-    def _at_rest(self, result: Reach.Result, motion: Motion | None) -> None:
-        """Tell where the joints are: by the driver's word, else by the last of their readings."""
-        if motion is not None and motion.joints.name:
-            result.reached = motion.joints
-        elif (q := self._state.joints) is not None:
-            result.reached = joints_message(self._arm, q, self._state.stamp)
 
     def _feedback(self, goal: Any, phase: int, command: np.ndarray | None) -> None:
         q, message = self._state.joints, Reach.Feedback(phase=phase)

@@ -12,6 +12,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float64
+from target_requests import pose
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
@@ -91,10 +92,8 @@ def test_a_payload_that_is_told_wrong_is_felt_and_then_used(arm_at_work: ArmClie
         return bool(done) and abs(done[-1].payload_kg - CARRIED_KG) < 4.0 * sigma
 
     compensate = graph.COMPENSATE.client(client.node)
-    request = Compensate.Request(position_only=True)
-    request.target.header.frame_id = "base"
-    p = request.target.pose.position
-    p.x, p.y, p.z = declared_model(arm).tip(arm.mid).tolist()
+    target = pose(declared_model(arm).tip(arm.mid))
+    request = Compensate.Request(target=target, position_only=True)
     client.until(compensate.service_is_ready, 300.0, "compensate")
     client.until(asked, 300.0, "what is felt")
     assert "the payload is known to" in done[-1].message

@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nodes_bench import PATIENCE_S, answered
 from rclpy.action import ActionClient
+from target_requests import pose
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
@@ -30,10 +31,10 @@ DROOP = "servo_droop=4.0 servo_deadband=0.7"
 TIP_STANDS = "By the readings the tip is at"
 
 
-def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.Result:
+def reached(client: ArmClient, reach: ActionClient, target: PoseStamped) -> Reach.Result:
     """The result of a goal, sent again while it was too old when it was taken up."""
     for _ in range(20):
-        sent = reach.send_goal_async(Reach.Goal(target=pose, position_only=True))
+        sent = reach.send_goal_async(Reach.Goal(target=target, position_only=True))
         client.until(sent.done, PATIENCE_S, "goal")
         done = sent.result().get_result_async()
         client.until(done.done, PATIENCE_S, "result")
@@ -92,13 +93,10 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     )
     arm = client.arm
     want = declared_model(arm).tip(arm.lower + 0.6 * (arm.upper - arm.lower))
-    pose = PoseStamped()
-    pose.header.frame_id = "base"
-    pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = want.tolist()
     reach = ActionClient(client.node, Reach, graph.REACH.name)
     answered(reach, Reach, lambda until: client.until(until, PATIENCE_S, "reach"))
     for _ in range(2):  # the second starts from what the first one trimmed
-        result = reached(client, reach, pose)
+        result = reached(client, reach, pose(want))
     assert "by the readings the tip is" in result.message and ", within " in result.message
     del truth[:], client.sightings[:]
     client.until(lambda: len(truth) > 2 and len(client.sightings) > 1, PATIENCE_S, "tips")

@@ -16,8 +16,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from geometry_msgs.msg import PointStamped, PoseStamped
-from scipy.spatial.transform import Rotation
+from geometry_msgs.msg import PointStamped
+from target_requests import pose
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
@@ -79,12 +79,7 @@ class Stage:
 
     def ask(self, target: np.ndarray, *, whole: bool, execute: bool) -> Compensate.Response:
         """Joints for the pose (4, 4), or for its position alone."""
-        pose = PoseStamped()
-        pose.header.frame_id = "base"
-        p, o = pose.pose.position, pose.pose.orientation
-        p.x, p.y, p.z = target[:3, 3].tolist()
-        o.x, o.y, o.z, o.w = Rotation.from_matrix(target[:3, :3]).as_quat().tolist()
-        request = Compensate.Request(target=pose, position_only=not whole, execute=execute)
+        request = Compensate.Request(target=pose(target), position_only=not whole, execute=execute)
         return self.client.call(self.compensate, request, again=not execute)
 
     def ready(self) -> None:
