@@ -68,7 +68,7 @@ class _Steps:
         self._values.append(value)
 
     def at(self, t: float) -> float:
-        """The last value up to `t` (s); before the first message, the first value."""
+        """Return the last value up to `t` (s); before the first message, the first value."""
         place = bisect_right(self._times, t)
         return self._values[place - 1] if place else self.first
 
@@ -117,11 +117,11 @@ class MessageBuffer:
             getattr(self, f"_take_{topic}")(t, message)
 
     def _moment(self, stamp_ns: int) -> float:
-        """Time (s) of the message at hand."""
+        """Return the time (s) of the message at hand."""
         return (moment(stamp_ns, self._received_ns) - self.start_ns) * 1e-9
 
     def states_between(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-        """Times (m,) and measured joints (m, n) after `begin` and before `end`."""
+        """Return times (m,) and measured joints (m, n) after `begin` and before `end` (s)."""
         low, high = bisect_right(self._times, begin), bisect_left(self._times, end)
         n = self.arm.n
         joints = np.array(self._joints[low * n : high * n]).reshape(-1, n)
@@ -217,6 +217,6 @@ def _stamp_ns(message: Any) -> int:
 
 
 def between(records: list[T], begin: float, end: float) -> list[T]:
-    """The sightings or rows of a buffer after `begin` and before `end`."""
+    """Return the sightings or rows of a buffer after `begin` and before `end` (s)."""
     low, high = bisect_right(records, begin, key=_time), bisect_left(records, end, key=_time)
     return records[low:high]

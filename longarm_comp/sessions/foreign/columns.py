@@ -102,7 +102,7 @@ def looks_like_orientation(name: str) -> bool:
     return _TURNED.fullmatch(re.sub(r"\s", "_", split_name(name)[0].lower())) is not None
 
 
-def understand(
+def find_columns(
     cells: Cells,
     given: Mapping[str, str],
     defaults: Mapping[str, Unit],
