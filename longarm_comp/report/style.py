@@ -71,7 +71,7 @@ SIGNED: Any = {
 
 
 def is_signed(path: Path) -> bool:
-    """True where a picture tells that this package wrote it."""
+    """Return whether a picture tells that this package wrote it."""
     with path.open("rb") as file:
         return b"longarm" in file.read(4096)
 
@@ -85,7 +85,7 @@ def rc() -> AbstractContextManager[None]:
 
 
 def svg(drawn: Figure) -> bytes:
-    """The figure as SVG; the same figure gives the same bytes."""
+    """Write the figure as SVG; the same figure gives the same bytes."""
     return _content(drawn, "svg").replace(b"</style>", _DARK + b"</style>", 1)
 
 
