@@ -281,9 +281,9 @@ def setup(
         joints = {}
         for name, joint in blind.items():
             kept = bench.memory[name]
-            turned = joint.having(direction=directions[name], stored=kept.placing)
+            turned = joint.with_values(direction=directions[name], stored=kept.placing)
             zero = zero_from_pose(turned, rest[name], held[name])
-            joints[name] = turned.having(zero_ticks=zero)
+            joints[name] = turned.with_values(zero_ticks=zero)
             check_reach(name, joints[name], kept)
         line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
         text = with_joints(file.read_text("utf-8"), line_found, joints, file)
@@ -351,7 +351,7 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
             raise JobError(f"{name}: {_describe_unknown(servo, found.protocol)}")
         if servo.model != joint.model:
             note(f"{name}: servo {servo.servo_id} is a {servo.model}, and the file will say so")
-        joints[name] = joint.having(model=servo.model)
+        joints[name] = joint.with_values(model=servo.model)
     return joints
 
 

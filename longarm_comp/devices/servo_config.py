@@ -33,7 +33,7 @@ class BusConfig(ServoSettings):
 
     @field_validator("protocol")
     @classmethod
-    def _known(cls, value: str) -> str:
+    def _check_protocol(cls, value: str) -> str:
         if value not in protocols():
             raise ValueError("one of " + ", ".join(protocols()))
         return value
@@ -91,7 +91,7 @@ class ServoConfig(ServoSettings):
     follower: FollowerConfig = FollowerConfig()
 
     @model_validator(mode="after")
-    def _consistent(self) -> ServoConfig:
+    def _check_joints(self) -> ServoConfig:
         owner: dict[int, str] = {}
         for name, joint in self.joints.items():
             where = f"joints.{name}"

@@ -162,7 +162,7 @@ class TrajectoryFollower:
             accepted = Accepted(start, positions, path.times[-len(times) :], replaces)
             self._check_inside(path)
         else:
-            path = self._braking(start)
+            path = self._plan_braking(start)
             accepted = Accepted(start, path.end[None], np.zeros(1), replaces)
         # Points of a move: its run-up and its end. More are a path, which is not trimmed
         several = len(trajectory.points) > 2
@@ -190,7 +190,7 @@ class TrajectoryFollower:
         blend_s = self._config.follower.blend_s
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 
-    def _braking(self, start: Array) -> CubicPath:
+    def _plan_braking(self, start: Array) -> CubicPath:
         """Plan from a set-point to the nearest rest."""
         brake = start + 0.5 * self._config.follower.blend_s * self._velocity
         rest = np.clip(brake, self._lower, self._upper)[None]
@@ -199,7 +199,7 @@ class TrajectoryFollower:
     def break_off(self, kind: EventKind, why: str) -> None:
         """Stop smoothly. The trajectory is not followed to its end."""
         if self.state is FollowerState.TRACKING and self._set is not None:
-            self._way = self._take_over(self._braking(self._set), self._set)
+            self._way = self._take_over(self._plan_braking(self._set), self._set)
             self._way_time = 0.0
         self._settled = True
         self._say(kind, why)

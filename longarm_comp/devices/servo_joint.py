@@ -84,20 +84,20 @@ class JointConfig(ServoSettings):
 
     @field_validator("model")
     @classmethod
-    def _known(cls, value: str) -> str:
+    def _check_model(cls, value: str) -> str:
         if value not in models():
             raise ValueError("one of " + ", ".join(models()))
         return value
 
     @field_validator("upper")
     @classmethod
-    def _ordered(cls, value: float, info: ValidationInfo) -> float:
+    def _check_order(cls, value: float, info: ValidationInfo) -> float:
         if value <= info.data.get("lower", -math.inf):
             raise ValueError(f"above lower ({info.data['lower']})")
         return value
 
     @model_validator(mode="after")
-    def _one_transmission(self) -> JointConfig:
+    def _check_transmission(self) -> JointConfig:
         given = (self.pinion_radius_m is not None) + (self.screw_lead_m is not None)
         if given != (self.type == "prismatic"):
             allowed = (
@@ -109,7 +109,7 @@ class JointConfig(ServoSettings):
         return self
 
     @model_validator(mode="after")
-    def _known_registers(self) -> JointConfig:
+    def _check_registers(self) -> JointConfig:
         known = [r.name for r in protocols()[self.servo.protocol].registers if r.places]
         for name, value in self.stored.items():
             if name not in known:
@@ -193,7 +193,7 @@ class JointConfig(ServoSettings):
         """Highest speed of the servo without load, ticks/s; infinite where it is not known."""
         return self.top_speed_ticks_s or self.servo.top_speed_ticks_s or math.inf
 
-    def having(self, **values: object) -> JointConfig:
+    def with_values(self, **values: object) -> JointConfig:
         """Return the same joint with other values, checked."""
         return JointConfig.model_validate(self.model_dump() | values)
 

@@ -64,7 +64,7 @@ class ReachServer:
             while self._turns[0] is not turn:
                 if goal.is_cancel_requested:
                     goal.canceled()
-                    return _unseen("cancelled before it began")
+                    return _make_unseen("cancelled before it began")
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for its turn, of which the client is told, makes it no older
@@ -76,14 +76,14 @@ class ReachServer:
     async def _reach(self, goal: Any, target: TargetRequest) -> Reach.Result:
         if self._no_driver:
             goal.abort()
-            return _unseen(self._no_driver, Compensate.Response.NO_DRIVER)
+            return _make_unseen(self._no_driver, Compensate.Response.NO_DRIVER)
         before, self._told = self._monitor.sighted, {}
         asked = self._targets.execute(target)
         if asked is None:
             goal.abort()
-            return _unseen("too many targets wait", Compensate.Response.NOT_READY)
+            return _make_unseen("too many targets wait", Compensate.Response.NOT_READY)
         answer: Answer = await asked
-        result = _unseen(answer.message, int(answer.status))
+        result = _make_unseen(answer.message, int(answer.status))
         result.id = answer.name
         if not answer.status.success or answer.outcome is None:
             goal.abort()
@@ -158,7 +158,7 @@ class ReachServer:
         goal.publish_feedback(message)
 
 
-def _unseen(message: str, status: int = 0) -> Reach.Result:
+def _make_unseen(message: str, status: int = 0) -> Reach.Result:
     """Make a result without a sighting: tip and miss are NaN."""
     result = Reach.Result(message=message, status=status, miss=vector_message([math.nan] * 3))
     result.tip.x = result.tip.y = result.tip.z = math.nan

@@ -26,7 +26,7 @@ def number(value: float | None, digits: int = 4) -> str:
         return f"{value:.0f}".replace("-", "−")
     if value and not 1e-3 <= abs(value) < 1e4:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa}·{_ten(int(exponent))}".replace("-", "−")
+        return f"{mantissa}·{_power_of_ten(int(exponent))}".replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")
 
 
@@ -51,13 +51,13 @@ def odds(log_bayes_factor: float) -> str:
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
     elif power < _CERTAIN:
-        larger = _ten(round(power))
+        larger = _power_of_ten(round(power))
     else:
-        larger = f"more than {_ten(_CERTAIN)}"
+        larger = f"more than {_power_of_ten(_CERTAIN)}"
     return f"{larger} : 1" if log_bayes_factor >= 0 else f"1 : {larger}"
 
 
-def _ten(power: int) -> str:
+def _power_of_ten(power: int) -> str:
     return "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 

@@ -250,14 +250,14 @@ def open_bag(path: str | Path) -> Iterator[Reader]:
         reader = Reader(Path(path))
         reader.open()
     except Exception as error:  # whatever the decoders of YAML, SQLite and mcap raise
-        raise _broken(where, error) from error
+        raise _make_broken(where, error) from error
     try:
         yield reader
     finally:
         reader.close()
 
 
-def _broken(where: str, error: Exception) -> InputError:
+def _make_broken(where: str, error: Exception) -> InputError:
     said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return InputError(where, "bag", said, "a complete rosbag2 (mcap or sqlite3)")
 
@@ -329,4 +329,4 @@ def decode(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[
             states = name == "joint_states"
             yield name, stamp, joint_states(raw) if states else types.deserialize_cdr(raw, kind)
     except Exception as error:  # as in open_bag; what the caller raises does not come here
-        raise _broken(where, error) from error
+        raise _make_broken(where, error) from error

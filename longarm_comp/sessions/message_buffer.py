@@ -116,7 +116,7 @@ class MessageBuffer:
         else:
             getattr(self, f"_take_{topic}")(t, message)
 
-    def _moment(self, stamp_ns: int) -> float:
+    def _message_time(self, stamp_ns: int) -> float:
         """Return the time (s) of the message at hand."""
         return (moment(stamp_ns, self._received_ns) - self.start_ns) * 1e-9
 
@@ -154,14 +154,15 @@ class MessageBuffer:
             or len(q) > 1
             or np.abs(q[0] - self.sent).max() >= SAME_POSE
         ):
-            self.commands.append((min(t, self._moment(_stamp_ns(message))), q))  # not one to come
+            sent = min(t, self._message_time(_stamp_ns(message)))  # not one to come
+            self.commands.append((sent, q))
             self.sent = q[-1]
 
     def _take_joint_states(self, t: float, message: tuple[int, tuple[float, ...] | None]) -> None:
         """Take stamp and positions in the arm's order, from `JointStates`; None: of another arm."""
         stamp_ns, positions = message
         if positions is not None and self.commands:
-            at = self._moment(stamp_ns)
+            at = self._message_time(stamp_ns)
             place = bisect_right(self._times, at)  # nearly always the end
             self._times.insert(place, at)
             n = self.arm.n
@@ -180,7 +181,7 @@ class MessageBuffer:
             turn, turn_variance = np.array([o.x, o.y, o.z, o.w]), float(spread.mean())
             if not quaternion.is_unit(turn):
                 raise self._error("tip_measured orientation", t, turn, "a quaternion of length 1")
-        at = self._moment(_stamp_ns(message))
+        at = self._message_time(_stamp_ns(message))
         sighting = Sighting(at, xyz, covariance[[0, 7, 14]], turn, turn_variance)
         insort(self.sightings, sighting, key=_time)
         self.frames.add(message.header.frame_id)

@@ -192,7 +192,7 @@ class _Server(viser.ViserServer):
 
 
 @contextmanager
-def serving(port: int, gate: Gate) -> Iterator[viser.ViserServer]:
+def serve_page(port: int, gate: Gate) -> Iterator[viser.ViserServer]:
     """Serve a page until the end of the context; on the next free port where this one is taken.
 
     viser has no option for a check of requests. So the function of `websockets` that it serves

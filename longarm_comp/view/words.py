@@ -118,7 +118,7 @@ class PageState:
         """Return for how long (s) no joints have come; as `silent_s`."""
         return _silence(self.read, now, _SILENT_S)
 
-    def old(self, now: float) -> bool:
+    def is_old(self, now: float) -> bool:
         """Return whether the picture of the arm is out of date at `now` (s)."""
         at = None if self.picture is None else self.picture.at
         return bool(self.unread_s(now) or _silence(at, now, 5.0))

@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.foreign.cells import Cells
-from longarm_comp.sessions.foreign.columns import meaning
+from longarm_comp.sessions.foreign.columns import find_meaning
 from longarm_comp.sessions.foreign.poses import find_forms, headings, unit_in
 from longarm_comp.sessions.foreign.units import TIME, seconds, split_name
 
@@ -156,7 +156,7 @@ def _read_clocks(tables: Sequence[Cells], places: Sequence[int], column: str) ->
     if both is not None:
         return [both[: len(texts[0])], both[len(texts[0]) :]]
     named = [split_name(table.names[place]) for table, place in zip(tables, places, strict=True)]
-    timed = [unit.kind == TIME if unit else meaning(stem) == "t_s" for stem, unit in named]
+    timed = [unit.kind == TIME if unit else find_meaning(stem) == "t_s" for stem, unit in named]
     numbers = [[t.number(text) for text in own] for t, own in zip(tables, texts, strict=True)]
     if not all(timed) or any(None in own for own in numbers):
         return []
