@@ -16,13 +16,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nodes_bench import PATIENCE_S, answered
 from rclpy.action import ActionClient
+from simulated_graph import simulated_graph
 from target_requests import pose
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.nodes.health import RING_SAID
 from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
@@ -54,24 +53,11 @@ def reached(client: ArmClient, reach: ActionClient, target: PoseStamped) -> Reac
 def arm_at_work(
     request: pytest.FixtureRequest, ros_domain: int, demo_arm_path: Path
 ) -> Iterator[tuple[ArmClient, bool]]:
-    bringup = BringUp(
-        arm=demo_arm_path,
-        sim=True,
-        speed=10.0,
-        set={
-            "simulated_arm": {"hidden": DROOP, "seed": 3, "frame_rate_hz": 10.0},
-            "servo_driver": {"trim": request.param, "follower.trim_pause_s": 0.5},
-            "kinematics": {
-                "method": "deflection",
-                "move_time_s": 0.2,
-                "compiled": False,
-                "target_max_age_s": 60.0,  # a busy machine
-            },
-        },
-        without=("error_predictor", "stereo_bridge"),
-    )
-    tips = graph.TIP_BY_READINGS
-    with running(bringup), ArmClient(Arm.load(demo_arm_path), tips=tips) as client:
+    plant = {"hidden": DROOP, "seed": 3, "frame_rate_hz": 10.0}
+    driver = {"trim": request.param, "follower.trim_pause_s": 0.5}
+    with simulated_graph(
+        demo_arm_path, {"move_time_s": 0.2}, simulated_arm=plant, servo_driver=driver
+    ) as client:
         client.ready(PATIENCE_S)
         yield client, request.param
 

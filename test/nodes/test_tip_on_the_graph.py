@@ -17,6 +17,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PointStamped
+from simulated_graph import simulated_graph
 from target_requests import pose
 
 from longarm_comp.core.arm.arm import Arm
@@ -30,7 +31,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import BringUp, folder, running
+from longarm_comp.nodes.bringup import folder
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.messages import joints_of
 from longarm_comp.nodes.simulated_arm import sizes
@@ -170,24 +171,11 @@ def commanded(arm_path: Path, hidden: str, tmp_path: Path) -> Iterator[Stage]:
     made = hidden_effects(arm, sizes(hidden), np.random.default_rng(SEED))
     model = known(arm, made)
     save_model(tmp_path / "model.yaml", store(model))
-    bringup = BringUp(
-        arm=arm_path,
-        model=tmp_path / "model.yaml",
-        sim=True,
-        speed=20.0,
-        set={
-            "simulated_arm": {"hidden": hidden, "seed": SEED, "frame_rate_hz": 10.0},
-            "servo_driver": {"follower.blend_s": 0.05},
-            "kinematics": {
-                "method": "deflection",
-                "move_time_s": 0.05,
-                "compiled": False,
-                "target_max_age_s": 60.0,  # a busy machine
-            },
-        },
-        without=("error_predictor", "stereo_bridge"),
-    )
-    with running(bringup), ArmClient(arm) as client:
+    with simulated_graph(
+        arm_path, {"move_time_s": 0.05}, model=tmp_path / "model.yaml", speed=20.0,
+        tips=graph.TIP_MEASURED, servo_driver={"follower.blend_s": 0.05},
+        simulated_arm={"hidden": hidden, "seed": SEED, "frame_rate_hz": 10.0},
+    ) as client:  # fmt: skip
         stage = Stage(arm, made, model, client)
         stage.ready()
         yield stage
