@@ -74,10 +74,10 @@ def _find_servos(
 
     A servo file says which port is `known` and which ids are `expected`.
     """
-    from longarm_comp.devices.servo_bus.registry import scan_line, usable_ports
+    from longarm_comp.devices.servo_bus.registry import list_usable_ports, scan_line
 
     if port is None:
-        there = usable_ports()
+        there = list_usable_ports()
         for device, description in there:
             note(f"{device}  {description}")
         default = there[0][0] if len(there) == 1 else known
@@ -150,13 +150,13 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     Example:
       longarm servo set-id 3 --port /dev/ttyUSB0
     """
-    from longarm_comp.devices.servo_bus.registry import renumber
+    from longarm_comp.devices.servo_bus.registry import change_servo_id
     from longarm_comp.devices.state_folder import state_folder
     from longarm_comp.devices.stop_latch import refuse_under_stop
 
     found = _find_servos("servo set-id", port, **line)
     refuse_under_stop(state_folder(), [found.port])
-    old = renumber(found, servo_id)
+    old = change_servo_id(found, servo_id)
     note(f"servo {old} is servo {servo_id} now: write it on the servo")
     note("next: connect the next servo alone; when all are done, longarm servo setup DIR")
 
@@ -170,9 +170,9 @@ def find_port() -> None:
     Example:
       longarm find-port
     """
-    from longarm_comp.devices.servo_bus.registry import usable_ports
+    from longarm_comp.devices.servo_bus.registry import list_usable_ports
 
-    there = dict(usable_ports())
+    there = dict(list_usable_ports())
     if not there:
         raise JobError(
             "no serial port: is the adapter plugged in, with a cable that carries data? "
@@ -181,7 +181,7 @@ def find_port() -> None:
     for device, description in there.items():
         note(f"{device}  {description}")
     go_on("find-port", False, "Unplug the bus's USB cable.")
-    gone = sorted(set(there) - set(dict(usable_ports())))
+    gone = sorted(set(there) - set(dict(list_usable_ports())))
     if len(gone) != 1:
         raise JobError("no port disappeared, or several did: unplug this cable alone", went=gone)
     go_on("find-port", False, "Plug it in again.")
@@ -281,9 +281,9 @@ def setup(
         joints = {}
         for name, joint in blind.items():
             kept = bench.memory[name]
-            turned = joint.having(direction=directions[name], stored=kept.placing)
+            turned = joint.with_values(direction=directions[name], stored=kept.placing)
             zero = zero_from_pose(turned, rest[name], held[name])
-            joints[name] = turned.having(zero_ticks=zero)
+            joints[name] = turned.with_values(zero_ticks=zero)
             check_reach(name, joints[name], kept)
         line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
         text = with_joints(file.read_text("utf-8"), line_found, joints, file)
@@ -351,7 +351,7 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
             raise JobError(f"{name}: {_describe_unknown(servo, found.protocol)}")
         if servo.model != joint.model:
             note(f"{name}: servo {servo.servo_id} is a {servo.model}, and the file will say so")
-        joints[name] = joint.having(model=servo.model)
+        joints[name] = joint.with_values(model=servo.model)
     return joints
 
 

@@ -105,7 +105,7 @@ def webcams(frames: Path | None) -> None:
 
     from longarm_comp.core.errors import JobError
     from longarm_comp.core.files import write_bytes
-    from longarm_comp.devices.stereo.webcams import driver_lines, picture, webcams
+    from longarm_comp.devices.stereo.webcams import picture, webcams, write_driver_commands
 
     found = webcams()
     for camera in found:
@@ -117,7 +117,7 @@ def webcams(frames: Path | None) -> None:
     if len(found) < 2:
         raise JobError("two webcams are needed", found=len(found))
     note("two nodes publish them; exchange left and right where the pictures say so:")
-    for line in driver_lines(*(camera.device for camera in found[:2])):
+    for line in write_driver_commands(*(camera.device for camera in found[:2])):
         click.echo(line)
 
 
@@ -191,7 +191,7 @@ def calibrate(
 def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
     from longarm_comp.devices.stereo.camera_file import pair_files, read_grey
     from longarm_comp.devices.stereo.refusal import StereoRefusal
-    from longarm_comp.devices.stereo.views import view_of
+    from longarm_comp.devices.stereo.views import find_view
 
     views: list[BoardView] = []
     size: Size | None = None
@@ -206,7 +206,7 @@ def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
                 allowed = f"{size[0]}x{size[1]} as the others"
                 raise InputError(left, "size", f"{width}x{height}", allowed)
             try:
-                views.append(view_of(target, *greys))
+                views.append(find_view(target, *greys))
             except StereoRefusal as refusal:
                 note(f"{left.name}, {right.name} are left out: {refusal}")
     assert size is not None

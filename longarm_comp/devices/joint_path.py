@@ -114,7 +114,7 @@ class TakenOver:
     upper: Array
 
     def at(self, time_s: npt.ArrayLike) -> Array:
-        """(..., n) positions at times (...) after the take-over."""
+        """Return positions (..., n) at times (...), s, after the take-over."""
         t = np.asarray(time_s, float)[..., None]
         u = np.clip(t / self.blend_s, 0.0, 1.0)
         brake = np.clip(self.start + self.speed * t * (1.0 - 0.5 * u), self.lower, self.upper)
@@ -134,7 +134,7 @@ class TakenOver:
         return np.sort(np.concatenate((blend, self.path.chords(STRAIGHT))))
 
     def postures(self) -> Array:
-        """(N, n) joints on the way."""
+        """Return joints (N, n) on the way."""
         return self.at(self.looked_at)
 
 
@@ -159,13 +159,13 @@ class InParts:
         return self.way.duration + self.shaper.duration
 
     def at(self, time_s: npt.ArrayLike) -> Array:
-        """(..., n) positions at times (...)."""
+        """Return positions (..., n) at times (...), s."""
         times = np.asarray(time_s, float)
         shaped = self.shaper.shape_motion(self.way.at, self.way.duration)
         return shaped(times.ravel()).reshape(*times.shape, -1)
 
     def postures(self) -> Array:
-        """(N, n) joints on the way, as those of the path itself, of every part."""
+        """Return joints (N, n) on the way, for every part those at which the path is looked at."""
         begins, ends = self.shaper.begins, self.shaper.ends
         paces = 1.0 + (ends - begins) / self.way.duration
         return self.at(np.unique(np.outer(self.way.looked_at, paces) + begins))
@@ -174,7 +174,7 @@ class InParts:
 def plan_path(
     start: Array, times: Array, positions: Array, velocities: Array | None, max_velocity: Array
 ) -> CubicPath:
-    """A path from rest at ``start`` through the way-points to rest, within the velocity limits.
+    """Plan from rest at ``start`` through the way-points to rest, within the velocity limits.
 
     Segments whose mean velocity is too high are lengthened, then all by one factor until the peak
     velocity is allowed. A first point at time 0 away from ``start`` is reached at the velocity

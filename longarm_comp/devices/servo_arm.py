@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.joint_path import JointTrajectory
-from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.bus import Change, SerialServoBus
 from longarm_comp.devices.servo_bus.state import (
     BusUnplugged,
     IncompleteReply,
@@ -23,8 +23,6 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import (
     Accepted,
     FollowerState,
-    KeepsOut,
-    Shapes,
     Step,
     TrajectoryFollower,
 )
@@ -64,15 +62,8 @@ class ServoArm:
         said: what was changed in servos, to be told.
     """
 
-    def __init__(
-        self,
-        config: ServoConfig,
-        keeps_out: KeepsOut | None = None,
-        shapes: Shapes | None = None,
-        trim: bool = False,
-    ) -> None:
-        self.config = config
-        self.follower = TrajectoryFollower(config, keeps_out, shapes, trim)
+    def __init__(self, config: ServoConfig, follower: TrajectoryFollower | None = None) -> None:
+        self.config, self.follower = config, follower or TrajectoryFollower(config)
         self._ids = list(config.ids.values())
         self._speeds: dict[int, float] = {}
         self._stood: dict[int, int] = {}  # ticks by servo id, when the torque last held the arm
@@ -131,18 +122,19 @@ class ServoArm:
             self._speeds[servo_id] = speed if most is None else min(speed, most)
 
     def _set_turns(self, bus: SerialServoBus) -> None:
-        """One or many turns as declared. They stay: without them the servos lose count."""
+        """Set one or many turns as declared. They stay: without them the servos lose count."""
+
+        def refuse_driven(changes: dict[int, Change]) -> None:
+            driven = [i for i, on in bus.driven(list(changes)).items() if on]
+            if driven:
+                raise JobError(
+                    "servos hold the arm and have to be set for other turns, which lets go: "
+                    "support the arm and cut their power once",
+                    ids=driven,
+                )
+
         many = {j.servo_id: j.multi_turn for j in self.config.joints.values()}
-        others = bus.other_turns(many)
-        driven = [i for i, on in bus.driven(list(others)).items() if on] if others else []
-        if driven:
-            raise JobError(
-                "servos hold the arm and have to be set for other turns, which lets go: support "
-                "the arm and cut their power once",
-                ids=driven,
-            )
-        bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
-        self.said += bus.describe_turns(many, others)
+        self.said += bus.set_turns(many, refuse_driven)
         journal = SetupJournal(bus.port)
         left = journal.read(bus.protocol).keys() & many.keys()
         if left:
@@ -207,7 +199,7 @@ class ServoArm:
         return self.follower.accept(trajectory, now)
 
     def estop(self) -> None:
-        """Torque off now, no commands until `release`. Raises as `power`."""
+        """Switch the torque off and refuse commands until `release`. Raises as `power`."""
         self.follower.estop()
         self.power(False)
 
@@ -252,7 +244,7 @@ class ServoArm:
                 trouble = self._lose(error)
         step = self.follower.step(now, states, driven)
         driving = step.state in (FollowerState.TRACKING, FollowerState.HOLDING)
-        if driving and self.follower.fresh(now):
+        if driving and self.follower.is_fresh(now):
             self._stood = {i: state.position_ticks for i, state in states.items()}
         if step.goals and self.bus is not None and self.powered:
             try:

@@ -33,7 +33,7 @@ class BusConfig(ServoSettings):
 
     @field_validator("protocol")
     @classmethod
-    def _known(cls, value: str) -> str:
+    def _check_protocol(cls, value: str) -> str:
         if value not in protocols():
             raise ValueError("one of " + ", ".join(protocols()))
         return value
@@ -91,7 +91,7 @@ class ServoConfig(ServoSettings):
     follower: FollowerConfig = FollowerConfig()
 
     @model_validator(mode="after")
-    def _consistent(self) -> ServoConfig:
+    def _check_joints(self) -> ServoConfig:
         owner: dict[int, str] = {}
         for name, joint in self.joints.items():
             where = f"joints.{name}"
@@ -156,15 +156,13 @@ class ServoConfig(ServoSettings):
 
     @classmethod
     def parse(cls, data: Any, where: str) -> ServoConfig:
-        """Check nested mappings; ``where`` names the source. Raises InputError naming the field."""
-        return parse_declared(cls, _without_ros(data), where)
+        """Check nested mappings; ``where`` names the source. Raises InputError naming the field.
 
-
-def _without_ros(data: Any) -> Any:
-    """The parameters inside a ROS parameter file, without those that are checked elsewhere."""
-    if isinstance(data, Mapping) and len(data) == 1:
-        (node,) = data.values()
-        if isinstance(node, Mapping) and "ros__parameters" in node:
-            params = node["ros__parameters"] or {}
-            return {key: params[key] for key in ServoConfig.model_fields if key in params}
-    return data
+        Of a ROS parameter file, parameters that are checked elsewhere are left out.
+        """
+        if isinstance(data, Mapping) and len(data) == 1:
+            (node,) = data.values()
+            if isinstance(node, Mapping) and "ros__parameters" in node:
+                params = node["ros__parameters"] or {}
+                data = {key: params[key] for key in cls.model_fields if key in params}
+        return parse_declared(cls, data, where)

@@ -8,11 +8,12 @@ goals are sent.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.devices.follower_step import Accepted, Event, EventKind, FollowerState, Step
 from longarm_comp.devices.joint_path import (
     Array,
     InParts,
@@ -32,6 +33,56 @@ KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
 Shapes = Callable[[Way, float], Shaper | None]
 """How a move from rest at joints (n,) to others is sent in parts; None: as it is."""
+
+
+class FollowerState(Enum):
+    IDLE = "idle"
+    TRACKING = "tracking"
+    HOLDING = "holding"
+    FAULT = "fault"
+    ESTOP = "estop"
+
+
+class EventKind(Enum):
+    STARTED = "started"
+    REPLACED = "replaced"
+    SLOWED = "slowed"
+    ARRIVED = "arrived"
+    SHORT = "short of its end"
+    DOUBTFUL = "doubtful"
+    FAULT = "fault"
+    ESTOP = "estop"
+    RESET = "reset"
+    HELD = "held"
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event to report to the user. ``finding`` is set only with FAULT."""
+
+    kind: EventKind
+    message: str
+    finding: JointFault | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A trajectory as it was taken up."""
+
+    start: np.ndarray
+    """(n,) set-point that it starts from, in the order of the configuration (rad, m)."""
+    points: np.ndarray  # (k, n) its way-points, also of the joints that it does not name
+    times: np.ndarray  # (k,) s from now at which they are passed
+    replaces: bool  # whether another one was under way
+
+
+@dataclass(frozen=True)
+class Step:
+    state: FollowerState  # after the step
+    goals: dict[int, int] | None  # ticks by servo id to send now; None: send nothing
+    set_points: dict[str, float]
+    """Commanded joint values, rad or m; empty when nothing is commanded."""
+    events: tuple[Event, ...]  # in the order in which they happened
 
 
 class TrajectoryFollower:
@@ -85,7 +136,7 @@ class TrajectoryFollower:
         """Correction of each joint's goal by trim, ticks."""
         return dict(zip(self._names, self._trim.offset.tolist(), strict=True))
 
-    def fresh(self, now: float) -> bool:
+    def is_fresh(self, now: float) -> bool:
         """Return whether every servo was read, and believed, in the last step, just now."""
         late = self._now is None or now - self._now > self._config.follower.silence_s
         return self._fresh and not late
@@ -98,7 +149,11 @@ class TrajectoryFollower:
         ends at rest: then an event ARRIVED follows, or SHORT where a joint stands still and is not
         where it was sent.
         """
-        self._check_ready(now)
+        if self.state in (FollowerState.FAULT, FollowerState.ESTOP):
+            raise JobError("no trajectory is taken until the arm is reset", state=self.state.value)
+        if not self.is_fresh(now):
+            raise JobError("no fresh reading of every servo", servos=len(self._joints))
+        self._check_health(now)
         start, moves = self._start(), bool(trajectory.points)
         replaces = self.state is FollowerState.TRACKING
         if moves:
@@ -107,11 +162,11 @@ class TrajectoryFollower:
             accepted = Accepted(start, positions, path.times[-len(times) :], replaces)
             self._check_inside(path)
         else:
-            path = self._braking(start)
+            path = self._plan_braking(start)
             accepted = Accepted(start, path.end[None], np.zeros(1), replaces)
         # Points of a move: its run-up and its end. More are a path, which is not trimmed
         several = len(trajectory.points) > 2
-        taken = self._taken_over(path, start)
+        taken = self._take_over(path, start)
         way: TakenOver | InParts = taken
         if moves and self._shapes is not None and not replaces:
             shaper = self._shapes(taken.at, taken.duration)
@@ -130,12 +185,12 @@ class TrajectoryFollower:
             self._say(EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits")
         return accepted
 
-    def _taken_over(self, path: CubicPath, start: Array) -> TakenOver:
+    def _take_over(self, path: CubicPath, start: Array) -> TakenOver:
         """Return a path as it is followed from the present set-point and velocity."""
         blend_s = self._config.follower.blend_s
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 
-    def _braking(self, start: Array) -> CubicPath:
+    def _plan_braking(self, start: Array) -> CubicPath:
         """Plan from a set-point to the nearest rest."""
         brake = start + 0.5 * self._config.follower.blend_s * self._velocity
         rest = np.clip(brake, self._lower, self._upper)[None]
@@ -144,7 +199,7 @@ class TrajectoryFollower:
     def break_off(self, kind: EventKind, why: str) -> None:
         """Stop smoothly. The trajectory is not followed to its end."""
         if self.state is FollowerState.TRACKING and self._set is not None:
-            self._way = self._taken_over(self._braking(self._set), self._set)
+            self._way = self._take_over(self._plan_braking(self._set), self._set)
             self._way_time = 0.0
         self._settled = True
         self._say(kind, why)
@@ -162,7 +217,7 @@ class TrajectoryFollower:
         self._say(EventKind.ESTOP, "emergency stop")
 
     def reset(self, now: float) -> None:
-        """Back to idle after a fault or an emergency stop."""
+        """Go back to idle after a fault or an emergency stop."""
         self._check_health(now)
         self._watch.forget_errors()
         self._drop_motion()
@@ -191,7 +246,7 @@ class TrajectoryFollower:
         return Step(self.state, goals, self.set_points, events)
 
     def _move(self, dt: float) -> dict[int, int] | None:
-        """One bounded step along the path; None while any read-back is doubtful."""
+        """Take a bounded step along the path; return goals, None while a read-back is doubtful."""
         if not self._fresh:
             if not self._doubting:
                 self._say(EventKind.DOUBTFUL, "waiting for a trusted reading of every servo")
@@ -217,7 +272,7 @@ class TrajectoryFollower:
         return self._goals
 
     def _wanted_ticks(self) -> dict[str, int]:
-        """Goals without trim, ticks by joint."""
+        """Return the goals without trim, ticks by joint."""
         joints = self._config.joints
         return {name: joints[name].to_ticks(value) for name, value in self.set_points.items()}
 
@@ -234,10 +289,8 @@ class TrajectoryFollower:
         if self._trim.take_step(self._wanted_ticks(), states):
             self._still_s = 0.0
             return None
-        self._untrimmed, self._trims = (
-            self._trim.describe_failure(self._wanted_ticks(), states),
-            False,
-        )
+        self._trims = False
+        self._untrimmed = self._trim.describe_failure(self._wanted_ticks(), states)
         return self._untrimmed
 
     def _settle(self, dt: float) -> None:
@@ -262,7 +315,7 @@ class TrajectoryFollower:
         self._settled = True
 
     def _short(self) -> str:
-        """Which joints stand away from where they were sent, and how far; empty if none does."""
+        """Say which joints stand away from where they were sent, and how far; empty if none."""
         far = []
         for name, wanted in self.set_points.items():
             state, joint = self._watch.state(name), self._config.joints[name]
@@ -281,7 +334,7 @@ class TrajectoryFollower:
         hold = {}
         for name, joint in self._config.joints.items():
             state = self._watch.state(name)
-            if state is not None and self._watch.heard(name):
+            if state is not None and self._watch.was_heard(name):
                 hold[joint.servo_id] = joint.nearest_within_limits(state.position_ticks)
         self._drop_motion()
         return hold
@@ -291,15 +344,8 @@ class TrajectoryFollower:
         self._way = self._set = self._goals = None
         self._velocity = np.zeros_like(self._velocity)
 
-    def _check_ready(self, now: float) -> None:
-        if self.state in (FollowerState.FAULT, FollowerState.ESTOP):
-            raise JobError("no trajectory is taken until the arm is reset", state=self.state.value)
-        if not self.fresh(now):
-            raise JobError("no fresh reading of every servo", servos=len(self._joints))
-        self._check_health(now)
-
     def _start(self) -> Array:
-        """The present set-point; when idle, the present position of the arm."""
+        """Return the present set-point (n,); when idle, the present position of the arm."""
         if self._set is not None:
             return self._set
         values, limits = [], self._config.follower
@@ -321,7 +367,7 @@ class TrajectoryFollower:
                 joint.check_inside(float(value), "joint trajectory", f"{name} on the way")
 
     def _check_health(self, now: float) -> None:
-        standing = self._watch.standing(now)
+        standing = self._watch.find_standing_faults(now)
         if standing:
             first = standing[0]
             raise JobError(

@@ -84,20 +84,20 @@ class JointConfig(ServoSettings):
 
     @field_validator("model")
     @classmethod
-    def _known(cls, value: str) -> str:
+    def _check_model(cls, value: str) -> str:
         if value not in models():
             raise ValueError("one of " + ", ".join(models()))
         return value
 
     @field_validator("upper")
     @classmethod
-    def _ordered(cls, value: float, info: ValidationInfo) -> float:
+    def _check_order(cls, value: float, info: ValidationInfo) -> float:
         if value <= info.data.get("lower", -math.inf):
             raise ValueError(f"above lower ({info.data['lower']})")
         return value
 
     @model_validator(mode="after")
-    def _one_transmission(self) -> JointConfig:
+    def _check_transmission(self) -> JointConfig:
         given = (self.pinion_radius_m is not None) + (self.screw_lead_m is not None)
         if given != (self.type == "prismatic"):
             allowed = (
@@ -109,7 +109,7 @@ class JointConfig(ServoSettings):
         return self
 
     @model_validator(mode="after")
-    def _known_registers(self) -> JointConfig:
+    def _check_registers(self) -> JointConfig:
         known = [r.name for r in protocols()[self.servo.protocol].registers if r.places]
         for name, value in self.stored.items():
             if name not in known:
@@ -163,12 +163,12 @@ class JointConfig(ServoSettings):
             raise InputError(where, field, value, allowed)
 
     def nearest_within_limits(self, ticks: float) -> int:
-        """The goal within the limits that is nearest to a number of ticks."""
+        """Return the goal within the limits that is nearest to a number of ticks."""
         low, high = self.tick_limits
         return min(max(round(ticks), low), high)
 
     def to_ticks(self, value: float) -> int:
-        """The goal nearest to a joint value, rad or m."""
+        """Return the goal, in ticks, that is nearest to a joint value, rad or m."""
         self.check_inside(value, f"servo {self.servo_id}", "position")
         return self.nearest_within_limits(self._exact_ticks(value))
 
@@ -177,11 +177,11 @@ class JointConfig(ServoSettings):
         return self.direction * (ticks - self.zero_ticks) * self.si_per_tick
 
     def speed_to_si(self, ticks_s: float) -> float:
-        """Joint velocity (rad/s or m/s) of an encoder speed."""
+        """Return the joint velocity (rad/s or m/s) of an encoder speed."""
         return self.direction * ticks_s * self.si_per_tick
 
     def effort_to_si(self, load: float) -> float:
-        """Effort (N m, N) of a load, a signed share of full effort; NaN where that is unknown."""
+        """Return the effort (N m, N) of a load, a signed share of full effort; NaN if not known."""
         return math.nan if self.full_effort is None else self.direction * load * self.full_effort
 
     @property
@@ -193,8 +193,8 @@ class JointConfig(ServoSettings):
         """Highest speed of the servo without load, ticks/s; infinite where it is not known."""
         return self.top_speed_ticks_s or self.servo.top_speed_ticks_s or math.inf
 
-    def having(self, **values: object) -> JointConfig:
-        """The same joint with other values, checked."""
+    def with_values(self, **values: object) -> JointConfig:
+        """Return the same joint with other values, checked."""
         return JointConfig.model_validate(self.model_dump() | values)
 
     def _exact_ticks(self, value: float) -> float:

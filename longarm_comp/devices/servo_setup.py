@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from statistics import median
 
 from longarm_comp.core.errors import JobError
@@ -28,18 +29,18 @@ _LONGEST_STEP_S, _ASIDE_TICKS = 0.1, 24
 
 
 def show_value(joint: JointConfig, value: float) -> str:
-    """A joint value, rad or m, in deg or mm."""
+    """Write a joint value, rad or m, in deg or mm."""
     scale, unit = hand_unit(joint)
     return f"{value / scale:.1f} {unit}"
 
 
 def hand_unit(joint: JointConfig) -> tuple[float, str]:
-    """Unit in which joint values are typed: its size in rad or m, and its name."""
+    """Return the unit in which joint values are typed: its size in rad or m, and its name."""
     return (1e-3, "mm") if joint.type == "prismatic" else (math.radians(1.0), "deg")
 
 
 def zero_from_pose(joint: JointConfig, ticks: float, value: float) -> float:
-    """Whole ticks at joint value 0, where the servo reads ``ticks`` at ``value`` (rad, m)."""
+    """Return whole ticks at joint value 0, for a reading of ``ticks`` at ``value`` (rad, m)."""
     return float(round(ticks - joint.direction * value / joint.si_per_tick))
 
 
@@ -59,7 +60,7 @@ class ServoSetup:
 
     @contextmanager
     def safely(self) -> Iterator[ServoSetup]:
-        """Torque off at the end, whatever happens; the servos have one or many turns as declared.
+        """Set one or many turns as declared; switch the torque off at the end, whatever happens.
 
         What the servos had stored, also before an earlier setup that was killed, is written back at
         the end, unless `keep` was called.
@@ -101,28 +102,25 @@ class ServoSetup:
 
     def _set_turns(self) -> None:
         many = {j.servo_id: j.multi_turn for j in self._joints.values()}
-        others = self._bus.other_turns(many)
-        if others:
-            self._journal.begin(self._bus.protocol, others)
-            self._bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
-        self.said = self._bus.describe_turns(many, others)
+        note = partial(self._journal.begin, self._bus.protocol)
+        self.said = self._bus.set_turns(many, note)
         kept = self._bus.memory(self._ids)
         self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 
     def keep(self) -> None:
-        """The servos keep what was stored: the arm's file says the same from now on."""
+        """Let the servos keep what was stored: the arm's file says the same from now on."""
         self._journal.end(self._bus.protocol, self._ids)
 
     def let_go(self) -> None:
-        """Torque off."""
+        """Switch the torque off."""
         self._bus.torque(self._ids, on=False)
 
     def hold(self) -> None:
-        """Torque on; every servo stays where it is."""
+        """Switch the torque on; every servo stays where it is."""
         self._bus.torque(self._ids, on=True)
 
     def rest(self) -> dict[str, float]:
-        """Ticks of every joint's servo in a pose that is held still."""
+        """Read the ticks of every joint's servo in a pose that is held still."""
         looks = []
         for _ in range(_LOOKS):
             looks.append(self._bus.read(self._ids))
@@ -139,7 +137,7 @@ class ServoSetup:
 
     @contextmanager
     def nudge(self, name: str) -> Iterator[int]:
-        """One joint is 5 degrees or 5 mm away meanwhile.
+        """Move one joint by 5 degrees or 5 mm, and back at the end of the context.
 
         Yields:
             +1 where the ticks grew: it goes up unless that leads out of the servo's range.

@@ -82,11 +82,11 @@ class ServoWatch:
                     seen.state, seen.at = state, now
                     findings += seen.ill
             goal = None if goals is None else goals.get(joint.servo_id)
-            findings += self._obedience(name, joint, seen, goal, now)
+            findings += self._find_disobedience(name, joint, seen, goal, now)
             findings += self._find_silent(name, seen, now)
         return fresh, findings
 
-    def standing(self, now: float) -> list[JointFault]:
+    def find_standing_faults(self, now: float) -> list[JointFault]:
         """Return the faults that depend on no command: silence, and those of the last read-back."""
         findings: list[JointFault] = []
         for name, seen in self._seen.items():
@@ -95,10 +95,10 @@ class ServoWatch:
         return findings
 
     def state(self, joint: str) -> ServoState | None:
-        """The last trusted read-back of a joint."""
+        """Return the last trusted read-back of a joint."""
         return self._seen[joint].state
 
-    def heard(self, joint: str) -> bool:
+    def was_heard(self, joint: str) -> bool:
         """Return whether a joint had a trusted read-back in the last update."""
         seen = self._seen[joint]
         return seen.state is not None and seen.at == self._now
@@ -138,7 +138,7 @@ class ServoWatch:
             hot = f"{state.temperature_c:.0f} C, allowed {joint.max_temperature_c:.0f} C"
             yield JointFault(ServoTrouble.OVERHEATED, name, hot)
 
-    def _obedience(
+    def _find_disobedience(
         self, name: str, joint: JointConfig, seen: _Seen, goal: int | None, now: float
     ) -> Iterator[JointFault]:
         """Compare goal and read-back: a stalled joint, or one far from its goal."""

@@ -46,7 +46,7 @@ class SetupJournal:
         write_text(self.path, json.dumps({"protocol": protocol, "turns": turns}) + "\n")
 
     def end(self, protocol: str, ids: Collection[int]) -> None:
-        """Nothing of these servos is to be written back any more."""
+        """Note that nothing of these servos is to be written back any more."""
         left = {i: change for i, change in self.read(protocol).items() if i not in ids}
         try:
             self.path.unlink(missing_ok=True)

@@ -78,7 +78,8 @@ class StopLatch:
     def keep(self) -> None:
         """Write what is not written, or gone. `trouble` says why that fails: call it again."""
         try:
-            if not self._owing and self._is_whole():
+            files = (file for stop in self.standing for file in self._files(stop))
+            if not self._owing and all(os.path.lexists(file) for file in files):
                 return
             for stop, words in self.standing.items():
                 for file, of in self._files(stop).items():
@@ -91,9 +92,6 @@ class StopLatch:
             self._owing, self.trouble = False, ""
         except (LongarmError, OSError) as error:
             self.trouble = str(error)
-
-    def _is_whole(self) -> bool:
-        return all(os.path.lexists(file) for stop in self.standing for file in self._files(stop))
 
     @contextmanager
     def lift_stops(self, *stops: Stop) -> Iterator[None]:
@@ -124,7 +122,7 @@ class StopLatch:
         write_text(self._folder / "README.txt", _EXPLAINED)
 
     def _files(self, stop: Stop) -> dict[Path, str]:
-        """The files of a stop, and whose each is."""
+        """List the files of a stop, and whose each is."""
         return {self._folder / f"{n}.{stop.name.lower()}": of for n, of in self.names.items()}
 
 
@@ -141,7 +139,7 @@ class KeptStop:
 
 
 def kept_stops(folder: Path) -> list[KeptStop]:
-    """All stops that are kept in a folder and those below, where arms are simulated."""
+    """List all stops that are kept in a folder and those below, where arms are simulated."""
     kept = []
     for stop in Stop:
         for file in sorted(folder.rglob(f"*.{stop.name.lower()}")):
@@ -189,7 +187,7 @@ def _of_arm(namespace: str, arm: str) -> str:
 
 
 def _file_name(text: str) -> str:
-    """A file's name for any text: its last letters, and a hash."""
+    """Make a file's name for any text: its last letters, and a hash."""
     legible = re.sub(r"[^A-Za-z0-9]+", "_", text)[-60:].strip("_")
     return f"{legible}-{hashlib.blake2s(text.encode(), digest_size=6).hexdigest()}"
 

@@ -38,13 +38,13 @@ class Trim:
         self.drop()
 
     def drop(self) -> None:
-        """No correction any more."""
+        """Make no correction any more."""
         self.offset = np.zeros(len(self._joints))
         self._applied = self.offset.copy()
         self._steps = 0
 
     def begin(self, path: bool) -> None:
-        """A move begins, with the last corrections; a path has none."""
+        """Begin a move with the last corrections; a path has none."""
         self._steps = 0
         if path:
             self.offset = np.zeros(len(self._joints))
@@ -76,7 +76,7 @@ class Trim:
         return bool((self.offset != before).any())
 
     def describe_failure(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> str:
-        """Which joints no step brought near, and how far off; those lose theirs.
+        """Say which joints no step brought near, and how far off they are; those lose theirs.
 
         What friction holds is off by so little that all steps together are no stall.  One that
         would have to go beyond its limit is as near as it may be.

@@ -16,7 +16,7 @@ from longarm_comp.devices.stereo.mounting import check_mounting
 from longarm_comp.devices.stereo.pairing import Pair, Side, StereoPairer
 from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.devices.stereo.target import Grey, Target
-from longarm_comp.devices.stereo.views import FEWEST_VIEWS, BoardView, gaps, view_of
+from longarm_comp.devices.stereo.views import FEWEST_VIEWS, BoardView, find_view, list_gaps
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
@@ -56,7 +56,7 @@ def capture(
             raise InputError("left/image_raw", "size", found, f"{size} as before")
         size = found
         try:
-            view = view_of(board, *pair)
+            view = find_view(board, *pair)
         except StereoRefusal as refusal:
             tell(refusal.reason.value)
             before = None
@@ -76,7 +76,7 @@ def capture(
         elif not rests:
             tell("hold the board still")
             return False
-        lacking = gaps(views, size)
+        lacking = list_gaps(views, size)
         tell(f"{len(views)} of {FEWEST_VIEWS} views; " + (lacking[-1] if lacking else "done"))
         return not lacking
 
@@ -86,7 +86,7 @@ def capture(
         _PATIENCE_S,
         lambda: (
             f"not within {_PATIENCE_S:g} s, {len(views)} views: "
-            + ("board" if size is None else "; ".join(gaps(views, size)))
+            + ("board" if size is None else "; ".join(list_gaps(views, size)))
         ),
     )
     assert size is not None

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -56,7 +58,7 @@ class TargetRequest:
 
     Attributes:
         name: its id.
-        pose: the target as it came, in whichever frame.
+        pose: the target, in whichever frame.
         execute: whether its joints are sent to the driver.
         sent_s: when it was sent (monotonic s).
         seed: joints at which the search begins; without names, where the arm is.
@@ -75,23 +77,32 @@ class Answer:
     """Everything that is published about one target on `compensation`.
 
     Attributes:
-        name: id of the target.
+        target: the target, in the base frame if it was computed.
         model_hash, predictor_hash: SHA-256 of the files in use; empty without one.
         arrival: the computation; None for a target that was refused before it.
-        sent, accepted: whether its joints were sent, and taken up by the driver.
+        order: id of the trajectory to its joints; empty if none was sent.
+        accepted: whether the driver has accepted that.
     """
 
-    name: str
-    target: PoseStamped
-    position_only: bool
+    target: TargetRequest
     status: Status
     message: str
     method: str
     model_hash: str
     predictor_hash: str = ""
     arrival: Arrival | None = None
-    sent: bool = False
+    order: str = ""
     accepted: bool = False
+
+    @property
+    def name(self) -> str:
+        """The id under which it is published."""
+        return self.order or self.target.name
+
+    @property
+    def stamp(self) -> Time:
+        stamp: Time = self.target.pose.header.stamp
+        return stamp
 
     @property
     def outcome(self) -> Outcome | None:
@@ -103,13 +114,10 @@ def compensation_message(answer: Answer, arm: Arm, base_frame: str) -> Compensat
     context = Context() if answer.arrival is None else answer.arrival.context
     sides = {float(side) for side in context.approach}
     published = Compensation(
-        header=Header(stamp=answer.target.header.stamp, frame_id=base_frame),
-        id=answer.name,
+        header=Header(stamp=answer.stamp, frame_id=base_frame),
         accepted=answer.accepted,
-        target=answer.target,
-        position_only=answer.position_only,
-        status=int(answer.status),
-        message=answer.message,
+        target=answer.target.pose,
+        position_only=answer.target.position_only,
         method=answer.method,
         temperature_c=float(context.column("temperature_c", math.nan)),
         payload_kg=float(context.payload_kg(arm.payload.mass_kg if arm.payload else 0.0)),
@@ -119,45 +127,37 @@ def compensation_message(answer: Answer, arm: Arm, base_frame: str) -> Compensat
         arm_hash=arm.hash,
         model_hash=answer.model_hash,
         predictor_hash=answer.predictor_hash,
+        **_shared_fields(answer, arm, base_frame),
     )
-    _fill(published, answer, arm, base_frame)
-    if answer.sent and answer.outcome is not None:
-        published.executed = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
+    if answer.order and answer.outcome is not None:
+        published.executed = joints_message(arm, answer.outcome.command, answer.stamp)
     return published
 
 
 def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
-    response = Compensate.Response(
-        success=answer.status.success,
-        status=int(answer.status),
-        message=answer.message,
-        id=answer.name,
-    )
-    _fill(response, answer, arm, base_frame)
-    if answer.status.success and answer.arrival is not None:
-        command, stamp = answer.arrival.outcome.command, answer.target.header.stamp
-        response.command = joints_message(arm, command, stamp)
+    """Make the response to the request of one target."""
+    success = answer.status.success
+    response = Compensate.Response(success=success, **_shared_fields(answer, arm, base_frame))
+    if success and answer.arrival is not None:
+        response.command = joints_message(arm, answer.arrival.outcome.command, answer.stamp)
         response.approach = [int(side) for side in answer.arrival.move.side]
     return response
 
 
-def _fill(
-    message: Compensation | Compensate.Response, answer: Answer, arm: Arm, base_frame: str
-) -> None:
-    """Set the fields that both messages share. An unknown number is NaN."""
-    message.sigma = math.nan
+def _shared_fields(answer: Answer, arm: Arm, base_frame: str) -> dict[str, Any]:
+    """Return the fields that both messages have, by name. An unknown number is NaN."""
+    fields = {"id": answer.name, "status": int(answer.status), "message": answer.message}
     if answer.arrival is None:
-        message.predicted_error = vector_message([math.nan] * 3)
-        return
-    outcome, run_up = answer.arrival.outcome, answer.arrival.move.run_up
-    stamp = answer.target.header.stamp
+        return fields | {"sigma": math.nan, "predicted_error": vector_message([math.nan] * 3)}
+    outcome, run_up, stamp = answer.arrival.outcome, answer.arrival.move.run_up, answer.stamp
     if run_up is not None:
-        message.run_up = joints_message(arm, run_up, stamp)
-    message.ideal = joints_message(arm, outcome.ideal, stamp)
-    message.predicted_error = vector_message(outcome.predicted_error)
-    message.pseudo_target = PoseStamped(
-        header=Header(stamp=stamp, frame_id=base_frame), pose=pose_message(outcome.pseudo_target)
-    )
-    message.sigma = float(np.max(outcome.sigma))
-    message.in_domain = bool(outcome.in_domain)
-    message.passes = int(outcome.passes)
+        fields["run_up"] = joints_message(arm, run_up, stamp)
+    header, pseudo = Header(stamp=stamp, frame_id=base_frame), pose_message(outcome.pseudo_target)
+    return fields | {
+        "ideal": joints_message(arm, outcome.ideal, stamp),
+        "predicted_error": vector_message(outcome.predicted_error),
+        "pseudo_target": PoseStamped(header=header, pose=pseudo),
+        "sigma": float(np.max(outcome.sigma)),
+        "in_domain": bool(outcome.in_domain),
+        "passes": int(outcome.passes),
+    }

@@ -31,7 +31,7 @@ from longarm_comp.nodes.messages import (
 )
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode
-from longarm_comp.nodes.orders import untimely
+from longarm_comp.nodes.orders import describe_untimely
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import PredictorClient
 from longarm_interfaces.msg import DriverState, Motion
@@ -144,18 +144,18 @@ class ArmState:
         Values that are not finite are dropped. Values that the arm cannot be in are kept as a
         doubt, because the sender shows that the circumstances are no longer the last ones.
         """
-        now = time.monotonic()
         if not all(math.isfinite(value) for value in columns.values()):
             self.node.tally.count_dropped(source, f"{source}: {columns} is not finite")
             return
+        wrong = ""
         try:
             for name, value in columns.items():
                 check_circumstance(self.arm, name, value, source)
         except InputError as error:
-            self.node.tally.count_dropped(source, str(error))
-            self.readings = self.readings.with_reading(source, columns, now, wrong=str(error))
-            return
-        self.readings = self.readings.with_reading(source, columns, now)
+            wrong = str(error)
+            self.node.tally.count_dropped(source, wrong)
+        now = time.monotonic()
+        self.readings = self.readings.with_reading(source, columns, now, wrong=wrong)
 
     @property
     def joints(self) -> np.ndarray | None:
@@ -181,7 +181,7 @@ class ArmState:
             return
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
         self._trust.heard(info["publication_sequence_number"], now)
-        if stamp and (why := untimely(self.node.get_clock(), stamp, self._max_age_s)):
+        if stamp and (why := describe_untimely(self.node.get_clock(), stamp, self._max_age_s)):
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints, self.effort = (q, now), efforts_of(message, self.arm)
@@ -270,11 +270,11 @@ class DriverLink:
                 start, path = motion_of(message, self._arm)
             except InputError as error:
                 self._count_dropped("motion", str(error))
-                self.lose()
+                self.forget_history()
             else:
-                self.went(path, start)
+                self.note_motion(path, start)
         elif message.event in (Motion.REPLACED, Motion.BROKEN_OFF):
-            self.lose()
+            self.forget_history()
         if message.id == self._asked and message.event in (Motion.ACCEPTED, Motion.REFUSED):
             self._answer = message
         for listen in self.motion_listeners:
@@ -286,16 +286,16 @@ class DriverLink:
         except InputError as error:
             self._count_dropped("joint_trajectory", str(error))
             return
-        self.went(path, self._end if self._end is not None else self._arm_state.joints)
+        self.note_motion(path, self._end if self._end is not None else self._arm_state.joints)
 
-    def went(self, path: np.ndarray, start: np.ndarray | None) -> None:
+    def note_motion(self, path: np.ndarray, start: np.ndarray | None) -> None:
         """Note that the joints are moving from a start (n,) along (k, n)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
         for listen in self.command_listeners:
             listen(path[-1], self.history)
 
-    def lose(self) -> None:
+    def forget_history(self) -> None:
         """Forget the history of the joints, which is not known from here on."""
         self.history, self._end = History.unknown(self._arm.n), None
 
@@ -308,7 +308,7 @@ class DriverLink:
             self._rival_s = now
         if not known:
             self._known.add(instance)
-            self.lose()
+            self.forget_history()
         self._state, self._heard_s = message, now
 
     def report(self) -> Report:

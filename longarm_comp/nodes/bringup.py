@@ -133,7 +133,6 @@ class Supervisor:
 _DRIVER = "servo_driver"
 REAL = ("error_predictor", "kinematics", _DRIVER, "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
-_EYES = ("stereo_bridge",)
 PATHS = "trajectory_compensator"
 """The node that is started where paths are asked for."""
 
@@ -194,7 +193,7 @@ class BringUp:
     def nodes(self) -> tuple[str, ...]:
         """Names of the nodes, in the order of starting."""
         every = (*(SIMULATED if self.sim else REAL), *((PATHS,) if self.paths else ()))
-        unasked = () if self.driver else ("servo_driver", *(() if self.cameras else _EYES))
+        unasked = () if self.driver else (_DRIVER, *(() if self.cameras else ("stereo_bridge",)))
         return tuple(n for n in every if n not in (*self.without, *unasked))
 
     def file(self, node: str) -> Path:
@@ -253,16 +252,19 @@ class BringUp:
         trimmed = {"trimmed": True} if driver.get("trim") else {}
         shaped = {"shaped": True} if self.shaping else {}
         shaping = {"shaping": True} | model if self.shaping else {}
-        # Emulated servos have nothing stored: they are as from the factory
-        stored = {name: 0 for name in driver if self.sim and ".stored." in name}
         wire = bus if self.sim else self.port
         port = {"bus.port": wire} if wire else {}
+        emulated: dict[str, Any] = {}
+        if self.sim:
+            # Its stops are apart, so that a reset there ends none of a real arm
+            state = state_folder() / "simulated" / os.environ.get("ROS_DOMAIN_ID", "0")
+            # Emulated servos have nothing stored: they are as from the factory
+            stored = {name: 0 for name in driver if ".stored." in name}
+            emulated = stored | _PATIENT | {"state": str(state)}
         values: dict[str, Any] = {
             "kinematics": arm | servos | model | trimmed | shaped,
             "error_predictor": arm | model | _path("predictor", self.predictor),
-            "servo_driver": (
-                arm | shaping | port | stored | (_PATIENT | _own_state() if self.sim else {})
-            ),
+            "servo_driver": arm | shaping | port | emulated,
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
             PATHS: arm | model,
             "simulated_arm": arm | servos | {"port": bus},
@@ -286,10 +288,8 @@ class BringUp:
         if node == "kinematics":
             return {"joints_max_rate": speed * usual["joints_max_rate"]}
         if node == "simulated_arm":
-            return {
-                "speed_ticks_s": speed * usual["speed_ticks_s"],
-                "lag_s": usual["lag_s"] / speed,
-            }
+            faster = speed * usual["speed_ticks_s"]
+            return {"speed_ticks_s": faster, "lag_s": usual["lag_s"] / speed}
         longest = usual["follower.max_step_s"]
         joints = ServoConfig.load(self.file(node)).joints
         half_turn = min(joint.servo.ticks_per_turn for joint in joints.values()) / 2
@@ -334,12 +334,6 @@ class BringUp:
             for file in self.files(name, bus, scratch):
                 made[name] += ["--params-file", str(file)]
         return made
-
-
-def _own_state() -> dict[str, str]:
-    """Return a folder for a simulated arm's stops, so that a reset there ends no real one."""
-    domain = os.environ.get("ROS_DOMAIN_ID", "0")
-    return {"state": str(state_folder() / "simulated" / domain)}
 
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:

@@ -92,15 +92,8 @@ class Compensator:
 
     def refuse(self, target: TargetRequest, status: Status, reason: str) -> Answer:
         """Make the answer to a target that is refused before any computation."""
-        return Answer(
-            target.name,
-            target.pose,
-            target.position_only,
-            status,
-            reason,
-            str(self._node.get_parameter("method").value),
-            self._files.loaded.file_hash,
-        )
+        method = str(self._node.get_parameter("method").value)
+        return Answer(target, status, reason, method, self._files.loaded.file_hash)
 
     def _compensate(self, target: TargetRequest) -> Answer:
         given, place = self._in_base(target)
@@ -140,17 +133,8 @@ class Compensator:
             path = np.vstack([start, arrival.move.points])
             entry = describe_entry(self._declared, path)
             status, reason = (Status.KEPT_OUT, entry) if entry else (status, reason)
-        return Answer(
-            target.name,
-            given,
-            target.position_only,
-            status,
-            reason,
-            options.method.value,
-            loaded.file_hash,
-            used,
-            arrival,
-        )
+        in_base, method = replace(target, pose=given), options.method.value
+        return Answer(in_base, status, reason, method, loaded.file_hash, used, arrival)
 
     def _in_base(self, target: TargetRequest) -> tuple[PoseStamped, np.ndarray]:
         """Return the target in the base frame: as a message, and as (4, 4) or (3,), m."""

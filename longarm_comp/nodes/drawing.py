@@ -77,6 +77,7 @@ class ArmFrames:
         self._teller.tell(placed, state.stamp)
 
 
+Points = Sequence[np.ndarray] | np.ndarray
 Colour = tuple[float, float, float, float]
 DECLARED: Colour = (0.6, 0.6, 0.6, 0.5)
 HANGING: Colour = (0.1, 0.4, 0.9, 1.0)
@@ -137,13 +138,7 @@ class Markers:
         self._publisher.publish(MarkerArray(markers=drawn))
 
     def _marker(
-        self,
-        number: int,
-        name: str,
-        kind: int,
-        colour: Colour,
-        size: float,
-        points: Sequence[np.ndarray] | np.ndarray,
+        self, number: int, name: str, kind: int, colour: Colour, size: float, points: Points
     ) -> Marker:
         """Make a marker. One without points removes it."""
         marker = Marker(ns=name, id=number, type=kind, action=Marker.ADD)

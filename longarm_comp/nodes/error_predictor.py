@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode, program
 from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.worker import Reply
 from longarm_interfaces.srv import PredictError
 
 PARAMS = (
@@ -67,12 +67,7 @@ class _ErrorPredictor(ArmNode):
         asked.serve(graph.PREDICT_ERROR, self._on_predict)
         asked.start()
 
-    def _on_predict(
-        self,
-        request: PredictError.Request,
-        reply: Callable[[PredictError.Response], None],
-        sent: float,
-    ) -> None:
+    def _on_predict(self, request: PredictError.Request, reply: Reply, sent: float) -> None:
         response = PredictError.Response(sigma=math.nan, error=vector_message([math.nan] * 3))
         loaded = self._loaded
         try:

@@ -100,7 +100,7 @@ class FrameListener:
                         raise
 
     def hangs_on(self, frame: str, other: str) -> bool:
-        """True if a frame is another one, or tf tells it in one that is."""
+        """Return whether a frame is another one, or tf places it in one that is."""
         with self._told:
             return self._tree.hangs_on(frame, other)
 

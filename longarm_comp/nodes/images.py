@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import array
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import cv2
@@ -126,21 +126,13 @@ def image_message(grey: Grey, ns: int, frame: str) -> Image:
 
 
 def info_message(info: Calibration, ns: int, frame: str) -> CameraInfo:
-    return CameraInfo(
-        header=Header(stamp=stamp_of(ns), frame_id=frame),
-        width=info.width,
-        height=info.height,
-        distortion_model=info.distortion_model,
-        d=list(info.d),
-        k=list(info.k),
-        r=list(info.r),
-        p=list(info.p),
-    )
+    """Make the message of a calibration, whose fields have the same names."""
+    return CameraInfo(header=Header(stamp=stamp_of(ns), frame_id=frame), **asdict(info))
 
 
-def same_camera(a: Calibration, b: Calibration) -> bool:
+def is_same_camera(a: Calibration, b: Calibration) -> bool:
     """Return whether two messages or files hold the same calibration."""
-    keys = ("width", "height", "distortion_model", "d", "k", "r", "p")
+    keys = [field.name for field in fields(Calibration)]
     return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in keys)
 
 

@@ -225,7 +225,7 @@ def tip_message(
     return message
 
 
-def carried_tip(
+def express_sighting(
     message: PoseWithCovarianceStamped, place: np.ndarray, frame: str
 ) -> PoseWithCovarianceStamped:
     """Express a sighting in another frame, in which its own frame has the pose ``place`` (4, 4)."""

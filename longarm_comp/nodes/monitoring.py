@@ -338,15 +338,8 @@ class RingTeller:
     def report(self) -> Report:
         """Return a report on the last ring; first begin the work on a ring that is due."""
         self._begin()
-        ring = None if self._shaped else self._last
-        facts: dict[str, object] = (
-            {}
-            if ring is None
-            else {
-                "frequency [Hz]": ring.hz,
-                "size [m]": ring.size_m,
-                "settles in [s]": ring.settle_s,
-                "damping": ring.damping,
-            }
-        )
+        facts: dict[str, object] = {}
+        if (ring := self._last) is not None and not self._shaped:
+            facts = {"frequency [Hz]": ring.hz, "size [m]": ring.size_m}
+            facts |= {"settles in [s]": ring.settle_s, "damping": ring.damping}
         return Report(OK, self._said, facts)

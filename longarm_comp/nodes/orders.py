@@ -55,7 +55,7 @@ class Stamps:
         return stamp_of(self._last)
 
 
-def untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
+def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
     """Say why a message with the time stamp `stamp` (ns) is too old or from the future, else ""."""
     age = 1e-9 * (clock.now().nanoseconds - stamp)
     if abs(age) <= max_age_s:
@@ -98,7 +98,7 @@ class Freshness:
     def too_old(self, stamp: Time) -> str:
         """Say why an order is too old to be carried out; empty if it is not."""
         ns = stamp_ns(stamp)
-        why = untimely(self._clock, ns, self.max_age_s) if ns else ""
+        why = describe_untimely(self._clock, ns, self.max_age_s) if ns else ""
         if not why and (not ns or self._clock.ros_time_is_active) and self.away_s > self.max_age_s:
             why = f"may be {self.away_s:.1f} s old, because this node was away for so long"
         return f"the order {why}, allowed {self.max_age_s:g} s" if why else ""
@@ -107,11 +107,6 @@ class Freshness:
 PARAMS = (
     Param("order_max_age_s", 2.0, "trajectories and goals older than this are refused", 0.01, 60.0),
     Param("unstamped", False, "also accept trajectories with the stamp 0 (docs/ros.md)"),
-)
-
-
-_NO_STAMP = (
-    "header.stamp: 0; allowed: the time of sending, or set unstamped of servo_driver to true"
 )
 
 
@@ -149,7 +144,8 @@ class Intake:
     def _on_trajectory(self, message: JointTrajectory) -> None:
         name = order_id(message)
         if message.points and not (self._unstamped or stamp_ns(message.header.stamp)):
-            self._site.refuse(name, _NO_STAMP)
+            allowed = "the time of sending, or set unstamped of servo_driver to true"
+            self._site.refuse(name, f"header.stamp: 0; allowed: {allowed}")
         elif name in self._withdrawn:
             self._site.refuse(name, "its sender has withdrawn it")
         else:
@@ -188,7 +184,7 @@ class FollowServer:
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
         problem = _not_offered(goal.request, self._site.names)
         if problem:
-            return abort(goal, result.INVALID_GOAL, problem)
+            return abort_goal(goal, result.INVALID_GOAL, problem)
         began, deadline_s = self._node.get_clock().now(), math.inf
         tolerance_s = seconds(goal.request.goal_time_tolerance)
         if tolerance_s > 0.0 and asked.points:  # else 0 or -1: none is given
@@ -203,10 +199,10 @@ class FollowServer:
             if broken or late or goal.is_cancel_requested:
                 await self._halt(name)
                 if broken:
-                    return abort(goal, result.PATH_TOLERANCE_VIOLATED, broken)
+                    return abort_goal(goal, result.PATH_TOLERANCE_VIOLATED, broken)
                 if late:
                     why = "not at the end within goal_time_tolerance"
-                    return abort(goal, result.GOAL_TOLERANCE_VIOLATED, why)
+                    return abort_goal(goal, result.GOAL_TOLERANCE_VIOLATED, why)
                 goal.canceled()
                 return result(error_string="cancelled: the arm was stopped")
             await self._ticks.next()
@@ -214,12 +210,12 @@ class FollowServer:
         if event == Motion.REFUSED:
             strange = not set(asked.joint_names) <= set(self._site.names)
             code = result.INVALID_JOINTS if strange else result.INVALID_GOAL
-            return abort(goal, code, why)
+            return abort_goal(goal, code, why)
         if event != Motion.REACHED:
-            return abort(goal, result.PATH_TOLERANCE_VIOLATED, why)
+            return abort_goal(goal, result.PATH_TOLERANCE_VIOLATED, why)
         missed = self._beyond(goal.request.goal_tolerance, "at the end")
         if missed:
-            return abort(goal, result.GOAL_TOLERANCE_VIOLATED, missed)
+            return abort_goal(goal, result.GOAL_TOLERANCE_VIOLATED, missed)
         goal.succeed()
         return result(error_code=result.SUCCESSFUL)
 
@@ -260,7 +256,7 @@ class FollowServer:
         goal.publish_feedback(message)
 
 
-def abort(goal: Any, code: int, why: str) -> Any:
+def abort_goal(goal: Any, code: int, why: str) -> Any:
     """Abort a goal to follow a trajectory; return its result, by the codes of its type."""
     goal.abort()
     return graph.FOLLOW.type.Result(error_code=code, error_string=why)

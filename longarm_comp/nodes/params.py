@@ -99,7 +99,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
     ``sections``: prefixes of names that are checked elsewhere.
     """
     known = {param.name: param for param in table}
-    given = {k: v for k, v in overrides(node).items() if k.split(".")[0] not in sections}
+    given = {k: v for k, v in given_parameters(node).items() if k.split(".")[0] not in sections}
     for name in given.keys() - known.keys():
         raise InputError(where(node), name, given[name], "known: " + ", ".join(known))
     values = {}
@@ -141,7 +141,7 @@ def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dic
     Return it as nested dictionaries; the model of each section checks it.
     """
     tree: dict[str, Any] = {}
-    for name, value in overrides(node).items():
+    for name, value in given_parameters(node).items():
         *path, field = name.split(".")
         section = name.split(".")[0]
         if section not in sections:
@@ -177,7 +177,7 @@ _LIMITS = (
 """Limits of a number in JSON Schema, in words."""
 
 
-def overrides(node: Node) -> dict[str, Any]:
+def given_parameters(node: Node) -> dict[str, Any]:
     """Return the parameters given on the command line and in its files, without ROS's own."""
     names = node.list_parameters([], 0).names
     own = [name for name in names if name.split(".")[0] not in ROS_OWN]

@@ -64,7 +64,7 @@ class ReachServer:
             while self._turns[0] is not turn:
                 if goal.is_cancel_requested:
                     goal.canceled()
-                    return _unseen("cancelled before it began")
+                    return _make_unseen("cancelled before it began")
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for its turn, of which the client is told, makes it no older
@@ -76,25 +76,25 @@ class ReachServer:
     async def _reach(self, goal: Any, target: TargetRequest) -> Reach.Result:
         if self._no_driver:
             goal.abort()
-            return _unseen(self._no_driver, Compensate.Response.NO_DRIVER)
+            return _make_unseen(self._no_driver, Compensate.Response.NO_DRIVER)
         before, self._told = self._monitor.sighted, {}
         asked = self._targets.execute(target)
         if asked is None:
             goal.abort()
-            return _unseen("too many targets wait", Compensate.Response.NOT_READY)
+            return _make_unseen("too many targets wait", Compensate.Response.NOT_READY)
         answer: Answer = await asked
-        result = _unseen(answer.message, int(answer.status))
+        result = _make_unseen(answer.message, int(answer.status))
         result.id = answer.name
         if not answer.status.success or answer.outcome is None:
             goal.abort()
             return result
         command = answer.outcome.command
-        result.command = joints_message(self._arm, command, answer.target.header.stamp)
+        result.command = joints_message(self._arm, command, answer.stamp)
         if not await self._follow(goal, answer.name, command, result):
             return result
         await self._look(goal, command, before, result)
         result.success = True
-        stands, at = self._tips.tell(), answer.target.pose.position
+        stands, at = self._tips.tell(), answer.target.pose.pose.position
         if stands is not None:
             said = stands.said(np.array([at.x, at.y, at.z]))
             result.message = f"{result.message}; {said}" if result.message else said
@@ -111,7 +111,11 @@ class ReachServer:
                 halted, name = True, self._targets.halt()
             self._feedback(goal, Reach.Feedback.MOVING, command)
             await self._ticks.next()
-        self._at_rest(result, motion)
+        # Where the joints are: by the driver's word, else by the last of their readings
+        if motion is not None and motion.joints.name:
+            result.reached = motion.joints
+        elif (q := self._state.joints) is not None:
+            result.reached = joints_message(self._arm, q, self._state.stamp)
         if motion is not None and motion.event == Motion.REACHED and not halted:
             return True
         if halted:
@@ -145,13 +149,6 @@ class ReachServer:
             self._feedback(goal, Reach.Feedback.LOOKING, command)
             await self._ticks.next()
 
-    def _at_rest(self, result: Reach.Result, motion: Motion | None) -> None:
-        """Tell where the joints are: by the driver's word, else by the last of their readings."""
-        if motion is not None and motion.joints.name:
-            result.reached = motion.joints
-        elif (q := self._state.joints) is not None:
-            result.reached = joints_message(self._arm, q, self._state.stamp)
-
     def _feedback(self, goal: Any, phase: int, command: np.ndarray | None) -> None:
         q, message = self._state.joints, Reach.Feedback(phase=phase)
         if q is not None:
@@ -161,7 +158,7 @@ class ReachServer:
         goal.publish_feedback(message)
 
 
-def _unseen(message: str, status: int = 0) -> Reach.Result:
+def _make_unseen(message: str, status: int = 0) -> Reach.Result:
     """Make a result without a sighting: tip and miss are NaN."""
     result = Reach.Result(message=message, status=status, miss=vector_message([math.nan] * 3))
     result.tip.x = result.tip.y = result.tip.z = math.nan

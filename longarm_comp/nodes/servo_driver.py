@@ -35,6 +35,7 @@ from longarm_comp.devices.servo_follower import (
     FollowerState,
     KeepsOut,
     Shapes,
+    TrajectoryFollower,
 )
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
@@ -178,7 +179,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @reporting_faults
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            self.arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
+            rules = self._keeps_out, self._shapes, self.p["trim"]
+            self.arm = ServoArm(self._config, TrajectoryFollower(self._config, *rules))
         except LongarmError as error:
             return self._note_failure(error)
         for said in self.arm.said:
@@ -310,7 +312,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if why := self._intake.too_old(message):
             self.refuse(name, why)
             return
-        if not self._machine.follower.fresh(time.monotonic()):  # just begun, or a reply was lost
+        if not self._machine.follower.is_fresh(time.monotonic()):  # just begun, or a reply was lost
             self._drive(self._machine)
         try:
             accepted = self._machine.accept(trajectory_of(message), time.monotonic())

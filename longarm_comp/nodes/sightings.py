@@ -16,7 +16,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.drawing import ArmFrames
 from longarm_comp.nodes.frames import FrameListener, prefix_of
-from longarm_comp.nodes.messages import carried_tip
+from longarm_comp.nodes.messages import express_sighting
 
 
 class TipSightings:
@@ -71,10 +71,10 @@ class TipSightings:
         self.tell()
         stands, self.unplaced = self._state.files.loaded.stands, ""
         if stands.solved or frame in self._own:
-            told, of_model = carried_tip(message, stands.measurements, base), message
+            told, of_model = express_sighting(message, stands.measurements, base), message
         else:
             try:
-                told = carried_tip(message, self._frames.place(frame, base, 0), base)
+                told = express_sighting(message, self._frames.place(frame, base, 0), base)
             except UnknownPlace as error:
                 self.unplaced = f"tips are not compared before a calibration: {error}"
                 told = message

@@ -26,7 +26,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
-from longarm_comp.nodes.images import ImageInlet, decode, pixels_of, same_camera
+from longarm_comp.nodes.images import ImageInlet, decode, is_same_camera, pixels_of
 from longarm_comp.nodes.messages import pose_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
@@ -90,11 +90,8 @@ class _StereoBridge(ArmNode):
             raise InputError(where, "hand_eye.quaternion", turn.tolist(), "a unit quaternion")
         self._hand_eye = quaternion.pose(np.array(p["hand_eye.xyz"]), turn)
         self._tip_in_marker = p["tip_in_marker"]
-        self._limits = Limits(
-            epipolar_px=p["limits.epipolar_px"],
-            rms_px=p["limits.rms_px"],
-            edge_px=p["limits.edge_px"],
-        )
+        limits = ("epipolar_px", "rms_px", "edge_px")
+        self._limits = Limits(**{name: p[f"limits.{name}"] for name in limits})
         self._pairer: StereoPairer[Any] = StereoPairer(round(p["slop_ms"] * 1e6), p["queue"])
         self._infos: dict[Side, CameraInfo] = {}
         self._files: dict[Side, Calibration] = {}
@@ -128,7 +125,7 @@ class _StereoBridge(ArmNode):
 
     def _on_info(self, side: Side, message: CameraInfo) -> None:
         known = self._infos.get(side)
-        if known is not None and same_camera(known, message):
+        if known is not None and is_same_camera(known, message):
             return
         self._infos[side] = message
         cameras = self._files or self._infos  # beside files, a message names its camera's frame
@@ -198,7 +195,7 @@ class _StereoBridge(ArmNode):
     def _report(self) -> Report:
         calibration = "files" if self._files else "camera_info"
         told = ((self._files.get(side), info) for side, info in self._infos.items() if info.k[0])
-        if any(file is not None and not same_camera(info, file) for file, info in told):
+        if any(file is not None and not is_same_camera(info, file) for file, info in told):
             calibration = "files; camera_info tells another one"
         facts: dict[str, object] = {
             "sightings": self._sightings,

@@ -26,8 +26,9 @@ from longarm_comp.nodes.drawing import Markers
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import trajectory_message
 from longarm_comp.nodes.monitoring import TipMonitor
-from longarm_comp.nodes.orders import Freshness, Stamps, order_id, untimely
+from longarm_comp.nodes.orders import Freshness, Stamps, describe_untimely, order_id
 from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.worker import Reply
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -81,7 +82,7 @@ class TargetInlet:
     def stale(self, target: TargetRequest) -> str:
         """Say why a target is too old to be carried out now; empty if it is not."""
         stamp = stamp_ns(target.pose.header.stamp)
-        why = untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
+        why = describe_untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
         age_s = time.monotonic() - target.sent_s
         if not why and target.execute and age_s > self._max_age_s:
             return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"
@@ -114,9 +115,7 @@ class TargetInlet:
             self._publish_answer(self._compensator.refuse(target, Status.SUPERSEDED, why))
         return True
 
-    def _on_compensate(
-        self, message: Compensate.Request, reply: Callable[[Compensate.Response], None], sent: float
-    ) -> None:
+    def _on_compensate(self, message: Compensate.Request, reply: Reply, sent: float) -> None:
         target = self.new_target(
             message.target, message.position_only, message.execute, message.seed, sent
         )
@@ -154,11 +153,11 @@ class TargetInlet:
                 else:
                     points, move_s = arrival.move.points, self._state.p["move_time_s"]
                     message = trajectory_message(self._arm, points, move_s, stamp)
-                    answer = replace(answer, name=order_id(message), sent=True)
+                    answer = replace(answer, order=order_id(message))
                     self._driver.expect(answer.name)
                     self._trajectory.publish(message)
                     patience_s = self._state.p["acknowledge_s"]
-                    if not self._worker.take(lambda: self._driver.has_answered, patience_s):
+                    if not self._worker.wait_until(lambda: self._driver.has_answered, patience_s):
                         self._withdrawals.publish(String(data=answer.name))
                     if why := self._driver.not_accepted:
                         answer = replace(answer, status=Status.NOT_ACCEPTED, message=why)

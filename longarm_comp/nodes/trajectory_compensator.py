@@ -40,7 +40,7 @@ from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import joints_message, seconds, trajectory_message
 from longarm_comp.nodes.node import ArmNode, program
-from longarm_comp.nodes.orders import Freshness, Stamps, abort
+from longarm_comp.nodes.orders import Freshness, Stamps, abort_goal
 from longarm_comp.nodes.params import Param, where
 
 PARAMS = (
@@ -140,7 +140,7 @@ class _TrajectoryCompensator(ArmNode):
             return result(error_string="cancelled before anything was sent")
         if why or made is None:
             self.tally.count("refused", why)
-            return abort(goal, result.INVALID_JOINTS if strange else result.INVALID_GOAL, why)
+            return abort_goal(goal, result.INVALID_JOINTS if strange else result.INVALID_GOAL, why)
         self._following += 1
         try:
             return await self._forward(goal, made)
@@ -171,9 +171,9 @@ class _TrajectoryCompensator(ArmNode):
         if not sent.accepted:
             why = f"{self._controller} does not accept the goal"
             self.tally.count("refused", why)
-            return abort(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
+            return abort_goal(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
         if not self._driver.acknowledged:
-            self._driver.went(timed.joints[1:], start)
+            self._driver.note_motion(timed.joints[1:], start)
         ended, asked = sent.get_result_async(), False
         while not ended.done():
             if goal.is_cancel_requested and not asked:
@@ -187,7 +187,7 @@ class _TrajectoryCompensator(ArmNode):
             answer.result.error_string = said
             goal.succeed()
         else:
-            self._driver.lose()
+            self._driver.forget_history()
             self.tally.count("not followed", answer.result.error_string)
             cancelled = answer.status == GoalStatus.STATUS_CANCELED and goal.is_cancel_requested
             (goal.canceled if cancelled else goal.abort)()

@@ -47,6 +47,9 @@ Job = Callable[[], Any]
 Hear = Callable[[Any, float], None]
 """Takes a message, and when it was sent (monotonic s)."""
 
+Reply = Callable[[Any], None]
+"""Sends the response to a request."""
+
 _LAST_JOB_S = 2.0
 """Time that the current job has when the node ends, s: a node has three in all."""
 _WAIT_S = 0.05
@@ -133,7 +136,7 @@ class Worker:
         made = topic.subscription(self._node, lambda message: None, self._group)
         self._topics.append((made, SequenceWatch(), callback))
 
-    def serve(self, service: ServiceName, callback: Callable[[Any, Any, float], None]) -> None:
+    def serve(self, service: ServiceName, callback: Callable[[Any, Reply, float], None]) -> None:
         """Offer a service; its callback gets request, reply function and time of sending (s)."""
         self._services.append(service.server(self._node, callback, self._group))
 
@@ -198,7 +201,7 @@ class Worker:
 
         return future if self.submit(answer) else None
 
-    def take(self, until: Callable[[], bool], within_s: float) -> bool:
+    def wait_until(self, until: Callable[[], bool], within_s: float) -> bool:
         """Take messages and requests, inside a job, until a condition holds, and return it.
 
         Time in which this process was stopped does not count: what came meanwhile is still heard.

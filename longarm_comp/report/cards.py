@@ -173,7 +173,7 @@ def _card_of(finding: Finding, report: record.DiagnosisReport) -> _Card:
 
 
 def _join_places(where: Sequence[str]) -> str:
-    """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
+    """Write ``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
     split = [place.rsplit(" ", 1) for place in where]
     kinds = {parts[0] for parts in split}
     if len(where) < 2 or len(kinds) > 1 or any("," in p or len(p.split()) != 2 for p in where):

@@ -143,12 +143,12 @@ def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
 
 
 def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
-    """Inputs that the findings explain, then those that the structure left depends on."""
+    """List inputs that the findings explain, then those that the structure left depends on."""
     commanded = list(diagnosis.arm.commanded)
     names: list[str] = []
 
     def size(term: Term) -> float:
-        """Largest parameter in its prior standard deviations."""
+        """Return the largest parameter in its prior standard deviations."""
         own = term.parameters(diagnosis.arm)
         return max((abs(getattr(term, p.name)) / p.prior for p in own if p.prior > 0), default=0)
 
@@ -164,7 +164,7 @@ def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
 
 
 def _correlation(diagnosis: Diagnosis) -> PageTable | None:
-    """The five strongest of each parameter, by their posterior."""
+    """List the five strongest correlations of each parameter, by their posterior."""
     found = {t.key for f in diagnosis.findings for t in f.terms}
     fit, called = diagnosis.fit, diagnosis.arm.called
     own = [k for k, s in enumerate(fit.slots) if s.owner.key in found]
@@ -185,7 +185,7 @@ def _correlation(diagnosis: Diagnosis) -> PageTable | None:
 
 
 def _detectable(diagnosis: Diagnosis) -> PageTable:
-    """One line per effect and place, without families."""
+    """List the smallest size that would show, by effect and place, without families."""
     rows: list[Line] = []
     for (name, place), one in sorted(best_forms(diagnosis.smallest).items()):
         slots = one.candidate.slots(diagnosis.arm)
@@ -201,7 +201,7 @@ def _detectable(diagnosis: Diagnosis) -> PageTable:
 
 
 def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
-    """A set with the number of poses that split it; no poses if none would."""
+    """Say how many poses split a set; no poses if none would."""
     found = next(f for f in diagnosis.findings if f.name == by.between[0])
     if by.log_bayes_factor >= SPLITS:
         return SetSplit(found.names, by.log_bayes_factor, len(by.q))
@@ -222,7 +222,7 @@ def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
 
 
 def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
-    """None where no joint is read."""
+    """Compare the encoders' readings with the commands; None where no joint is read."""
     fit = diagnosis.fit
     rows, names = fit.session, diagnosis.arm.joint_names
     lines: list[Line] = []
@@ -239,14 +239,15 @@ def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
     if not lines:
         return None
     caption = (
-        "Reading − command, over the fitted rows. Effects before an encoder show here; effects"
+        "Reading − command, over the fitted rows. Effects before an encoder show here; effects "
+        "behind it do not."
     )
     head = ("Joint", "mean", "spread, RMS", "largest from mean", "left by the model, RMS", "noise")
     return PageTable(caption, (*head, "Unit"), tuple(lines))
 
 
 def _mark_places(diagnosis: Diagnosis) -> tuple[Marked, ...]:
-    """The arm at the held-out row that stretches it most, with the places of all that was found."""
+    """Place all that was found on the arm, at the held-out row that stretches it most."""
     found = [f.terms for f in diagnosis.findings] + [c.terms for c in diagnosis.causes]
     if not found:
         return ()

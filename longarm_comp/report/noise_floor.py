@@ -37,7 +37,7 @@ class _NoiseFloor:
 
 
 def floor_of(report: DiagnosisReport) -> _NoiseFloor | None:
-    """The floor of a report; None where no noise is known, or the errors leave no room for it."""
+    """Return a report's floor; None where no noise is known, or the errors leave no room for it."""
     held, left = report.held_out, report.structure_left
     if report.noise.sigma_mm is None or not held.n:
         return None
@@ -50,7 +50,7 @@ def floor_of(report: DiagnosisReport) -> _NoiseFloor | None:
 def noise_floor(
     sigma_mm: Sequence[float], n: int, rows: Mapping[str, Figures], written: str, structure: float
 ) -> _NoiseFloor | None:
-    """The floor; None where the errors leave no room for noise of that kind.
+    """Compute the floor; None where the errors leave no room for noise of that kind.
 
     Args:
         sigma_mm: (3,) estimated noise per axis of n held-out rows.
@@ -79,7 +79,7 @@ def noise_floor(
 
 
 def excess(rms_mm: float, floor: _NoiseFloor | None) -> float:
-    """RMS beyond the noise, mm."""
+    """Return the RMS beyond the noise, mm."""
     return sqrt(max(0.0, rms_mm**2 - (0.0 if floor is None else floor.figures["rms_mm"] ** 2)))
 
 

@@ -23,7 +23,7 @@ from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, plots, record, style, words
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.plots import MOST, at_the_tip, scene_json, stages_of
+from longarm_comp.report.plots import MOST, draw_errors_at_tip, scene_json, stages_of
 from longarm_comp.report.style import BLUE, GREEN, ORANGE, VERMILLION, rc, svg
 
 if TYPE_CHECKING:
@@ -89,10 +89,10 @@ def _draw_figures(report: record.DiagnosisReport, detail: Detail) -> dict[str, b
     sigma_mm = None if floor is None else floor.sigma_mm
     with rc():
         for number, found in enumerate(detail.marked, 1):
-            figures[place_name(number)] = plots.place(found)
+            figures[place_name(number)] = plots.draw_places(found)
         if rows is not None and len(rows.index) and rows.errors_m:
             stages = stages_of(rows)
-            figures["distribution"] = at_the_tip(
+            figures["distribution"] = draw_errors_at_tip(
                 {style.LOOKS[k].label: rows.errors_m[k] for k in stages},
                 [style.LOOKS[k] for k in stages],
                 rows="hold-out rows",
@@ -102,7 +102,7 @@ def _draw_figures(report: record.DiagnosisReport, detail: Detail) -> dict[str, b
             if held.before in stages and held.after in stages:
                 inputs = {entry.name: entry for entry in rows.inputs}
                 for name in detail.guilty:
-                    figures[against(name)] = plots.against_input(
+                    figures[against(name)] = plots.draw_errors_over(
                         rows, inputs[name], held.before, held.after, sigma_mm
                     )
         return {name: svg(figure) for name, figure in figures.items()}
@@ -135,18 +135,18 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
 
 
 def place_name(number: int) -> str:
-    """The name of the figure of where a finding is, counted from 1."""
+    """Name the figure of where a finding is, counted from 1."""
     return f"place_{number}"
 
 
 def against(name: str) -> str:
-    """The name of the figure of the errors over an input; a column may be called anything."""
+    """Name the figure of the errors over an input; a column may be called anything."""
     return "against_" + re.sub(r"\W", "_", name)
 
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
-    """The page of a loop (loop.json) with the errors (N, 3) tip - target, m, by name of the run."""
-    return _render("loop", lambda: at_the_tip(errors), loop=data)
+    """Write the page of a loop (loop.json) with errors (N, 3) tip - target, m, by run."""
+    return _render("loop", lambda: draw_errors_at_tip(errors), loop=data)
 
 
 _MODELS = {
@@ -158,7 +158,7 @@ _ROW_IN = 0.22
 
 
 def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
-    """The page of a folder as text, with links to the diagnosis of each arm (row of fleet.json)."""
+    """Write the page of a folder, with links to the diagnosis of each arm (row of fleet.json)."""
     return _render(
         "fleet",
         lambda: _errors_of_arms(arms),
@@ -172,7 +172,7 @@ def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _list_kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A kind of several arms each: its arms, and what is found at half of them."""
+    """List the kinds of several arms: their arms, and what is found at half of them."""
     made = []
     for kind in dict.fromkeys(arm["kind"] for arm in arms):
         mine = [arm for arm in arms if arm["kind"] == kind]
@@ -207,7 +207,7 @@ def _errors_of_arms(arms: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def day_page(arm: str, bag: str, day: Day) -> str:
-    """The page as text, self-contained; ``arm``, ``bag``: what they are called."""
+    """Write the page of a day; ``arm``, ``bag``: what they are called."""
     changes = [s for s in day.said if s.level == 0]
     troubles = [s for s in day.said if s.level > 0]
     return _render(
@@ -226,23 +226,12 @@ def day_page(arm: str, bag: str, day: Day) -> str:
 def _errors_of_day(day: Day, changes: list[Notice]) -> Figure:
     drawn = Figure(figsize=(9, 3.4), layout="constrained")
     axes = drawn.subplots()
-    axes.plot(
-        day.t_s / 3600.0,
-        day.error_mm,
-        color=BLUE,
-        marker="o",
-        markersize=3,
-        linestyle="",
-        label="a target",
-    )
+    dots: Any = {"color": BLUE, "marker": "o", "markersize": 3, "linestyle": ""}
+    axes.plot(day.t_s / 3600.0, day.error_mm, label="a target", **dots)
     for k, said in enumerate(changes[1:]):
-        axes.axvline(
-            said.first_s / 3600.0,
-            color=VERMILLION,
-            linestyle="--",
-            linewidth=0.9,
-            label=None if k else "something learned",
-        )
+        label = None if k else "something learned"
+        line: Any = {"color": VERMILLION, "linestyle": "--", "linewidth": 0.9, "label": label}
+        axes.axvline(said.first_s / 3600.0, **line)
     axes.set_xlabel("hours since the recording began")
     axes.set_ylabel("tip − target, mm")
     axes.set_ylim(bottom=0.0)

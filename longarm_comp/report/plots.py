@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,14 +18,14 @@ _LEVELS = 8
 """An input with at most this many distinct values is drawn level by level."""
 
 
-def against_input(
-    rows: SeenRows,
-    entry: Input,
-    before: str,
-    after: str,
-    sigma_mm: tuple[float, float, float] | None,
+Sigma = tuple[float, float, float]
+"""Noise along each axis, mm."""
+
+
+def draw_errors_over(
+    rows: SeenRows, entry: Input, before: str, after: str, sigma_mm: Sigma | None
 ) -> Figure:
-    """Errors over one input, one row of panels per axis, before on the left, after on the right."""
+    """Draw errors over one input, a row of panels per axis: before on the left, after beside."""
     drawn = Figure(figsize=(9, 6.4))
     panels = drawn.subplots(3, 2, sharex=True, sharey="row")
     spread = values = np.asarray(entry.values, dtype=float)
@@ -51,16 +52,8 @@ def against_input(
                 panel.axhspan(-half, half, color=GRID, alpha=0.6, linewidth=0)
             panel.axhline(0, color=INK, linewidth=0.8)
             # Above this many points, a scatter plot is rasterised
-            panel.plot(
-                spread,
-                error,
-                linestyle="",
-                marker=look.marker,
-                markersize=3,
-                color=look.color,
-                alpha=0.6,
-                rasterized=len(error) > 800,
-            )
+            dots = {"linestyle": "", "markersize": 3, "alpha": 0.6, "rasterized": len(error) > 800}
+            panel.plot(spread, error, marker=look.marker, color=look.color, **dots)
             middle = np.array([np.median(error[group]) for group in groups])
             panel.plot(centre, middle, color=INK, marker="_", markersize=12, linewidth=1.6)
             if column == 0:
@@ -73,8 +66,12 @@ def against_input(
     return drawn
 
 
-def place(found: Marked) -> Figure:
-    """The arm from the side in which it is longest, with the places of a finding."""
+_RING: Any = {"marker": "o", "markersize": 16, "markerfacecolor": "none", "markeredgewidth": 2.2}
+_LABEL: Any = {"textcoords": "offset points", "fontsize": 10, "fontweight": "bold"}
+
+
+def draw_places(found: Marked) -> Figure:
+    """Draw the arm from the side in which it is longest, with the places of a finding."""
     drawn = Figure(figsize=(3.2, 2.6))
     axes = drawn.subplots()
     points = np.concatenate([found.arm_m, np.array(list(found.places_m.values())).reshape(-1, 3)])
@@ -90,29 +87,12 @@ def place(found: Marked) -> Figure:
     axes.plot(*seen(found.arm_m[-1:]), marker="x", markersize=7, color=INK)
     low, high = np.min(seen(points), axis=1), np.max(seen(points), axis=1)
     # Places nearer to each other than this share of the picture get one ring
-    for near in _together(found.places_m, 0.06 * float((high - low).max())):
+    for near in _group_places(found.places_m, 0.06 * float((high - low).max())):
         x, z = seen(np.mean([found.places_m[where] for where in near], axis=0))
-        axes.plot(
-            x,
-            z,
-            marker="o",
-            markersize=16,
-            markerfacecolor="none",
-            color=VERMILLION,
-            markeredgewidth=2.2,
-        )
+        axes.plot(x, z, color=VERMILLION, **_RING)
         label = ", ".join(where.split(",")[0].rsplit(" ", 1)[-1].strip("()") for where in near)
-        left_half = x < (low[0] + high[0]) / 2
-        axes.annotate(
-            label,
-            (x, z),
-            (8 if left_half else -8, 9),
-            textcoords="offset points",
-            fontsize=10,
-            color=INK,
-            fontweight="bold",
-            ha="left" if left_half else "right",
-        )
+        aside_px, align = (8, "left") if x < (low[0] + high[0]) / 2 else (-8, "right")
+        axes.annotate(label, (x, z), (aside_px, 9), color=INK, ha=align, **_LABEL)
     room = 0.14 * max(float((high - low).max()), 1e-3)
     axes.set(
         xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room), aspect="equal"
@@ -122,8 +102,8 @@ def place(found: Marked) -> Figure:
     return drawn
 
 
-def _together(places: Mapping[str, np.ndarray], close: float) -> list[list[str]]:
-    """Places, those nearer to each other than `close` in one group."""
+def _group_places(places: Mapping[str, np.ndarray], close: float) -> list[list[str]]:
+    """Group places: those nearer to each other than `close` are together."""
     groups: list[list[str]] = []
     for where, point in places.items():
         near = (g for g in groups if np.linalg.norm(places[g[0]] - point) < close)
@@ -135,15 +115,23 @@ def _together(places: Mapping[str, np.ndarray], close: float) -> list[list[str]]
     return groups
 
 
-def at_the_tip(
+_BOXES: Any = {
+    "patch_artist": True,
+    "whis": (2.5, 97.5),
+    "showfliers": False,
+    "medianprops": {"color": INK, "linewidth": 1.5},
+}
+
+
+def draw_errors_at_tip(
     errors: Mapping[str, np.ndarray],
     looks: Sequence[Look] = tuple(LOOKS.values()),
     *,
     rows: str = "targets",
     error: str = "tip − target",
-    sigma_mm: tuple[float, float, float] | None = None,
+    sigma_mm: Sigma | None = None,
 ) -> Figure:
-    """Share of rows below an error, and the error along each axis.
+    """Draw the share of rows below an error, and the error along each axis.
 
     Errors are (N, 3) m by name of the run, without lost markers. ``rows``, ``error``: what they are
     called; ``sigma_mm``: noise along each axis, drawn as a floor.
@@ -155,26 +143,11 @@ def at_the_tip(
         look = looks[k % len(looks)]
         length = np.sort(np.linalg.norm(held, axis=1)) * 1e3
         share = (np.arange(len(length)) + 1) / max(1, len(length))
-        left.plot(
-            np.maximum(length, 1e-4),
-            share,
-            label=name,
-            color=look.color,
-            linestyle=look.dash,
-            marker=look.marker,
-            markersize=5,
-            markevery=max(1, len(length) // 8),
-        )
+        line = {"color": look.color, "linestyle": look.dash, "marker": look.marker, "markersize": 5}
+        every = max(1, len(length) // 8)
+        left.plot(np.maximum(length, 1e-4), share, label=name, markevery=every, **line)
         at = np.arange(3) + (k - (len(errors) - 1) / 2) * width
-        boxes = right.boxplot(
-            list((held * 1e3).T),
-            positions=at,
-            widths=width * 0.8,
-            patch_artist=True,
-            whis=(2.5, 97.5),
-            showfliers=False,
-            medianprops={"color": INK, "linewidth": 1.5},
-        )
+        boxes = right.boxplot(list((held * 1e3).T), positions=at, widths=width * 0.8, **_BOXES)
         for box in boxes["boxes"]:
             box.set(facecolor="white", edgecolor=look.color, hatch=look.hatch)
     if sigma_mm is not None:
@@ -212,7 +185,7 @@ def stages_of(rows: SeenRows) -> tuple[str, ...]:
 
 
 def exaggeration(rows: SeenRows, stage: str) -> float:
-    """Factor on the arrows of a stage: 95 % of them become at most about 15 % of the scene.
+    """Choose the factor on a stage's arrows: 95 % of them become at most some 15 % of the scene.
 
     It is 1, 2 or 5 times a power of ten.
     """

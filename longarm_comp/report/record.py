@@ -20,7 +20,7 @@ DIGITS = 12
 
 
 def _read_as(choice: Any) -> GetPydanticSchema:
-    """One of some values where a file is read, though the package holds it as text."""
+    """Read one of some values from a file, though the package holds it as text."""
     return GetPydanticSchema(lambda _, handler: handler(choice))
 
 
@@ -218,7 +218,7 @@ class DiagnosisReport(ReportPart):
     provenance: ReportProvenance
 
     def for_people(self) -> DiagnosisReport:
-        """The same with joints by their names instead of by rows of arm.yaml."""
+        """Return the same report with joints by their names instead of by rows of arm.yaml."""
         named: DiagnosisReport = map_values(self, str, lambda text: in_names(text, self.called))
         return named
 
@@ -233,7 +233,7 @@ def parse_report(report: dict[str, Any]) -> DiagnosisReport:
 
 
 def read_report(folder: str | Path) -> DiagnosisReport:
-    """The report.json in the folder of a diagnosis.
+    """Read the report.json in the folder of a diagnosis.
 
     Raises:
         InputError: the folder has no report, or the file is not a report.
@@ -249,7 +249,7 @@ def read_report(folder: str | Path) -> DiagnosisReport:
 
 
 def text(report: DiagnosisReport) -> str:
-    """report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
+    """Write report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
     plain = report.model_dump(mode="json", by_alias=True)
     # + 0.0: no negative zero
     short = map_values(plain, float, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)

@@ -71,7 +71,7 @@ SIGNED: Any = {
 
 
 def is_signed(path: Path) -> bool:
-    """True where a picture tells that this package wrote it."""
+    """Return whether a picture tells that this package wrote it."""
     with path.open("rb") as file:
         return b"longarm" in file.read(4096)
 
@@ -85,16 +85,16 @@ def rc() -> AbstractContextManager[None]:
 
 
 def svg(drawn: Figure) -> bytes:
-    """The figure as SVG; the same figure gives the same bytes."""
-    return _content(drawn, "svg").replace(b"</style>", _DARK + b"</style>", 1)
+    """Write the figure as SVG; the same figure gives the same bytes."""
+    return _draw_content(drawn, "svg").replace(b"</style>", _DARK + b"</style>", 1)
 
 
 def save(drawn: Figure, path: Path) -> None:
     """Write the figure as a file by its ending, whole or not at all; always the same bytes."""
-    write_bytes(path, _content(drawn, path.suffix.removeprefix(".").lower()))
+    write_bytes(path, _draw_content(drawn, path.suffix.removeprefix(".").lower()))
 
 
-def _content(drawn: Figure, kind: str) -> bytes:
+def _draw_content(drawn: Figure, kind: str) -> bytes:
     # The axes are placed once; to save a figure with a layout engine would draw it twice
     engine = drawn.get_layout_engine()
     if engine is not None:

@@ -19,29 +19,29 @@ _CERTAIN = 100
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number for reading, a dash for None."""
+    """Write a number for reading, a dash for None."""
     if value is None:
         return DASH
     if 1e4 <= abs(value) < 1e6:
         return f"{value:.0f}".replace("-", "−")
     if value and not 1e-3 <= abs(value) < 1e4:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa}·{_ten(int(exponent))}".replace("-", "−")
+        return f"{mantissa}·{_power_of_ten(int(exponent))}".replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")
 
 
 def interval(pair: tuple[float, float] | None, digits: int = 4) -> str:
-    """``lo to hi``, a dash for None."""
+    """Write ``lo to hi``, a dash for None."""
     return DASH if pair is None else f"{number(pair[0], digits)} to {number(pair[1], digits)}"
 
 
 def millimetres(value: float) -> str:
-    """A length for reading: to a hundredth of a millimetre, or three digits if it is larger."""
+    """Write a length (mm) to a hundredth of a millimetre, or to three digits if it is larger."""
     return f"{value:.2f} mm" if abs(value) < 100 else f"{value:.0f} mm"
 
 
 def to_three_places(value: float | None) -> str:
-    """A length in mm of a table; a dash for None."""
+    """Write a length in mm of a table; a dash for None."""
     return DASH if value is None else f"{value:.3f}" if value < 100 else f"{value:.1f}"
 
 
@@ -51,23 +51,23 @@ def odds(log_bayes_factor: float) -> str:
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
     elif power < _CERTAIN:
-        larger = _ten(round(power))
+        larger = _power_of_ten(round(power))
     else:
-        larger = f"more than {_ten(_CERTAIN)}"
+        larger = f"more than {_power_of_ten(_CERTAIN)}"
     return f"{larger} : 1" if log_bayes_factor >= 0 else f"1 : {larger}"
 
 
-def _ten(power: int) -> str:
+def _power_of_ten(power: int) -> str:
     return "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def change(pair: tuple[float, float]) -> str:
-    """Write how a length (m) changed: ``7.72 → 0.49 mm``."""
+    """Write how a length (mm) changed: ``7.72 → 0.49 mm``."""
     return f"{millimetres(pair[0]).removesuffix(' mm')} → {millimetres(pair[1])}"
 
 
 def join_names(names: Sequence[str]) -> str:
-    """``a, b or c``."""
+    """Write ``a, b or c``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
 
@@ -154,7 +154,7 @@ def _count_of(n: int, what: str) -> str:
 
 
 def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
-    """Mean held-out errors from the arm as declared to the stage that the verdict ends with.
+    """Write the mean held-out errors of the arm as declared and of the verdict's last stage.
 
     `commanded`: as a command would have it; `between`: what a command leaves out, where it differs
     from `seen`, which is else empty. `between_mm`: the error of the stage from which what was found

@@ -172,7 +172,7 @@ class Rows:
 
 
 def _in_every_row(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """The columns that every row has; an inclination may lack."""
+    """Return the columns that every row has; an inclination may lack."""
     every = dict.fromkeys(name for row in rows for name in row)
     names = [n for n in every if INCLINATION.match(n) or all(n in row for row in rows)]
     return {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}
@@ -250,20 +250,20 @@ def open_bag(path: str | Path) -> Iterator[Reader]:
         reader = Reader(Path(path))
         reader.open()
     except Exception as error:  # whatever the decoders of YAML, SQLite and mcap raise
-        raise _broken(where, error) from error
+        raise _make_broken(where, error) from error
     try:
         yield reader
     finally:
         reader.close()
 
 
-def _broken(where: str, error: Exception) -> InputError:
+def _make_broken(where: str, error: Exception) -> InputError:
     said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return InputError(where, "bag", said, "a complete rosbag2 (mcap or sqlite3)")
 
 
 def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
-    """The last command of a bag, and what was recorded after it."""
+    """Read the last command of a bag, and what was recorded after it."""
     where = str(path)
     with open_bag(path) as reader:
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=True)
@@ -297,13 +297,13 @@ def in_namespace(topic: str, namespace: str | None) -> bool:
 
 
 def raw_messages(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
-    """The messages of these topics; none of an empty list."""
+    """Read the messages of these topics; none of an empty list."""
     raw = reader.messages(connections=chosen) if chosen else ()
     return ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
 
 
 def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
-    """The rows of messages of one namespace that are not in a bag yet, as `read_bag` reads them."""
+    """Read messages of one namespace that are not in a bag yet, as `read_bag` does."""
     known = [m for m in messages if TYPES.get(_last(m[0])) == m[1]]
     begin = min((received for _, _, received, _ in known), default=0)
     return _rows(known, MessageBuffer(arm, "recording", begin, every_command=True)).session()
@@ -320,7 +320,7 @@ def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
 
 
 def decode(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
-    """Last part of the topic's name, time of recording (ns), message; in the order of time."""
+    """Yield last part of the topic's name, time of recording (ns), message; by time."""
     types = message_types()
     joint_states = JointStates(arm.joint_names, types)
     try:
@@ -329,4 +329,4 @@ def decode(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[
             states = name == "joint_states"
             yield name, stamp, joint_states(raw) if states else types.deserialize_cdr(raw, kind)
     except Exception as error:  # as in open_bag; what the caller raises does not come here
-        raise _broken(where, error) from error
+        raise _make_broken(where, error) from error

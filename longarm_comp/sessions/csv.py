@@ -117,7 +117,7 @@ def read_csv(
             raise InputError(table.where, f"column {name}", "unknown", allowed)
     names = [name for name in table.header if not INCLINATION.match(name)]
     check_unknown(table.where, names, known)
-    columns, labels = recorded_besides(table, set(known))
+    columns, labels = read_further_columns(table, set(known))
     readings, sigmas = _read_readings(table)
     blank = np.full((len(table), 1), np.nan)
     xyz = [table.lengths([k], blanks=True) if k in table.cells else blank for k in XYZ]
@@ -151,7 +151,7 @@ def write_csv(session: Session, path: str | Path) -> None:
     joints = joint_names(session.n)
     columns: dict[str, Sequence[object] | np.ndarray] = {"index": session.index}
     columns.update({name: session.columns[name] for name in UNITS if name in session.columns})
-    columns.update(written_approach(session.told))
+    columns.update(make_approach_columns(session.told))
     if not np.isnan(session.run_up).all():
         columns.update({f"run_up_{name}": session.run_up[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.q[:, j] for j, name in enumerate(joints)})
@@ -171,11 +171,11 @@ def write_csv(session: Session, path: str | Path) -> None:
 
 
 def joint_names(n: int) -> tuple[str, ...]:
-    """``q1..qn``."""
+    """Return ``q1..qn``."""
     return tuple(f"q{j}" for j in range(1, n + 1))
 
 
-def recorded_besides(
+def read_further_columns(
     table: Table, known: set[str]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Read further numbers and texts; a column that is blank throughout is absent."""
@@ -202,7 +202,7 @@ def _read_circumstance(table: Table, name: str) -> np.ndarray:
 
 
 def approach_names(n: int) -> tuple[str, ...]:
-    """``approach_q1..qn``."""
+    """Return ``approach_q1..qn``."""
     return tuple(f"approach_{name}" for name in joint_names(n))
 
 
@@ -237,7 +237,7 @@ def _read_run_up(table: Table, q: np.ndarray, sides: np.ndarray) -> np.ndarray |
     return begun
 
 
-def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarray]:
+def make_approach_columns(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarray]:
     """Return the columns of sides (N, n) that `read_approach` reads: one if all joints agree."""
     if (sides == sides[:, :1]).all():
         return {"approach": [None if side == 0 else int(side) for side in sides[:, 0]]}

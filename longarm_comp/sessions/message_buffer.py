@@ -68,7 +68,7 @@ class _Steps:
         self._values.append(value)
 
     def at(self, t: float) -> float:
-        """The last value up to `t` (s); before the first message, the first value."""
+        """Return the last value up to `t` (s); before the first message, the first value."""
         place = bisect_right(self._times, t)
         return self._values[place - 1] if place else self.first
 
@@ -116,12 +116,12 @@ class MessageBuffer:
         else:
             getattr(self, f"_take_{topic}")(t, message)
 
-    def _moment(self, stamp_ns: int) -> float:
-        """Time (s) of the message at hand."""
+    def _message_time(self, stamp_ns: int) -> float:
+        """Return the time (s) of the message at hand."""
         return (moment(stamp_ns, self._received_ns) - self.start_ns) * 1e-9
 
     def states_between(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-        """Times (m,) and measured joints (m, n) after `begin` and before `end`."""
+        """Return times (m,) and measured joints (m, n) after `begin` and before `end` (s)."""
         low, high = bisect_right(self._times, begin), bisect_left(self._times, end)
         n = self.arm.n
         joints = np.array(self._joints[low * n : high * n]).reshape(-1, n)
@@ -154,14 +154,15 @@ class MessageBuffer:
             or len(q) > 1
             or np.abs(q[0] - self.sent).max() >= SAME_POSE
         ):
-            self.commands.append((min(t, self._moment(_stamp_ns(message))), q))  # not one to come
+            sent = min(t, self._message_time(_stamp_ns(message)))  # not one to come
+            self.commands.append((sent, q))
             self.sent = q[-1]
 
     def _take_joint_states(self, t: float, message: tuple[int, tuple[float, ...] | None]) -> None:
         """Take stamp and positions in the arm's order, from `JointStates`; None: of another arm."""
         stamp_ns, positions = message
         if positions is not None and self.commands:
-            at = self._moment(stamp_ns)
+            at = self._message_time(stamp_ns)
             place = bisect_right(self._times, at)  # nearly always the end
             self._times.insert(place, at)
             n = self.arm.n
@@ -180,7 +181,7 @@ class MessageBuffer:
             turn, turn_variance = np.array([o.x, o.y, o.z, o.w]), float(spread.mean())
             if not quaternion.is_unit(turn):
                 raise self._error("tip_measured orientation", t, turn, "a quaternion of length 1")
-        at = self._moment(_stamp_ns(message))
+        at = self._message_time(_stamp_ns(message))
         sighting = Sighting(at, xyz, covariance[[0, 7, 14]], turn, turn_variance)
         insort(self.sightings, sighting, key=_time)
         self.frames.add(message.header.frame_id)
@@ -217,6 +218,6 @@ def _stamp_ns(message: Any) -> int:
 
 
 def between(records: list[T], begin: float, end: float) -> list[T]:
-    """The sightings or rows of a buffer after `begin` and before `end`."""
+    """Return the sightings or rows of a buffer after `begin` and before `end` (s)."""
     low, high = bisect_right(records, begin, key=_time), bisect_left(records, end, key=_time)
     return records[low:high]

@@ -15,7 +15,12 @@ from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.csv import approach_names, joint_names, read_approach, written_approach
+from longarm_comp.sessions.csv import (
+    approach_names,
+    joint_names,
+    make_approach_columns,
+    read_approach,
+)
 from longarm_comp.sessions.table import WriteTable, check_header, read_table, write_table
 
 FILE = "next_poses.csv"
@@ -36,7 +41,7 @@ def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -
     """Write a plan, whole or not at all; ``write`` may write another form."""
     columns: dict[str, Sequence[object] | np.ndarray] = {
         "index": range(len(plan)),
-        **written_approach(plan.approach),
+        **make_approach_columns(plan.approach),
         **{name: plan.q[:, j] for j, name in enumerate(joint_names(plan.q.shape[1]))},
     }
     if plan.payload_kg is not None:

@@ -22,6 +22,8 @@ FARTHEST = RANGES["_m"][1]
 """Largest joint (rad, m) and coordinate (m)."""
 
 
+Test = Callable[[float], bool]
+
 MOST_CELLS = 20_000_000
 """Of a table: as text these take some 2 GB."""
 
@@ -55,13 +57,9 @@ class Table:
         return np.array([not cell for cell in self.cells[column]])
 
     def numbers(
-        self,
-        column: str,
-        unit: str,
-        blanks: bool = False,
-        test: Callable[[float], bool] | None = None,
+        self, column: str, unit: str, blanks: bool = False, test: Test | None = None
     ) -> np.ndarray:
-        """Return (N,) numbers; an empty cell is NaN where `blanks` are allowed."""
+        """Return (N,) numbers that pass a test; an empty cell is NaN where `blanks` are allowed."""
         allowed = f"a finite number ({unit})" + (", or blank" if blanks else "")
         values = np.empty(len(self))
         for row, cell in enumerate(self.cells[column]):
@@ -78,11 +76,7 @@ class Table:
         return values
 
     def block(
-        self,
-        columns: Sequence[str],
-        unit: str,
-        blanks: bool = False,
-        test: Callable[[float], bool] | None = None,
+        self, columns: Sequence[str], unit: str, blanks: bool = False, test: Test | None = None
     ) -> np.ndarray:
         """Return (N, k) numbers of columns that all must be there."""
         check_header(self.where, self.header, columns)

@@ -13,7 +13,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.quaternion import LENGTH_TOLERANCE
 from longarm_comp.core.compensation.target_frame import FRAMES
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.csv import UNITS, XYZ, read_approach, recorded_besides
+from longarm_comp.sessions.csv import UNITS, XYZ, read_approach, read_further_columns
 from longarm_comp.sessions.table import FARTHEST, Table, check_header, check_unknown, read_table
 
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -85,7 +85,7 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
             raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
         quaternion = quaternion / length[:, None]
     approach = read_approach(table, 0)
-    columns, labels = recorded_besides(table, set(known))
+    columns, labels = read_further_columns(table, set(known))
     index = table.integers("index") if "index" in table.cells else np.arange(len(table))
     frame = tuple(table.cells.get("frame", ()))
     for row, name in enumerate(frame):

@@ -28,41 +28,26 @@ class Button:
     """A button: what it asks of which service, and what it looks like."""
 
     label: str
+    hint: str
     service: Service
     request: Callable[[], Any]
-    colour: tuple[int, int, int]
-    hint: str
+    colour: tuple[int, int, int] = (105, 112, 120)
 
 
 _ON, _OFF = partial(SetBool.Request, data=True), partial(SetBool.Request, data=False)
-_GREY = (105, 112, 120)
+_DROPS = "Cuts the torque: an arm without brakes drops. It is no safety function."
+_STAYS = "Stops smoothly and stays with torque on."
+_DRIVEN = "Torque on where the arm stands; trajectories are taken again."
+_CURED = "Ends stop, hold, and a fault whose cause is gone."
 
 STOPS = (
-    Button(
-        "Software stop (torque off)",
-        graph.ESTOP,
-        _ON,
-        (176, 0, 32),
-        "Cuts the torque: an arm without brakes drops. It is no safety function.",
-    ),
-    Button("Hold", graph.HOLD, _ON, (178, 84, 0), "Stops smoothly and stays with torque on."),
+    Button("Software stop (torque off)", _DROPS, graph.ESTOP, _ON, (176, 0, 32)),
+    Button("Hold", _STAYS, graph.HOLD, _ON, (178, 84, 0)),
 )
 RELEASES = (
-    Button("Release hold", graph.HOLD, _OFF, _GREY, "Trajectories are taken again."),
-    Button(
-        "Release stop",
-        graph.ESTOP,
-        _OFF,
-        _GREY,
-        "Torque on where the arm stands; trajectories are taken again.",
-    ),
-    Button(
-        "Reset fault",
-        graph.RESET,
-        Trigger.Request,
-        _GREY,
-        "Ends stop, hold, and a fault whose cause is gone.",
-    ),
+    Button("Release hold", "Trajectories are taken again.", graph.HOLD, _OFF),
+    Button("Release stop", _DRIVEN, graph.ESTOP, _OFF),
+    Button("Reset fault", _CURED, graph.RESET, Trigger.Request),
 )
 
 

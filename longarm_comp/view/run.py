@@ -31,7 +31,7 @@ from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view import words
 from longarm_comp.view.panel import RELEASES, STOPS, Buttons, Panel
 from longarm_comp.view.scene import Scene
-from longarm_comp.view.server import Gate, PlainPage, serving
+from longarm_comp.view.server import Gate, PlainPage, serve_page
 from longarm_comp.view.words import CollectProgress, LastAnswer, PageState, Part, Picture
 from longarm_interfaces.msg import Compensation, DriverState
 
@@ -95,7 +95,7 @@ class Listener:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for node, parts in reports_of(message, self._namespace).items():
             health = tuple(Part(name, min(ord(s.level), 3), s.message) for name, s in parts.items())
-            told = {words: parts[name].message for name, words in _TOLD.items() if name in parts}
+            told = {said: parts[name].message for name, said in _TOLD.items() if name in parts}
             self.state = self.state.with_report(node, health, time.monotonic())
             self._heard(told={**self.state.told, **told})
             if "monitor" in parts:
@@ -134,7 +134,7 @@ def view(
         listener, commands = Listener(client), Buttons(client.node)
         plain = PlainPage((*STOPS, *RELEASES), commands.press)
         gate = Gate(plain=plain.answer)
-        server = open_page.enter_context(serving(port, gate))
+        server = open_page.enter_context(serve_page(port, gate))
         panel = Panel(server, commands.press, client.node.get_namespace())
         scene = Scene(server)
         opened(partial(gate.link, server.get_port()))

@@ -37,7 +37,7 @@ class Scene:
         with self._server.atomic():
             if not self._handles:
                 self._begin(picture)
-            pale = state.old(now)
+            pale = state.is_old(now)
             hanging = exaggerate_sag(picture.hanging, picture.declared, times)
             self._line("declared", picture.declared, PALE if pale else GREY)
             self._line("hanging", hanging, PALE if pale else BLUE)

@@ -56,7 +56,7 @@ class PlainPage:
         self._buttons = {f"{PATH}/{key}/{k}": button for k, button in enumerate(buttons)}
 
     def answer(self, path: str) -> str | None:
-        """The page at a path; empty: a button was pressed, look at `PATH`; None: no such page."""
+        """Return the page at a path; empty: a button was pressed, look at `PATH`; None: no page."""
         if path in self._buttons:
             self._press(self._buttons[path])
             return ""
@@ -86,13 +86,13 @@ class Gate:
     _codes: set[str] = field(default_factory=set, repr=False)
 
     def link(self, port: int) -> str:
-        """An address to open once; it sets the cookie."""
+        """Make an address to open once; it sets the cookie."""
         code = secrets.token_urlsafe()
         self._codes.add(code)
         return f"http://{LOOPBACK}:{port}/?code={code}"
 
     def guard(self, serve: Serve) -> Serve:
-        """The server's function of HTTP requests and WebSocket handshakes, behind the gate."""
+        """Put the server's function of HTTP requests and WebSocket handshakes behind the gate."""
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
             port = connection.local_address[1]
@@ -102,7 +102,8 @@ class Gate:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             where = urlsplit(request.path)
             if where.path == "/" and self._redeem_code(*parse_qs(where.query).get("code", [])):
-                return self._welcome(port)
+                cookie = f"{_cookie(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+                return _redirect(_START, {"Set-Cookie": cookie})
             if not self._is_token(*_read_cookies(request.headers, _cookie(port))):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
@@ -140,29 +141,21 @@ class Gate:
     def _is_token(self, *given: str) -> bool:
         return len(given) == 1 and secrets.compare_digest(given[0].encode(), self.token.encode())
 
-    def _welcome(self, port: int) -> Response:
-        cookie = f"{_cookie(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-        headers = Headers(
-            {
-                "Location": _START,
-                "Set-Cookie": cookie,
-                "Referrer-Policy": "no-referrer",
-                "Cache-Control": "no-store",
-                "Content-Length": "0",
-            }
-        )
-        return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
-
 
 def _html_page(page: str, hosts: list[str]) -> Response:
-    """A page, or after the press of a button the way back to it."""
+    """Make the response with a page, or after the press of a button the way back to it."""
+    if not page:
+        return _redirect(PATH, _policy(hosts))
     body = page.encode()
     kind = {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))}
-    headers = Headers(_policy(hosts) | kind)
-    if page:
-        return Response(HTTPStatus.OK, "OK", headers, body)
-    headers["Location"] = PATH
-    return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
+    return Response(HTTPStatus.OK, "OK", Headers(_policy(hosts) | kind), body)
+
+
+def _redirect(to: str, headers: dict[str, str]) -> Response:
+    """Make the response that leads a browser on, which it must not keep or tell others."""
+    private = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
+    made = Headers(headers | private | {"Location": to, "Content-Length": "0"})
+    return Response(HTTPStatus.SEE_OTHER, "See Other", made)
 
 
 def _cookie(port: int) -> str:
@@ -171,13 +164,13 @@ def _cookie(port: int) -> str:
 
 
 def _read_cookies(headers: Headers, name: str) -> list[str]:
-    """Values of a cookie. Other servers of this machine may have set others, of any form."""
+    """Return a cookie's values. Other servers of this machine may have set others, of any form."""
     given = [part.strip() for line in headers.get_all("Cookie") for part in line.split(";")]
     return [value for key, _, value in (part.partition("=") for part in given) if key == name]
 
 
 def _policy(hosts: list[str]) -> dict[str, str]:
-    """Headers of every page: it talks to this server alone, and nobody frames it."""
+    """Return the headers of every page: it talks to this server alone, and nobody frames it."""
     sockets = " ".join(f"ws://{host}" for host in hosts)
     return {
         "Content-Security-Policy": (
@@ -199,7 +192,7 @@ class _Server(viser.ViserServer):
 
 
 @contextmanager
-def serving(port: int, gate: Gate) -> Iterator[viser.ViserServer]:
+def serve_page(port: int, gate: Gate) -> Iterator[viser.ViserServer]:
     """Serve a page until the end of the context; on the next free port where this one is taken.
 
     viser has no option for a check of requests. So the function of `websockets` that it serves

@@ -54,7 +54,7 @@ class NodeHealth:
     every_s: float = 0.0
 
     def silent_s(self, now: float) -> float:
-        """For how long it has said nothing that it should have said; 0: it speaks."""
+        """Return for how long (s) it has said nothing that it should have said; 0: it speaks."""
         return _silence(self.at, now, max(5.0, 3.0 * self.every_s))
 
 
@@ -111,20 +111,20 @@ class PageState:
         )
 
     def silent_s(self, now: float) -> float:
-        """For how long the whole graph has said nothing; 0: it speaks; infinite: never."""
+        """Return for how long (s) the graph has said nothing; 0: it speaks; infinite: never."""
         return _silence(self.heard, now, _SILENT_S)
 
     def unread_s(self, now: float) -> float:
-        """For how long no joints have come; as `silent_s`."""
+        """Return for how long (s) no joints have come; as `silent_s`."""
         return _silence(self.read, now, _SILENT_S)
 
-    def old(self, now: float) -> bool:
+    def is_old(self, now: float) -> bool:
         """Return whether the picture of the arm is out of date at `now` (s)."""
         at = None if self.picture is None else self.picture.at
         return bool(self.unread_s(now) or _silence(at, now, 5.0))
 
     def seen_tip(self, now: float) -> np.ndarray | None:
-        """(3,) m where the tip is seen now; None where it is not."""
+        """Return the tip (3,) m that is seen now; None where it is not."""
         if self.tip is None or now - self.tip_at >= 3.0 or np.isnan(self.tip).any():
             return None
         return self.tip
@@ -138,7 +138,7 @@ class PageState:
         return min(self.picture.at, self.tip_at) > self.moved + 0.6
 
     def miss_at_target(self, now: float) -> np.ndarray | str:
-        """tip - target (3,) m, where the arm rests at its target and is seen; else why not."""
+        """Return tip - target (3,) m, if the arm rests at its target and is seen; else why not."""
         beside = self.miss_of_prediction(now)
         if isinstance(beside, str):
             return beside
@@ -150,7 +150,7 @@ class PageState:
         return self.tip - self.picture.target
 
     def miss_of_prediction(self, now: float) -> np.ndarray | str:
-        """tip - predicted tip (3,) m, where the arm rests and is seen; else why not."""
+        """Return tip - predicted tip (3,) m, where the arm rests and is seen; else why not."""
         tip = self.seen_tip(now)
         if tip is None:
             return "no camera sees the tip"
@@ -160,7 +160,7 @@ class PageState:
 
 
 def _silence(last: float | None, now: float, allowed: float) -> float:
-    """Time since ``last`` where it is longer than allowed, else 0."""
+    """Return the time since ``last`` where it is longer than allowed, else 0."""
     quiet = math.inf if last is None else now - last
     return quiet if quiet > allowed else 0.0
 
@@ -198,7 +198,7 @@ def headline(state: PageState, now: float, namespace: str) -> str:
 
 
 def sections(state: PageState, now: float, namespace: str, said: str) -> dict[str, list[str]]:
-    """All that the page says, by place; ``said``: what came of the last press of a button."""
+    """Write all that the page says, by place; ``said``: what came of the last press of a button."""
     lines = {
         "state": [headline(state, now, namespace), target(state)],
         "said": [said],
@@ -265,7 +265,7 @@ def progress(state: PageState, now: float) -> str:
 
 
 def health(node: NodeHealth, now: float) -> list[str]:
-    """A node in one line, and one for each of its parts that is not well; a sign first."""
+    """Write a line on a node, and one on each of its parts that is not well; a sign first."""
     silent = node.silent_s(now)
     if silent:
         return [f"{SILENT} {node.name}: silent for {_ago(silent)}"]

@@ -12,7 +12,7 @@ from scipy.stats import bootstrap
 
 from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.errors import JobError
-from longarm_comp.report.plots import at_the_tip
+from longarm_comp.report.plots import draw_errors_at_tip
 from longarm_comp.report.style import rc, save
 
 LEAST = 2
@@ -56,7 +56,7 @@ class Verification:
     def picture(self, path: Path) -> None:
         """Write the two runs as a picture; the file's ending decides the format."""
         with rc():
-            save(at_the_tip(self.runs), path)
+            save(draw_errors_at_tip(self.runs), path)
 
 
 def verification(

@@ -255,15 +255,18 @@ def test_looks_depend_on_the_way_and_not_on_its_points(looks: list[int]) -> None
     assert needed[0] == needed[1] < 100
 
 
+def count_looks(model: Model, looks: list[int]) -> int:
+    assert not describe_entry(model, SWING[:1])
+    looks.clear()
+    assert not describe_entry(model, SWING)
+    return sum(looks)
+
+
 def test_a_thin_box_asks_for_closer_looks_beside_itself_alone(looks: list[int]) -> None:
     boxes = {"table": ((-2.0, -2.0, -1.0), (2.0, 2.0, 0.297))}
     needed = []
     for more in ({}, {"film": ((3.0, 3.0, 3.0), (3.1, 3.1, 3.00001))}):
-        model = swinging(**boxes, **more)
-        assert not describe_entry(model, SWING[:1])
-        looks.clear()
-        assert not describe_entry(model, SWING)
-        needed.append(sum(looks))
+        needed.append(count_looks(swinging(**boxes, **more), looks))
     assert needed[0] == needed[1] < 2000
 
 
@@ -272,11 +275,7 @@ def test_a_servos_steps_ask_for_no_closer_looks(looks: list[int]) -> None:
     for step in ({}, {"step_deg": 0.5}):
         data = SWINGING | {"joints": (ROWS[0] | step, ROWS[1])}
         data |= {"keep_out": {"table": {"min_m": [-2, -2, -1], "max_m": [2, 2, 0.25]}}}
-        model = declared_model(Arm.parse(data, "arm.yaml"))
-        assert not describe_entry(model, SWING[:1])
-        looks.clear()
-        assert not describe_entry(model, SWING)
-        needed.append(sum(looks))
+        needed.append(count_looks(declared_model(Arm.parse(data, "arm.yaml")), looks))
     assert needed[0] == needed[1]
 
 

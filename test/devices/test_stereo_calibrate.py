@@ -25,7 +25,7 @@ from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.eye import StereoEye
 from longarm_comp.devices.stereo.mounting import check_mounting
 from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
-from longarm_comp.devices.stereo.views import BoardView, gaps, view_of
+from longarm_comp.devices.stereo.views import BoardView, find_view, list_gaps
 from longarm_comp.sim.cameras import Conditions, charuco_plate, render, tag_plate
 
 if TYPE_CHECKING:
@@ -127,13 +127,13 @@ def test_each_gap_is_named(pictures: Path) -> None:
         [cv2.imread(str(pictures / side / f"{k:02d}.png"), 0) for side in ("left", "right")]
         for k in range(len(PLACES))
     ]
-    views = [view_of(BOARD, *pair) for pair in images]
-    assert gaps(views, TRUE.size) == []
+    views = [find_view(BOARD, *pair) for pair in images]
+    assert list_gaps(views, TRUE.size) == []
     top = [v for v, place in zip(views, PLACES, strict=True) if place[1] < 0]
-    said = " ".join(gaps(top * 4, TRUE.size))
+    said = " ".join(list_gaps(top * 4, TRUE.size))
     assert "left camera: no corner at the bottom left" in said and "right camera" in said
     near = [dataclasses.replace(view, distance_m=1.0) for view in views]
-    assert [text.split(":")[0] for text in gaps(near, TRUE.size)] == ["nearer and farther"]
+    assert [text.split(":")[0] for text in list_gaps(near, TRUE.size)] == ["nearer and farther"]
     for axis, name in enumerate(("horizontal", "vertical")):
         flat = [
             dataclasses.replace(
@@ -141,7 +141,7 @@ def test_each_gap_is_named(pictures: Path) -> None:
             )
             for v in views
         ]
-        assert [text.split(":")[0] for text in gaps(flat, TRUE.size)] == [
+        assert [text.split(":")[0] for text in list_gaps(flat, TRUE.size)] == [
             f"tilt about the {name} axis"
         ]
     # The tilt and distance themselves, against where the board was (the focal length is guessed).
@@ -170,7 +170,7 @@ def test_a_camera_that_is_turned_is_said(shell: Shell, pictures: Path) -> None:
 
 def test_a_camera_on_its_side_is_said(pictures: Path) -> None:
     views = [
-        view_of(BOARD, *(cv2.imread(str(pictures / s / f"{k:02d}.png"), 0) for s in SIDES))
+        find_view(BOARD, *(cv2.imread(str(pictures / s / f"{k:02d}.png"), 0) for s in SIDES))
         for k in range(4)
     ]
     check_mounting(views)
@@ -211,7 +211,7 @@ def test_pictures_that_no_shift_mends_are_not_called_shifted(pictures: Path) -> 
         [cv2.imread(str(pictures / s / f"{k:02d}.png"), 0) for s, k in zip(SIDES, two, strict=True)]
         for two in zip(range(len(PLACES)), order, strict=True)
     ]
-    check_mounting([view_of(BOARD, *pair) for pair in pairs])
+    check_mounting([find_view(BOARD, *pair) for pair in pairs])
 
 
 def test_the_board_is_printed_in_true_size(shell: Shell) -> None:
@@ -277,7 +277,7 @@ def test_a_board_shown_to_the_topics_calibrates_the_head(
             tell(text)
 
         found = original(client, target, both, **more)
-        said.append(gaps(*found))
+        said.append(list_gaps(*found))
         return found
 
     monkeypatch.setattr(board_capture, "capture", capture)
@@ -317,7 +317,7 @@ def test_a_camera_that_is_turned_ends_the_capture(
 
 def test_a_view_is_taken_once_and_only_at_rest(pictures: Path) -> None:
     images = [cv2.imread(str(pictures / side / "04.png"), 0) for side in ("left", "right")]
-    view = view_of(BOARD, *images)
+    view = find_view(BOARD, *images)
 
     def shifted(px: float) -> BoardView:
         left = dataclasses.replace(view.left, pixels=view.left.pixels + np.array([px, 0.0]))

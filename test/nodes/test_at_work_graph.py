@@ -16,11 +16,11 @@ import yaml
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from at_work_arm import JOINT, NOISE, fitted, true_tip
-from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench
 from quick_arm import quick_arm
 from small_arm import ARM
 from std_srvs.srv import SetBool, Trigger
+from target_requests import pose
 
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.model.model_file import save_model, store
@@ -77,11 +77,7 @@ class Work:
         """Serve a target; by how much the true tip misses it, m."""
         q = ARM.lower + (0.1 + 0.8 * self.rng.random(ARM.n)) * (ARM.upper - ARM.lower)
         target = fitted().tip(q)
-        pose = PoseStamped()
-        pose.header.frame_id = "base"
-        p = pose.pose.position
-        p.x, p.y, p.z = target.tolist()
-        request = Compensate.Request(target=pose, position_only=True, execute=True)
+        request = Compensate.Request(target=pose(target), position_only=True, execute=True)
 
         def sent() -> bool:
             answer = self.stage.call(self.ask, request)

@@ -12,14 +12,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench, bench
 from own_graph import own_graph
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from std_srvs.srv import Trigger
+from target_requests import pose as posed
 
-from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.files import file_hash
@@ -252,12 +251,3 @@ def test_every_joint_has_a_side_of_its_own(
         request.approach = wrong
         answer = stage.call(ask, request)
         assert not answer.success and what in answer.message
-
-
-def posed(matrix: np.ndarray) -> PoseStamped:
-    made = PoseStamped()
-    made.header.frame_id = "base"
-    p, o = made.pose.position, made.pose.orientation
-    p.x, p.y, p.z = matrix[:3, 3].tolist()
-    o.x, o.y, o.z, o.w = quaternion.from_rotation(matrix[:3, :3]).tolist()
-    return made

@@ -13,11 +13,11 @@ from places import DEMO_ARM
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 pytest.importorskip("tf2_msgs", reason="tf2_msgs is not installed: run make setup")
 
-from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench, bench
 from own_graph import own_graph
 from rclpy.time import Time
 from scipy.spatial.transform import Rotation
+from target_requests import pose
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
@@ -30,7 +30,7 @@ from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.frames import FrameTeller
-from longarm_comp.nodes.messages import joints_message, pose_message
+from longarm_comp.nodes.messages import joints_message
 from longarm_comp.urdf_export import export_urdf
 from longarm_interfaces.srv import Compensate
 
@@ -92,8 +92,7 @@ class Scene:
     def ask(self, frame: str, target: np.ndarray, stamp: Time | None = None) -> Any:
         """The answer for a target (4, 4) of a frame, with its story."""
         self.stories.clear()
-        given = PoseStamped(pose=pose_message(target))
-        given.header.frame_id = frame
+        given = pose(target, frame)
         if stamp is not None:
             given.header.stamp = stamp.to_msg()
         seed = joints_message(self.arm, self.arm.mid)

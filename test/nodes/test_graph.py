@@ -16,12 +16,11 @@ from places import DEMO_ARM as ARM
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
-from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench, children, gone
+from target_requests import pose
 from visualization_msgs.msg import Marker
 
 from longarm_comp.cli.run import root
-from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
@@ -29,7 +28,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import SIMULATED, BringUp, Supervisor, running
 from longarm_comp.nodes.health import WARN
-from longarm_comp.nodes.messages import pose_message, sighting_of, trajectory_message
+from longarm_comp.nodes.messages import sighting_of, trajectory_message
 from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 
@@ -58,11 +57,7 @@ class Station:
     def reach(self, q: np.ndarray) -> np.ndarray:
         """Send the tip to where it hangs at q; the sighting that follows."""
         target = self.target = self.model.pose(q)
-        request = Compensate.Request(execute=True)
-        request.target.header.frame_id = "base"
-        p, o = request.target.pose.position, request.target.pose.orientation
-        p.x, p.y, p.z = target[:3, 3].tolist()
-        o.x, o.y, o.z, o.w = quaternion.from_rotation(target[:3, :3]).tolist()
+        request = Compensate.Request(target=pose(target), execute=True)
 
         def arrived() -> Any:
             answer = self.stage.call(self.client, request)
@@ -127,11 +122,8 @@ def the_action_says_where_it_came_to_rest(stage: Bench, station: Station) -> Non
     heard: list[Reach.Feedback] = []
 
     def goal(q: np.ndarray) -> Any:
-        target = PoseStamped(pose=pose_message(model.pose(q)))
-        target.header.frame_id = "base"
-        sent = client.send_goal_async(
-            Reach.Goal(target=target), feedback_callback=lambda m: heard.append(m.feedback)
-        )
+        wanted = Reach.Goal(target=pose(model.pose(q)))
+        sent = client.send_goal_async(wanted, feedback_callback=lambda m: heard.append(m.feedback))
         stage.spin(sent.done)
         assert sent.result().accepted
         return sent.result()

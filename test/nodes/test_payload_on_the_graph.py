@@ -11,13 +11,13 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from simulated_graph import simulated_graph
 from std_msgs.msg import Float64
+from target_requests import pose
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import BringUp, running
 from longarm_interfaces.msg import Compensation
 from longarm_interfaces.srv import Compensate
 
@@ -26,28 +26,9 @@ CARRIED_KG, TOLD_KG = 0.9, 0.25
 
 @pytest.fixture
 def arm_at_work(ros_domain: int, demo_arm_path: Path) -> Iterator[ArmClient]:
-    bringup = BringUp(
-        arm=demo_arm_path,
-        sim=True,
-        speed=10.0,
-        set={
-            "simulated_arm": {
-                "payload_kg": CARRIED_KG,
-                "context_rate_hz": 0.0,
-                "frame_rate_hz": 10.0,
-            },
-            "kinematics": {
-                "compiled": False,
-                "method": "deflection",
-                "move_time_s": 0.2,
-                "payload.by_load": True,
-                "context_max_age_s": 5.0,
-                "target_max_age_s": 60.0,  # a busy machine
-            },
-        },
-        without=("error_predictor", "stereo_bridge"),
-    )
-    with running(bringup), ArmClient(Arm.load(demo_arm_path), tips=graph.TIP_BY_READINGS) as client:
+    felt = {"move_time_s": 0.2, "payload.by_load": True, "context_max_age_s": 5.0}
+    plant = {"payload_kg": CARRIED_KG, "context_rate_hz": 0.0, "frame_rate_hz": 10.0}
+    with simulated_graph(demo_arm_path, felt, simulated_arm=plant) as client:
         client.ready(120.0)
         yield client
 
@@ -91,10 +72,8 @@ def test_a_payload_that_is_told_wrong_is_felt_and_then_used(arm_at_work: ArmClie
         return bool(done) and abs(done[-1].payload_kg - CARRIED_KG) < 4.0 * sigma
 
     compensate = graph.COMPENSATE.client(client.node)
-    request = Compensate.Request(position_only=True)
-    request.target.header.frame_id = "base"
-    p = request.target.pose.position
-    p.x, p.y, p.z = declared_model(arm).tip(arm.mid).tolist()
+    target = pose(declared_model(arm).tip(arm.mid))
+    request = Compensate.Request(target=target, position_only=True)
     client.until(compensate.service_is_ready, 300.0, "compensate")
     client.until(asked, 300.0, "what is felt")
     assert "the payload is known to" in done[-1].message

@@ -16,12 +16,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from nodes_bench import PATIENCE_S, answered
 from rclpy.action import ActionClient
+from simulated_graph import simulated_graph
+from target_requests import pose
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.nodes.health import RING_SAID
 from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
@@ -30,10 +30,10 @@ DROOP = "servo_droop=4.0 servo_deadband=0.7"
 TIP_STANDS = "By the readings the tip is at"
 
 
-def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.Result:
+def reached(client: ArmClient, reach: ActionClient, target: PoseStamped) -> Reach.Result:
     """The result of a goal, sent again while it was too old when it was taken up."""
     for _ in range(20):
-        sent = reach.send_goal_async(Reach.Goal(target=pose, position_only=True))
+        sent = reach.send_goal_async(Reach.Goal(target=target, position_only=True))
         client.until(sent.done, PATIENCE_S, "goal")
         done = sent.result().get_result_async()
         client.until(done.done, PATIENCE_S, "result")
@@ -53,24 +53,11 @@ def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.
 def arm_at_work(
     request: pytest.FixtureRequest, ros_domain: int, demo_arm_path: Path
 ) -> Iterator[tuple[ArmClient, bool]]:
-    bringup = BringUp(
-        arm=demo_arm_path,
-        sim=True,
-        speed=10.0,
-        set={
-            "simulated_arm": {"hidden": DROOP, "seed": 3, "frame_rate_hz": 10.0},
-            "servo_driver": {"trim": request.param, "follower.trim_pause_s": 0.5},
-            "kinematics": {
-                "method": "deflection",
-                "move_time_s": 0.2,
-                "compiled": False,
-                "target_max_age_s": 60.0,  # a busy machine
-            },
-        },
-        without=("error_predictor", "stereo_bridge"),
-    )
-    tips = graph.TIP_BY_READINGS
-    with running(bringup), ArmClient(Arm.load(demo_arm_path), tips=tips) as client:
+    plant = {"hidden": DROOP, "seed": 3, "frame_rate_hz": 10.0}
+    driver = {"trim": request.param, "follower.trim_pause_s": 0.5}
+    with simulated_graph(
+        demo_arm_path, {"move_time_s": 0.2}, simulated_arm=plant, servo_driver=driver
+    ) as client:
         client.ready(PATIENCE_S)
         yield client, request.param
 
@@ -92,13 +79,10 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     )
     arm = client.arm
     want = declared_model(arm).tip(arm.lower + 0.6 * (arm.upper - arm.lower))
-    pose = PoseStamped()
-    pose.header.frame_id = "base"
-    pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = want.tolist()
     reach = ActionClient(client.node, Reach, graph.REACH.name)
     answered(reach, Reach, lambda until: client.until(until, PATIENCE_S, "reach"))
     for _ in range(2):  # the second starts from what the first one trimmed
-        result = reached(client, reach, pose)
+        result = reached(client, reach, pose(want))
     assert "by the readings the tip is" in result.message and ", within " in result.message
     del truth[:], client.sightings[:]
     client.until(lambda: len(truth) > 2 and len(client.sightings) > 1, PATIENCE_S, "tips")

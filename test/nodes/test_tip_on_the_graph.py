@@ -16,8 +16,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from geometry_msgs.msg import PointStamped, PoseStamped
-from scipy.spatial.transform import Rotation
+from geometry_msgs.msg import PointStamped
+from simulated_graph import simulated_graph
+from target_requests import pose
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
@@ -30,7 +31,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import BringUp, folder, running
+from longarm_comp.nodes.bringup import folder
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.messages import joints_of
 from longarm_comp.nodes.simulated_arm import sizes
@@ -79,12 +80,7 @@ class Stage:
 
     def ask(self, target: np.ndarray, *, whole: bool, execute: bool) -> Compensate.Response:
         """Joints for the pose (4, 4), or for its position alone."""
-        pose = PoseStamped()
-        pose.header.frame_id = "base"
-        p, o = pose.pose.position, pose.pose.orientation
-        p.x, p.y, p.z = target[:3, 3].tolist()
-        o.x, o.y, o.z, o.w = Rotation.from_matrix(target[:3, :3]).as_quat().tolist()
-        request = Compensate.Request(target=pose, position_only=not whole, execute=execute)
+        request = Compensate.Request(target=pose(target), position_only=not whole, execute=execute)
         return self.client.call(self.compensate, request, again=not execute)
 
     def ready(self) -> None:
@@ -175,24 +171,11 @@ def commanded(arm_path: Path, hidden: str, tmp_path: Path) -> Iterator[Stage]:
     made = hidden_effects(arm, sizes(hidden), np.random.default_rng(SEED))
     model = known(arm, made)
     save_model(tmp_path / "model.yaml", store(model))
-    bringup = BringUp(
-        arm=arm_path,
-        model=tmp_path / "model.yaml",
-        sim=True,
-        speed=20.0,
-        set={
-            "simulated_arm": {"hidden": hidden, "seed": SEED, "frame_rate_hz": 10.0},
-            "servo_driver": {"follower.blend_s": 0.05},
-            "kinematics": {
-                "method": "deflection",
-                "move_time_s": 0.05,
-                "compiled": False,
-                "target_max_age_s": 60.0,  # a busy machine
-            },
-        },
-        without=("error_predictor", "stereo_bridge"),
-    )
-    with running(bringup), ArmClient(arm) as client:
+    with simulated_graph(
+        arm_path, {"move_time_s": 0.05}, model=tmp_path / "model.yaml", speed=20.0,
+        tips=graph.TIP_MEASURED, servo_driver={"follower.blend_s": 0.05},
+        simulated_arm={"hidden": hidden, "seed": SEED, "frame_rate_hz": 10.0},
+    ) as client:  # fmt: skip
         stage = Stage(arm, made, model, client)
         stage.ready()
         yield stage

@@ -14,12 +14,13 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
-from geometry_msgs.msg import PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped
 from nodes_bench import Bench, bench
 from own_graph import own_graph
 from quick_arm import QuickArm, quick_arm
 from small_arm import ARM as SMALL
 from small_arm import AWAY
+from target_requests import pose
 from visualization_msgs.msg import MarkerArray
 
 from longarm_comp.core.arm.context import Context
@@ -79,9 +80,8 @@ class Scene:
 
     def reach(self, target: np.ndarray, frame: str) -> Any:
         """The result for a position (3,)."""
-        pose = PoseStamped(pose=pose_message(target))
-        pose.header.frame_id = frame
-        sent = self.client.send_goal_async(Reach.Goal(target=pose, position_only=True))
+        goal = Reach.Goal(target=pose(target, frame), position_only=True)
+        sent = self.client.send_goal_async(goal)
         self.stage.spin(sent.done)
         ended = sent.result().get_result_async()
         self.stage.spin(ended.done)

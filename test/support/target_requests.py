@@ -11,12 +11,14 @@ from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.srv import Compensate
 
 
-def pose(matrix: np.ndarray, frame: str = "base") -> PoseStamped:
+def pose(target: np.ndarray, frame: str = "base") -> PoseStamped:
+    """The message of a pose (4, 4), or of a position (3,), m."""
     made = PoseStamped()
     made.header.frame_id = frame
     p, o = made.pose.position, made.pose.orientation
-    p.x, p.y, p.z = matrix[:3, 3].tolist()
-    o.x, o.y, o.z, o.w = quaternion.from_rotation(matrix[:3, :3]).tolist()
+    p.x, p.y, p.z = (target[:3, 3] if target.ndim == 2 else target).tolist()
+    if target.ndim == 2:
+        o.x, o.y, o.z, o.w = quaternion.from_rotation(target[:3, :3]).tolist()
     return made
 
 

@@ -22,7 +22,7 @@ from websockets.typing import Origin, Subprotocol
 from longarm_comp.core.errors import JobError
 from longarm_comp.view import server as view_server
 from longarm_comp.view.panel import STOPS, Button
-from longarm_comp.view.server import Gate, PlainPage, serving
+from longarm_comp.view.server import Gate, PlainPage, serve_page
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
@@ -84,7 +84,7 @@ class Page:
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
     gate = Gate(plain=PLAIN.answer)
-    with serving(0, gate) as server:
+    with serve_page(0, gate) as server:
         yield Page(gate, server)
 
 
@@ -230,6 +230,6 @@ def test_a_viser_that_serves_in_another_way_is_not_used(monkeypatch: pytest.Monk
         datastructures = _infra.websockets.datastructures
 
     monkeypatch.setattr(_infra, "websockets", Frozen)
-    with pytest.raises(JobError, match="cannot be guarded"), serving(0, Gate()):
+    with pytest.raises(JobError, match="cannot be guarded"), serve_page(0, Gate()):
         raise AssertionError("it serves without the gate")
     assert view_server.sockets.serve is sockets.serve

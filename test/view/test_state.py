@@ -101,7 +101,7 @@ def test_silence_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         PageState(), 5.0, "/left"
     )
     state = replace(at_rest(), driver=("in fault", "joint2 stalled"))
-    assert not state.old(22.0) and state.old(23.0)
+    assert not state.is_old(22.0) and state.is_old(23.0)
     assert words.headline(replace(state, heard=25.0), 25.0, "/") == "No joint_states for 5 s."
     assert words.headline(PageState(heard=25.0), 25.0, "/") == "No joint_states."
     assert words.headline(state, 22.0, "/") == "The driver is in fault (joint2 stalled)."

@@ -25,12 +25,13 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from browser import browser
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nodes_bench import PATIENCE_S, Bench, bench
 from own_graph import own_graph
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
+from target_requests import pose
 from trajectory_msgs.msg import JointTrajectory
 from walking import Walk
 
@@ -115,8 +116,7 @@ class Driver:
         return answer
 
     def aim(self, q: np.ndarray) -> None:
-        target = PoseStamped(pose=pose_message(self.model.pose(q)))
-        target.header.frame_id = "base"
+        target = pose(self.model.pose(q))
         target.header.stamp = self.node.get_clock().now().to_msg()
         self.targets.publish(target)
 

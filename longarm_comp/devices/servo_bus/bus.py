@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
@@ -63,7 +63,7 @@ class SerialServoBus:
         self.counters = _BusCounters()
 
     def ping(self, servo_id: int) -> int:
-        """The servo's model number. Raises IncompleteReply."""
+        """Read the servo's model number. Raises IncompleteReply."""
         reply = self._fetch([servo_id], self._dialect.model)[servo_id]
         return int.from_bytes(reply.data, "little")
 
@@ -101,7 +101,7 @@ class SerialServoBus:
         return said
 
     def read(self, ids: Sequence[int]) -> dict[int, ServoState]:
-        """The state of every servo from one sync read.
+        """Read the state of every servo in one sync read.
 
         Raises:
             IncompleteReply: ``states`` holds those of the servos that did answer.
@@ -161,39 +161,42 @@ class SerialServoBus:
         """Read what each servo keeps about its turns, as it is stored. Raises IncompleteReply."""
         return {i: r.data for i, r in self._fetch(ids, self._dialect.turns).items()}
 
-    def other_turns(self, many: Mapping[int, bool]) -> dict[int, Change]:
-        """Return what servos set for other turns have stored, and what they would have to store."""
-        return {
-            i: (stored, self._dialect.turns_bytes(many[i]))
-            for i, stored in self.turns(list(many)).items()
-            if self._dialect.turns_of(stored) != many[i]
-        }
-
-    def describe_turns(self, many: Mapping[int, bool], others: Mapping[int, Change]) -> list[str]:
-        """Say in words what `other_turns` found, and what was stored instead."""
-        return [
-            f"servo {i} is set for {'many turns' if many[i] else 'one turn'}, as the servo file "
-            f"says: {self._dialect.turns_said(new)} instead of {self._dialect.turns_said(had)}"
-            for i, (had, new) in others.items()
-        ]
-
-    def set_turns(self, many: Mapping[int, bool]) -> list[int]:
+    def set_turns(
+        self,
+        many: Mapping[int, bool],
+        before: Callable[[dict[int, Change]], None] = lambda changes: None,
+    ) -> list[str]:
         """Allow servos more than one turn, or not. The servos store it permanently.
 
-        Only servos set otherwise are written (their memory wears); their torque goes off. Returns
-        the ids that were changed.
+        Only servos set otherwise are written (their memory wears); their torque goes off.
+
+        Args:
+            many: by servo id, whether it may turn more than once.
+            before: called with the changes by servo id before the first is made; it may raise.
+
+        Returns:
+            What was changed, in words: one sentence a servo.
         """
-        others = self.other_turns(many)
-        self.store_turns({i: wanted for i, (_, wanted) in others.items()})
-        return sorted(others)
+        dialect = self._dialect
+        changes = {
+            i: (stored, dialect.turns_bytes(many[i]))
+            for i, stored in self.turns(list(many)).items()
+            if dialect.turns_of(stored) != many[i]
+        }
+        if changes:
+            before(changes)
+            self.store_turns({i: wanted for i, (_, wanted) in changes.items()})
+        return [
+            f"servo {i} is set for {'many turns' if many[i] else 'one turn'}, as the servo file "
+            f"says: {dialect.turns_said(new)} instead of {dialect.turns_said(had)}"
+            for i, (had, new) in changes.items()
+        ]
 
     def store_turns(self, stored: Mapping[int, bytes]) -> None:
         """Switch the torque off and write the register of turns of each servo.
 
         Where a lock protects the register, it is opened and then set as it was.
         """
-        if not stored:
-            return
         self.torque(list(stored), on=False)
         lock = self._dialect.turns_lock
         if lock is None:
@@ -267,7 +270,7 @@ class SerialServoBus:
                 raise ServoFault("the servo refused the instruction", id=servo_id, code=code)
 
     def _alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
-        """Alarms by id. If the status byte only flags that there is one, the register is read."""
+        """Return alarms by id. If a status byte only flags that there is one, read the register."""
         known = {i: self._dialect.alarms(reply.error) for i, reply in replies.items()}
         unread = [i for i, flags in known.items() if flags is None]
         block = self._dialect.alarm

@@ -96,30 +96,30 @@ class Dialect(ABC):
 
     @abstractmethod
     def frame_length(self, start: bytearray) -> int:
-        """Bytes of the status frame that begins with ``start`` (``overhead`` or more); 0: none."""
+        """Return the length of the status frame at ``start`` (``overhead`` or more); 0: none."""
 
     @abstractmethod
     def reply(self, frame: bytes) -> Reply:
-        """A status frame; not intact where its checksum is wrong."""
+        """Decode a status frame; it is not intact where its checksum is wrong."""
 
     @abstractmethod
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
-        """The frame that asks every id for ``block``; each answers in turn."""
+        """Make the frame that asks every id for ``block``; each answers in turn."""
 
     @abstractmethod
     def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
-        """The frame that writes ``block`` of every id at once; nobody answers."""
+        """Make the frame that writes ``block`` of every id at once; nobody answers."""
 
     def refusal(self, error: int) -> int:
-        """The refusal code in a status byte; 0 if the instruction was not refused."""
+        """Return the refusal code in a status byte; 0 if the instruction was not refused."""
         return 0
 
     def alarms(self, error: int) -> ServoAlarm | None:
-        """Alarms in a status byte; None: there are some, and ``alarm`` must be read."""
+        """Return the alarms in a status byte; None: there are some, and ``alarm`` must be read."""
         return self.alarm_flags(error)
 
     def alarm_flags(self, value: int) -> ServoAlarm:
-        """The servo's alarm bits as ``ServoAlarm``."""
+        """Convert the servo's alarm bits to ``ServoAlarm``."""
         flags = ServoAlarm.NONE
         for bit in range(8):
             if value >> bit & 1:
@@ -128,11 +128,11 @@ class Dialect(ABC):
 
     @abstractmethod
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
-        """Contents of ``goal``; speed 0 is the servo's own maximum (`limit_units`)."""
+        """Make the contents of ``goal``; speed 0 is the servo's own maximum (`limit_units`)."""
 
     @abstractmethod
     def turns_bytes(self, many: bool) -> bytes:
-        """Contents of ``turns`` for one turn or many."""
+        """Make the contents of ``turns`` for one turn or many."""
 
     def model_name(self, number: int) -> str:
         """Name of the model with a number; empty where it is unknown."""
@@ -143,7 +143,7 @@ class Dialect(ABC):
         return {self.turns_bytes(True): True, self.turns_bytes(False): False}.get(data)
 
     def turns_said(self, data: bytes) -> str:
-        """The registers of ``turns`` with their values."""
+        """Name the registers of ``turns`` with their values."""
         first, end = self.turns.address, self.turns.address + self.turns.length
         said = [
             f"{r.name} = {r.value(data[r.address - first :][: r.length])}"
@@ -160,7 +160,7 @@ class Dialect(ABC):
         return Block(start, max(block.address + block.length for block in blocks) - start)
 
     def memory_of(self, data: bytes) -> ServoMemory:
-        """``ServoMemory`` from the contents of ``memory``."""
+        """Decode the contents of ``memory``."""
         start = self.memory.address
 
         def cut(address: int, length: int) -> bytes:
@@ -177,4 +177,4 @@ class Dialect(ABC):
 
     @abstractmethod
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
-        """``ServoState`` from the contents of ``state``."""
+        """Decode the contents of ``state``."""

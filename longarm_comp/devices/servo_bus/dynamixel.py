@@ -30,7 +30,7 @@ def _x(
 
 
 def _divide_by_crc(crc: int) -> int:
-    """The remainder after eight more bits of 0."""
+    """Return the remainder after eight more bits of 0."""
     for _ in range(8):
         crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
     return crc

@@ -50,14 +50,14 @@ class SerialPort:
         return stale
 
     def receive(self, count: int) -> bytes:
-        """At most ``count`` bytes; fewer or none when the reply time-out passes first."""
+        """Read ``count`` bytes; fewer or none when the reply time-out passes first."""
         try:
             return bytes(self._serial.read(count))
         except OSError as error:
             raise BusUnplugged(port=self.path, why=str(error)) from error
 
     def deadline(self, byte_count: int) -> float:
-        """Monotonic time by which an answer of ``byte_count`` bytes must be complete."""
+        """Return the monotonic time, s, by which an answer of so many bytes must be complete."""
         return time.monotonic() + self.reply_timeout_s + 10.0 * byte_count / self.baudrate
 
     def close(self) -> None:
@@ -67,7 +67,7 @@ class SerialPort:
 
 
 def _in_words(path: str, error: OSError | ValueError) -> str:
-    """Why a port cannot be opened, and what to do about it."""
+    """Say why a port cannot be opened, and what to do about it."""
     number = getattr(error, "errno", None)
     if number in (errno.EACCES, errno.EPERM):
         with contextlib.suppress(OSError, KeyError):

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from functools import cache
-from typing import NamedTuple
+from functools import cache, partial
+
+from serial.tools import list_ports
 
 from longarm_comp.core.entry_points import protocols_of_other_packages
 from longarm_comp.core.errors import InputError, JobError
@@ -87,22 +88,22 @@ class Scan:
         return tuple(servo.servo_id for servo in self.servos if servo.clash)
 
 
-class _Line(NamedTuple):
-    port: str
-    protocol: str
-    baudrate: int
-
-    def answering(
-        self, ids: Sequence[int], patience_s: float, tell: Callable[[int, float], None]
-    ) -> list[FoundServo]:
-        """Ask some ids one after the other, each so long; who answers."""
-        servos = []
-        with closing(SerialPort(self.port, self.baudrate, patience_s)) as line:
-            for n, servo_id in enumerate(ids):
-                tell(servo_id, n / len(ids))
-                servo = look(line, protocols()[self.protocol](), servo_id)
-                servos += [servo] if servo else []
-        return servos
+def _ask_each(
+    port: str,
+    protocol: str,
+    baudrate: int,
+    tell: Callable[[str, float], None],
+    ids: Sequence[int],
+    patience_s: float,
+) -> dict[int, FoundServo]:
+    """Ask some ids one after the other, each so long; return the servos that answer, by id."""
+    found = {}
+    with closing(SerialPort(port, baudrate, patience_s)) as line:
+        for n, servo_id in enumerate(ids):
+            tell(f"{protocol}, {baudrate} bit/s, id {servo_id}", n / len(ids))
+            if servo := look(line, protocols()[protocol](), servo_id):
+                found[servo_id] = servo
+    return found
 
 
 def scan_line(
@@ -114,7 +115,7 @@ def scan_line(
     tell: Callable[[str, float], None],
     expected: Collection[int] = (),
 ) -> Scan | None:
-    """The first protocol and rate at which a servo answers, with all servos that answer then.
+    """Find the first protocol and rate at which a servo answers, and all servos that answer then.
 
     Args:
         protocol, baudrate: only this one; None: all that are known, one after the other.
@@ -136,32 +137,27 @@ def scan_line(
         for rate in ([baudrate] if baudrate else protocols()[name].baudrates)
     ]
     for k, (name, rate) in enumerate(tries):
-        line = _Line(port, name, rate)
 
-        def tell_id(servo_id: int, share: float, k: int = k, line: _Line = line) -> None:
-            said = f"{line.protocol}, {line.baudrate} bit/s, id {servo_id}"
+        def tell_share(said: str, share: float, k: int = k) -> None:
             tell(said, (k + share) / len(tries))
 
-        if servos := line.answering(ids, reply_timeout_s, tell_id):
-            heard = {servo.servo_id: servo for servo in servos}
-            clear = {servo.servo_id for servo in servos if not servo.clash}
+        ask = partial(_ask_each, port, name, rate, tell_share)
+        if heard := ask(ids, reply_timeout_s):
+            clear = {servo_id for servo_id, servo in heard.items() if not servo.clash}
             unclear = {*expected}.intersection(ids) - clear
-            again = line.answering(sorted(unclear), 10.0 * reply_timeout_s, tell_id)
-            heard |= {servo.servo_id: servo for servo in again}
+            heard |= ask(sorted(unclear), 10.0 * reply_timeout_s)
             return Scan(port, name, rate, tuple(heard[i] for i in sorted(heard)))
     return None
 
 
-def usable_ports() -> list[tuple[str, str]]:
-    """Serial ports of this machine that may lead to a bus: device and description."""
-    from serial.tools import list_ports
-
+def list_usable_ports() -> list[tuple[str, str]]:
+    """List this machine's serial ports that may lead to a bus: device and description."""
     found = sorted(list_ports.comports(), key=lambda port: port.device)
     return [(p.device, p.description or "") for p in found if p.vid is not None]
 
 
 def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None:
-    """One id.
+    """Ask one id what servo has it; None where none answers.
 
     An answer that comes too late from the id before hides one, or looks like a second servo.  So
     where the line was disturbed, the id is asked once more when the line is quiet.
@@ -207,7 +203,7 @@ def _look_once(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[Found
     return found, stray or found.clash
 
 
-def renumber(found: Scan, servo_id: int) -> int:
+def change_servo_id(found: Scan, servo_id: int) -> int:
     """Write an id into the memory of the only servo of a scan; its torque goes off.
 
     Returns:

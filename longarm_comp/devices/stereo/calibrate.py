@@ -14,11 +14,12 @@ from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.mounting import check_mounting
 from longarm_comp.devices.stereo.target import Corners, Target
 from longarm_comp.devices.stereo.triangulate import triangulate
-from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView, gaps
+from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView, list_gaps
 from longarm_comp.math.points import kabsch
 
 _FEWEST_PAIRS = 4
 """Zhang's method: a picture gives two equations for five numbers of a camera; one to spare."""
+_FROM_GUESS = cv2.CALIB_USE_INTRINSIC_GUESS
 _ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-10)
 
 
@@ -33,7 +34,7 @@ class StereoCalibration:
 def calibrate_stereo(
     board: Target, pairs: Sequence[tuple[Corners, Corners]], size: tuple[int, int]
 ) -> StereoCalibration:
-    """Intrinsics with plumb-bob distortion of both cameras and the transform between them.
+    """Fit intrinsics with plumb-bob distortion of both cameras and the transform between them.
 
     Pairs whose triangulation residuals exceed twice the median are left out and the rest
     fitted again: hand-held boards move between exposures that are not simultaneous.
@@ -54,18 +55,11 @@ def calibrate_stereo(
         used = list(views)
         for _ in range(3):
             objects, lefts, rights = zip(*(views[i] for i in used), strict=True)
-            rms, k_l, d_l, k_r, d_r, turn, move, *_ = cv2.stereoCalibrate(
-                objects,
-                lefts,
-                rights,
-                k_l,
-                d_l,
-                k_r,
-                d_r,
-                size,
-                flags=cv2.CALIB_USE_INTRINSIC_GUESS,
-                criteria=_ACCURATE,
+            guess = k_l, d_l, k_r, d_r
+            fit = cv2.stereoCalibrate(
+                objects, lefts, rights, *guess, size, flags=_FROM_GUESS, criteria=_ACCURATE
             )
+            rms, k_l, d_l, k_r, d_r, turn, move, *_ = fit
             left = Camera(k_l, np.eye(3), np.zeros(3), size, d_l)
             rig = StereoRig(left, Camera(k_r, turn, move, size, d_r))
             off = {i: triangulate(rig, *common[i][1:])[1] for i in views}
@@ -105,7 +99,7 @@ def calibrate_board(
 ) -> BoardCalibration:
     """Calibrate a head from views that cover image, distance and tilt."""
     check_mounting(views)
-    lacking = gaps(views, size)
+    lacking = list_gaps(views, size)
     if lacking:
         raise JobError("the views are not enough: " + "; ".join(lacking), views=len(views))
     pairs = [(view.left, view.right) for view in views]
@@ -173,7 +167,7 @@ def hand_eye(tips: Array, seen: Array, covariances: Array) -> HandEye:
     turn, move = kabsch(seen, tips, np.ones(count))
 
     def off(unknown: Array) -> Array:
-        """Seen - predicted (N, 3) m, camera axes, of place and turn of the camera."""
+        """Return seen - predicted (N, 3) m, camera axes, for a place and turn of the camera."""
         return seen - (tips - unknown[:3]) @ cv2.Rodrigues(unknown[3:])[0] @ turn
 
     def weigh_residuals(unknown: Array) -> Array:

@@ -69,7 +69,7 @@ class Camera:
         object.__setattr__(self, "size", (int(size[0]), int(size[1])))
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Pixels (N, 2) of rig points (N, 3) and their Jacobian (N, 2, 3), px/m."""
+        """Return pixels (N, 2) of rig points (N, 3), m, and their Jacobian (N, 2, 3), px/m."""
         pixels, by_all = cv2.projectPoints(points, self.rotation, self.translation, self.k, self.d)
         by_camera = by_all[:, 3:6].reshape(-1, 2, 3)  # OpenCV's is by the translation
         return pixels.reshape(-1, 2), by_camera @ self.rotation
@@ -83,14 +83,14 @@ class Camera:
         return made
 
     def rays(self, pixels: Array) -> Array:
-        """Undistorted directions (N, 3), z = 1, in this camera's own frame, of pixels (N, 2)."""
+        """Return undistorted directions (N, 3), z = 1, of pixels (N, 2), in this camera's frame."""
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
         flat = np.ascontiguousarray(pixels, dtype=float).reshape(-1, 1, 2)
         rays = cv2.undistortPoints(flat, self.k, self.d, criteria=stop).reshape(-1, 2)
         return np.column_stack([rays, np.ones(len(rays))])
 
     def depth(self, points: Array) -> Array:
-        """Distance (N,) m of rig points (N, 3) along this camera's optical axis."""
+        """Return the distance (N,) m of rig points (N, 3) along this camera's optical axis."""
         return points @ self.rotation[2] + self.translation[2]
 
 
@@ -115,7 +115,7 @@ class StereoRig:
 
     @classmethod
     def from_camera_info(cls, left: CameraInfo, right: CameraInfo, *, rectified: bool) -> StereoRig:
-        """The rig that a pair of CameraInfo messages describes.
+        """Make the rig that a pair of CameraInfo messages describes.
 
         Args:
             rectified: whether the images are rectified (only P holds) or raw (K, D, R and P hold).

@@ -20,7 +20,7 @@ _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 
 
 def pair_files(folder: Path) -> list[tuple[Path, Path]]:
-    """Left and right files of a folder, in the order of their names.
+    """List the left and right image files of a folder, in the order of their names.
 
     For instance ``left/3.png`` and ``right/3.png``, or ``left3.png`` and ``right3.png``.
     """
@@ -44,7 +44,7 @@ def pair_files(folder: Path) -> list[tuple[Path, Path]]:
 
 
 def read_grey(path: Path) -> Grey:
-    """An image file as (H, W) uint8. Raises InputError where it cannot be read."""
+    """Read an image file as (H, W) uint8. Raises InputError where it cannot be read."""
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if grey is None:
         raise InputError(path, "image", "cannot be read", "an image file of 8 bits a channel")
@@ -61,18 +61,12 @@ _MATRICES = {
 
 
 def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
-    """Left and right camera of a rig in the raw left frame, with the rectification of both."""
+    """Describe left and right camera of a rig in the raw left frame, with their rectification."""
     left, right = rig.left, rig.right
-    r_left, r_right, p_left, p_right = cv2.stereoRectify(
-        left.k,
-        left.d[:5],
-        right.k,
-        right.d[:5],
-        left.size,
-        right.rotation,
-        right.translation.reshape(3, 1),
-        alpha=0.0,
-    )[:4]
+    cameras = (left.k, left.d[:5], right.k, right.d[:5], left.size)
+    move = right.translation.reshape(3, 1)
+    rectified = cv2.stereoRectify(*cameras, right.rotation, move, alpha=0.0)
+    r_left, r_right, p_left, p_right = rectified[:4]
 
     def of(camera: Camera, r: Any, p: Any) -> CameraInfo:
         d, k, r, p = (tuple(np.ravel(a).tolist()) for a in (camera.d[:5], camera.k, r, p))

@@ -50,7 +50,7 @@ class StereoEye:
         self._tip = np.asarray(self.tip_in_marker, dtype=float)
 
     def measure(self, left: Grey, right: Grey) -> StereoSighting:
-        """The sighting of one pair, images (H, W) grey or (H, W, 3) BGR, uint8.
+        """Measure the tip in one pair of images, (H, W) grey or (H, W, 3) BGR, uint8.
 
         Raises:
             StereoRefusal: with the reason.
@@ -110,7 +110,7 @@ class StereoEye:
 
 
 def _as_grey(image: Grey, camera: Camera, side: str) -> Grey:
-    """An image as (H, W) of the camera's size. Raises StereoRefusal: WRONG_SIZE."""
+    """Return an image as (H, W) of the camera's size. Raises StereoRefusal: WRONG_SIZE."""
     height, width = image.shape[:2]
     if (width, height) != camera.size:
         size = f"{width}x{height}"
@@ -121,6 +121,6 @@ def _as_grey(image: Grey, camera: Camera, side: str) -> Grey:
 
 
 def _span_m(corners: Array) -> float:
-    """Second-largest extent (m) of the corners (N, 3): 0 where they lie on one line."""
+    """Return the second-largest extent (m) of corners (N, 3): 0 where they lie on one line."""
     extent = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     return float(extent[1]) if extent[1] > 0.05 * extent[0] else 0.0

@@ -28,7 +28,7 @@ class Limits:
     the depth from the baseline."""
 
     def tolerance(self, pixels: Array) -> float:
-        """Relative 1 sigma of the size measured from an image with corners (N, 2) px.
+        """Return the relative 1 sigma of the size measured from an image with corners (N, 2) px.
 
         Glare, gamma and saturation shift all dark edges alike, by 0.1 px (1 sigma).
         """
@@ -41,7 +41,7 @@ _PRESMOOTH_PX = 1.0
 
 
 def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
-    """Sigma (px) of the sharpest edges of an image (H, W), its range of grey being `height`.
+    """Estimate sigma (px) of the sharpest edges of an image (H, W) with a range of grey `height`.
 
     A step of that height blurred by a Gaussian of s px has the steepest slope
     ``height / (s sqrt(2 pi))``; read backwards, the steepest slopes give s. The image is smoothed

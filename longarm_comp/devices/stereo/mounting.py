@@ -47,7 +47,7 @@ def check_mounting(views: Sequence[BoardView]) -> None:
 
 
 def _turn(views: Sequence[BoardView]) -> float:
-    """Angle (rad) by which the corners in the right pictures are turned against the left."""
+    """Return the angle (rad) by which corners in the right pictures are turned against the left."""
     whole = 0j
     for view in views:
         _, left, right = view.left.shared_corners(view.right)

@@ -44,7 +44,7 @@ def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
 
 
 def _intersections(edge: Array, fallback: Array) -> Array:
-    """Corners where the lines through the points `edge` (N, 4, M, 2) of neighbouring sides meet."""
+    """Intersect the lines through the points `edge` (N, 4, M, 2) of neighbouring sides."""
     centre = edge.mean(axis=2)
     x, y = np.moveaxis(edge - centre[:, :, None], -1, 0)
     angle = 0.5 * np.arctan2(2 * np.sum(x * y, axis=2), np.sum(x * x - y * y, axis=2))
@@ -62,7 +62,7 @@ def _intersections(edge: Array, fallback: Array) -> Array:
 
 
 def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
-    """Sub-pixel corners (N, 2) where four squares meet.
+    """Locate the corners (N, 2) where four squares meet to a fraction of a pixel.
 
     Args:
         pixels: (N, 2) px, good to about a pixel.
@@ -100,7 +100,7 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
 
 
 def _start(grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np.int64]) -> Array:
-    """State (N, 9): u, v, angle 1, angle 2, blur, contrast, level, slope x, slope y.
+    """Return a state (N, 9): u, v, angle 1, angle 2, blur, contrast, level, slope x, slope y.
 
     The curvature of the smoothed image is a saddle whose principal axes halve the angles between
     the two edges; both edges start at 45 degrees to them.
@@ -120,7 +120,7 @@ def _start(grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np
 
 
 def _linearise(state: Array, dx: Array, dy: Array, values: Array) -> tuple[Array, Array]:
-    """Jacobian of the model (N, M, 9) and residuals (N, M)."""
+    """Return the Jacobian of the model (N, M, 9) and residuals (N, M)."""
     from scipy.special import erf  # a quarter of a second; tags do without
 
     u, v, angle_1, angle_2, blur, contrast, level, slope_x, slope_y = state.T[..., None]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -37,26 +37,9 @@ class Corners:
         return len(self.ids)
 
     def shared_corners(self, other: Corners) -> tuple[NDArray[np.int64], Array, Array]:
-        """Ids (N,) that both have, and their pixels (N, 2) here and there."""
+        """Return the ids (N,) that both have, and their pixels (N, 2) here and there."""
         ids, here, there = np.intersect1d(self.ids, other.ids, return_indices=True)
         return ids, self.pixels[here], other.pixels[there]
-
-
-class Target(Protocol):
-    """A printed target whose corners are known by id."""
-
-    def detect(self, grey: Grey) -> Corners:
-        """The target's corners in an image (H, W) uint8; none if it is not seen."""
-        ...
-
-    def points(self, ids: NDArray[np.int64]) -> Array:
-        """Corners (N, 3) m in the marker frame."""
-        ...
-
-    @property
-    def n_corners(self) -> int:
-        """The number of corners when all are seen."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -82,7 +65,7 @@ class TagBoard:
 
     @classmethod
     def of(cls, bridge: Mapping[str, Any]) -> TagBoard:
-        """The marker that the parameters of `stereo_bridge` describe, by dotted name."""
+        """Make the marker that the parameters of `stereo_bridge` describe, by dotted name."""
         keys = ("tag_m", "gap_m", "columns", "rows", "dictionary", "first_id")
         return cls(**{key: bridge[f"marker.{key}"] for key in keys})
 
@@ -91,7 +74,7 @@ class TagBoard:
         return 4 * self.columns * self.rows
 
     def points(self, ids: NDArray[np.int64]) -> Array:
-        """Corners (N, 3) m; corner id = 4 (tag id - first_id) + 0..3, clockwise from top left."""
+        """Return corners (N, 3) m, of ids 4 (tag id - first_id) + 0..3, clockwise from top left."""
         row, column = np.divmod(ids // 4, self.columns)
         pitch = self.tag_m + self.gap_m
         x = (column - (self.columns - 1) / 2) * pitch
@@ -102,7 +85,7 @@ class TagBoard:
         )
 
     def detect(self, grey: Grey) -> Corners:
-        """Tags by OpenCV, each side then located to sub-pixel and the sides intersected."""
+        """Find the tags in an image (H, W) uint8 by OpenCV, then their sides to sub-pixel."""
         for detector in self._detectors:  # the quick one is enough unless a tag is missing
             quads, tag_ids, _ = detector.detectMarkers(grey)
             if tag_ids is not None and len(tag_ids) >= self.columns * self.rows:
@@ -157,13 +140,13 @@ class CharucoTarget:
         return (self.columns - 1) * (self.rows - 1)
 
     def points(self, ids: NDArray[np.int64]) -> Array:
-        """Inner corners (N, 3) m, counted along the rows from the top left."""
+        """Return inner corners (N, 3) m, counted along the rows from the top left."""
         row, column = np.divmod(ids, self.columns - 1)
         x, y = column - (self.columns - 2) / 2, (self.rows - 2) / 2 - row
         return self.square_m * np.column_stack([x, y, np.zeros(len(ids))])
 
     def detect(self, grey: Grey) -> Corners:
-        """Inner corners next to tags that were read."""
+        """Find the inner corners next to tags that were read in an image (H, W) uint8."""
         found, ids, _, _ = self._detector.detectBoard(grey)
         if ids is None or not len(ids):
             return Corners()
@@ -188,6 +171,10 @@ class CharucoTarget:
             (self.columns, self.rows), self.square_m, self.tag_m, _dictionary(self.dictionary)
         )
         return cv2.aruco.CharucoDetector(board)
+
+
+Target = TagBoard | CharucoTarget
+"""A printed target whose corners are known by id: `detect` finds them, `points` says where."""
 
 
 def _check_size(what: str, **sizes: float) -> None:

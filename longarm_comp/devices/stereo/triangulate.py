@@ -30,14 +30,14 @@ class PixelNoise:
     weight: float = 4.0  # weight of the assumed sigma, as a number of residuals
 
     def estimate(self, residuals_px: ArrayLike, dof: float) -> float:
-        """Sigma (px) given residuals (px) and their degrees of freedom."""
+        """Estimate sigma (px) from residuals (px) and their degrees of freedom."""
         total = self.weight * self.sigma_px**2 + float(np.sum(np.square(residuals_px)))
         count = self.weight + dof
         return float(np.sqrt(total / count)) if count > 0.0 else self.sigma_px
 
 
 def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> tuple[Array, float]:
-    """Points (N, 3) m in the rig frame of corners seen in both images, and their rms residual, px.
+    """Return points (N, 3) m, rig frame, of corners in both images, and their rms residual, px.
 
     Args:
         left_px, right_px: (N, 2) pixels of the same N >= 1 corners in the images as they came
@@ -59,14 +59,14 @@ def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> tuple[Array,
 
 
 def rms(values: Array) -> float:
-    """Root mean square of numbers."""
+    """Return the root mean square of numbers."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def stereo_residuals(
     rig: StereoRig, points: Array, left_px: Array, right_px: Array
 ) -> tuple[Array, Array]:
-    """Seen - projected (N, 4) px, and the Jacobian (N, 4, 3) of the projection, px/m."""
+    """Return seen - projected (N, 4) px, and the Jacobian (N, 4, 3) of the projection, px/m."""
     left, left_jacobian = rig.left.project(points)
     right, right_jacobian = rig.right.project(points)
     residuals = np.concatenate([left_px - left, right_px - right], axis=1)
@@ -74,7 +74,7 @@ def stereo_residuals(
 
 
 def epipolar_px(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
-    """Distance (N,) px of the corners from each other's epipolar line (Sampson's approximation)."""
+    """Return the distance (N,) px of corners from each other's epipolar line, after Sampson."""
     turn = rig.right.rotation @ rig.left.rotation.T
     essential = _cross_matrices(rig.right.translation - turn @ rig.left.translation) @ turn
     left, right = rig.left.rays(left_px), rig.right.rays(right_px)
@@ -117,7 +117,7 @@ class MarkerPose:
     residuals: Array
 
     def at(self, in_marker: Array) -> tuple[Array, Array]:
-        """A point (3,) m fixed to the marker, seen in the rig frame; the pose covariance there."""
+        """Return a point (3,) m of the marker in the rig frame, and the pose covariance there."""
         arm = self.transform[:3, :3] @ in_marker
         lever = np.eye(6)
         lever[:3, 3:] = -_cross_matrices(arm)
@@ -133,7 +133,7 @@ def marker_pose(
     size_tolerance: float,
     noise: PixelNoise,
 ) -> MarkerPose:
-    """Least squares on all corners in both images: the pose, and a scale with a prior around 1.
+    """Fit the pose, and a scale with a prior around 1, to all corners in both images.
 
     Printers stretch paper. Without the scale, a print 0.5 % too large would change every depth by
     up to 0.5 %. With it, both sources of depth, baseline and size, are weighed by uncertainty.
@@ -178,5 +178,5 @@ def marker_pose(
 
 
 def _cross_matrices(vectors: Array) -> Array:
-    """(..., 3, 3) matrices S with ``S w = v x w`` for v of `vectors` (..., 3)."""
+    """Return matrices S (..., 3, 3) with ``S w = v x w`` for v of `vectors` (..., 3)."""
     return -np.cross(vectors[..., None, :], np.eye(3))

@@ -21,7 +21,7 @@ FEWEST_VIEWS = 10
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
 _NEW_PLACE, _NEW_SIZE, _NEW_TILT_DEG = 0.12, 0.12, 10.0
 """A view is new where the board moved by so much of the image's width, came nearer or farther by so
-much of its distance, or tilted by so much: about a third of what `gaps` asks for in all."""
+much of its distance, or tilted by so much: about a third of what `list_gaps` asks for in all."""
 
 
 @dataclass(frozen=True)
@@ -55,20 +55,17 @@ class BoardView:
         return bool(len(now) and np.linalg.norm(now - then, axis=1).mean() < 1.0)
 
 
-def view_of(board: Target, left: Grey, right: Grey) -> BoardView:
-    """A usable view.
+def find_view(board: Target, left: Grey, right: Grey) -> BoardView:
+    """Find the board in a pair of images (H, W), uint8.
 
     Raises:
         StereoRefusal: with the reason.
     """
     if left.shape != right.shape:
-        raise StereoRefusal(
-            RefusalReason.WRONG_SIZE, left=left.shape[::-1], right=right.shape[::-1]
-        )
-    in_left, in_right = (
-        find_corners(board, left, "left", Limits()),
-        find_corners(board, right, "right", Limits()),
-    )
+        sizes = {"left": left.shape[::-1], "right": right.shape[::-1]}
+        raise StereoRefusal(RefusalReason.WRONG_SIZE, **sizes)
+    in_left = find_corners(board, left, "left", Limits())
+    in_right = find_corners(board, right, "right", Limits())
     ids, left_px, right_px = in_left.shared_corners(in_right)
     if len(ids) < FEWEST_CORNERS:
         raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
@@ -77,7 +74,7 @@ def view_of(board: Target, left: Grey, right: Grey) -> BoardView:
     return BoardView(in_left, in_right, float(shift), distance, tilt)
 
 
-def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
+def list_gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     """List what the views lack, as instructions; none when they are enough."""
     lacking = []
     if len(views) < FEWEST_VIEWS:
@@ -108,7 +105,7 @@ def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
 def _ninths_with_corners(
     views: Sequence[BoardView], side: str, size: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Ninths (3, 3) of the part of a side's image that both cameras see, with corners in them."""
+    """Find the ninths (3, 3) of what both cameras see, in a side's image, that have corners."""
     width, height = size
     shared = max(width - max(0.0, float(np.median([v.disparity_px for v in views]))), 1.0)
     start = width - shared if side == "left" else 0.0
@@ -123,7 +120,7 @@ def _ninths_with_corners(
 def _rough_pose(
     points: Array, pixels: Array, width: int, height: int
 ) -> tuple[float, tuple[float, float]]:
-    """Distance, m, and tilt about the image's horizontal and vertical axis, deg."""
+    """Estimate distance, m, and tilt about the image's horizontal and vertical axis, deg."""
     focal = 1.2 * width  # As a share of the image's width
     k = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     _, turn, move = cv2.solvePnP(points, pixels, k, None, flags=cv2.SOLVEPNP_IPPE)

@@ -32,7 +32,7 @@ def webcams(system: Path = _SYSTEM) -> list[Webcam]:
 
 
 def picture(device: str) -> np.ndarray:
-    """A picture (H, W, 3) of a device.
+    """Take a picture (H, W, 3) with a device.
 
     Raises:
         JobError: it gives none.
@@ -52,7 +52,7 @@ def picture(device: str) -> np.ndarray:
     return np.asarray(taken[-1])
 
 
-def driver_lines(left: str, right: str) -> list[str]:
+def write_driver_commands(left: str, right: str) -> list[str]:
     """Write the commands that publish two cameras where `stereo_bridge` listens."""
     return [
         f"ros2 run v4l2_camera v4l2_camera_node --ros-args -p video_device:={device} "

@@ -72,7 +72,7 @@ def kind_of(name: str, arm: Arm | None = None) -> str:
     return ends.get(name, "")
 
 
-def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str | None:
+def find_meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str | None:
     """Return the session's column that a name without its unit means, or None.
 
     Args:
@@ -94,7 +94,7 @@ def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str 
     if plain in _WORDS:
         return _WORDS[plain]
     heading, _, last = name.rpartition(" ")  # a heading over several columns, and the name below
-    return meaning(last, arm) if heading and headings else None
+    return find_meaning(last, arm) if heading and headings else None
 
 
 def looks_like_orientation(name: str) -> bool:
@@ -102,7 +102,7 @@ def looks_like_orientation(name: str) -> bool:
     return _TURNED.fullmatch(re.sub(r"\s", "_", split_name(name)[0].lower())) is not None
 
 
-def understand(
+def find_columns(
     cells: Cells,
     given: Mapping[str, str],
     defaults: Mapping[str, Unit],
@@ -135,8 +135,9 @@ def understand(
                 allowed = "a column of a session: q1..qn, x, y, z, ..."
                 raise InputError(where, f"--map {key}", name, allowed)
         elif stem and source not in apart:
-            rank = 1 + (meaning(stem, arm, headings=False) is None)
-            name = meaning(source, arm) or meaning(stem, arm) or (axes or {}).get(place, "")
+            rank = 1 + (find_meaning(stem, arm, headings=False) is None)
+            meant = find_meaning(source, arm) or find_meaning(stem, arm)
+            name = meant or (axes or {}).get(place, "")
         else:
             continue
         if name:

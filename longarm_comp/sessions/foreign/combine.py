@@ -13,14 +13,14 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.foreign.cells import Cells
-from longarm_comp.sessions.foreign.columns import meaning
-from longarm_comp.sessions.foreign.poses import found_in, headings, unit_in
+from longarm_comp.sessions.foreign.columns import find_meaning
+from longarm_comp.sessions.foreign.poses import find_forms, headings, unit_in
 from longarm_comp.sessions.foreign.units import TIME, seconds, split_name
 
 _COUNTED = re.compile(r"\d+|\b[A-Za-z]\b")
 
 
-def append(tables: Sequence[Cells]) -> Cells:
+def append_tables(tables: Sequence[Cells]) -> Cells:
     """Put the rows of tables of the same columns one after the other."""
     first, *others = map(_with_points, tables)
     rows, index = list(first.rows), list(range(len(first.rows)))
@@ -37,7 +37,7 @@ def append(tables: Sequence[Cells]) -> Cells:
     return replace(first, where=where, rows=tuple(rows), index=tuple(index))
 
 
-def join(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
+def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
     """Put rows of tables side by side where a column says the same number or text, or where its
     times are nearest.
 
@@ -83,7 +83,7 @@ def join(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
     return replace(made, where=", ".join(t.where for t in tables)), tuple(notes)
 
 
-def sort(cells: Cells, column: str) -> Cells:
+def sort_rows(cells: Cells, column: str) -> Cells:
     """Sort the rows by a column: of numbers, of times, else of the texts."""
     place = cells.place(column, "--sort")
     texts = [row[place] for _, row in cells.rows]
@@ -95,12 +95,12 @@ def sort(cells: Cells, column: str) -> Cells:
     return replace(cells, rows=tuple(cells.rows[k] for k in order))
 
 
-def beside_each_other(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
+def find_marker_headings(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
     """Find the headings of markers whose x, y and z stand side by side; empty where there are none.
 
     Their headings are alike but for a number or a letter: M1, M2; prism A, prism B.
     """
-    found = found_in(cells.names)
+    found = find_forms(cells.names)
     names = [cells.names[k] for each in found if not each.turn for k in each.places]
     if any(key in (n, split_name(n)[0]) for n in names for key in told):
         return ()
@@ -109,14 +109,14 @@ def beside_each_other(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
     return tuple(whole) if len(whole) > 1 and len(alike) == 1 else ()
 
 
-def melt(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
+def melt_markers(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
     """Make a row for each marker, with its name in a column `marker`, and its orientation if it has
     one and `turns` are wanted.
 
     Raises:
         InputError: the markers' orientations or units are several.
     """
-    found = found_in(cells.names)
+    found = find_forms(cells.names)
     positions = headings(found)
     told = {t.heading: t for t in reversed(found) if turns and t.turn and t.heading in markers}
     if len({turn.form for turn in told.values()}) > 1:
@@ -156,7 +156,7 @@ def _read_clocks(tables: Sequence[Cells], places: Sequence[int], column: str) ->
     if both is not None:
         return [both[: len(texts[0])], both[len(texts[0]) :]]
     named = [split_name(table.names[place]) for table, place in zip(tables, places, strict=True)]
-    timed = [unit.kind == TIME if unit else meaning(stem) == "t_s" for stem, unit in named]
+    timed = [unit.kind == TIME if unit else find_meaning(stem) == "t_s" for stem, unit in named]
     numbers = [[t.number(text) for text in own] for t, own in zip(tables, texts, strict=True)]
     if not all(timed) or any(None in own for own in numbers):
         return []

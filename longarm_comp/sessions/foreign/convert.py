@@ -20,13 +20,19 @@ from longarm_comp.sessions.foreign.cells import Cells, read_cells
 from longarm_comp.sessions.foreign.columns import (
     JOINT,
     Column,
+    find_columns,
     kind_of,
     looks_like_orientation,
-    understand,
 )
-from longarm_comp.sessions.foreign.combine import append, beside_each_other, join, melt, sort
+from longarm_comp.sessions.foreign.combine import (
+    append_tables,
+    find_marker_headings,
+    join_tables,
+    melt_markers,
+    sort_rows,
+)
 from longarm_comp.sessions.foreign.conventions import try_conventions
-from longarm_comp.sessions.foreign.poses import Found, found_in, of_marker, unit_in
+from longarm_comp.sessions.foreign.poses import Found, find_forms, find_orientations, unit_in
 from longarm_comp.sessions.foreign.units import (
     ALLOWED,
     ANGLE,
@@ -52,7 +58,7 @@ class Options:
 
     Attributes:
         units: of columns that name none, such as ``mm`` and ``deg``.
-        given, arm: see `understand`.
+        given, arm: see `find_columns`.
         rotation: ``CONVENTION:COLUMNS``, ``none`` to leave an orientation out, or nothing.
         sheet, decimal, columns: see `read_cells`.
         join: column that says which rows of several files belong together; None: they follow.
@@ -162,15 +168,15 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
     if options.join is not None:
         if len(tables) == 1:
             raise InputError(cells.where, "--join", options.join, "two files or more")
-        cells, partners = join(tables, options.join)
+        cells, partners = join_tables(tables, options.join)
     elif len(tables) > 1:
-        cells = append(tables)
+        cells = append_tables(tables)
     if options.sort is not None:
-        cells = sort(cells, options.sort)
+        cells = sort_rows(cells, options.sort)
     where = cells.where
-    markers = beside_each_other(cells, options.given)
+    markers = find_marker_headings(cells, options.given)
     if markers:
-        cells = melt(cells, markers, options.rotation != "none")
+        cells = melt_markers(cells, markers, options.rotation != "none")
     found = _find_poses(cells, options)
     defaults: dict[str, Unit] = {}
     for name in options.units:
@@ -186,7 +192,7 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
         apart.update(rotation.columns)
     positions = (each.places for each in found if not each.turn)
     axes = {k: axis for places in positions for k, axis in zip(places, "xyz", strict=True)}
-    sources = understand(cells, options.given, defaults, arm, apart, axes)
+    sources = find_columns(cells, options.given, defaults, arm, apart, axes)
     _check_complete(cells, [c.name for c in sources], arm, bool(apart))
     columns: dict[str, np.ndarray] = {c.name: _read_column(cells, c) for c in sources}
     if cells.index and "index" not in columns:
@@ -216,7 +222,7 @@ def _find_poses(cells: Cells, options: Options) -> list[Found]:
     """
     known = {*options.given, *(() if options.arm is None else options.arm.joint_names)}
     names = enumerate(cells.names)
-    found = found_in(cells.names, [k for k, n in names if known & {n, split_name(n)[0]}])
+    found = find_forms(cells.names, [k for k, n in names if known & {n, split_name(n)[0]}])
     poses = []
     for each in found:
         if "3" in each.form.parts:
@@ -234,7 +240,7 @@ def _find_rotation(cells: Cells, found: list[Found], read: Collection[int]) -> R
 
     It has no convention where they say none, or where columns look like one but are not whole.
     """
-    turns = of_marker(found, read)
+    turns = find_orientations(found, read)
     known = [each for each in turns if each.form.convention]
     alike = [each for each in known if each.form == known[0].form]
     if len(alike) == 1:

@@ -39,7 +39,7 @@ class Form:
         return re.compile(f"(?i)(?P<heading>.*?)(?P<word>{word})(?P<part>{parts})[\\])]?")
 
     def read(self, name: str) -> tuple[str, str, int] | None:
-        """Heading, word and number of the part that a name without its unit means, or None."""
+        """Return heading, word and number of the part that a name without unit means, or None."""
         found = self._pattern.fullmatch(name)
         if found is None:
             return None
@@ -94,7 +94,7 @@ class Found:
         return self.form.convention != POSITION
 
 
-def found_in(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
+def find_forms(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
     """Find all that a table holds in full, orientations before positions; no column is in two.
 
     Args:
@@ -115,7 +115,7 @@ def found_in(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
 
 
 def unit_in(name: str) -> Unit | None:
-    """The unit that a part's name states: ``q_k`` is not in kelvin, ``tool C`` not in Celsius."""
+    """Return the unit that a part's name states: ``q_k`` is in no kelvin, ``tool C`` no Celsius."""
     return None if any(form.read(name) for form in FORMS) else split_name(name)[1]
 
 
@@ -142,7 +142,7 @@ def _is_meant(found: Found, names: Sequence[str]) -> bool:
 
 
 def axis_of(name: str) -> str | None:
-    """The coordinate that a name without its unit and heading means: ``Tx`` is x; else None."""
+    """Return the coordinate that a name without unit and heading means: ``Tx`` is x; else None."""
     for form in FORMS:
         read = form.read(name) if form.convention == POSITION else None
         if read is not None and not read[0]:
@@ -150,7 +150,7 @@ def axis_of(name: str) -> str | None:
     return None
 
 
-def of_marker(found: Sequence[Found], read: Collection[int]) -> list[Found]:
+def find_orientations(found: Sequence[Found], read: Collection[int]) -> list[Found]:
     """Find the orientations of the marker whose position is in columns of these places: under its
     heading, under none, or under one that has no position."""
     own = {each.heading for each in found if not each.turn and set(read) & set(each.places)}

@@ -18,7 +18,7 @@ _OF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?")
 
 
 def seconds(texts: Sequence[str]) -> np.ndarray | None:
-    """(N,) seconds since the first of wall-clock times; None where a text is not one."""
+    """Return seconds (N,) since the first of wall-clock times; None where a text is not one."""
     import pandas as pd
 
     texts = [text.strip() for text in texts]
@@ -95,7 +95,7 @@ class Rotation:
         return len(self.columns) == 3
 
     def quaternions(self, values: np.ndarray) -> np.ndarray:
-        """(N, 4) x, y, z, w of unit length from (N, 3, 4 or 9) values (rad); NaN rows stay NaN.
+        """Return x, y, z, w (N, 4) of unit length of values (N, 3, 4 or 9), rad; NaN rows stay NaN.
 
         Raises:
             ValueError: a quaternion is not of length 1, a matrix no rotation, a row partly NaN.

@@ -56,11 +56,11 @@ class Like:
             raise InputError(mapping, "columns", repr(error), allowed) from error
 
     def output(self, path: Path) -> Path:
-        """The path with the ending of the table's kind."""
+        """Return the path with the ending of the table's kind."""
         return path.with_suffix(".xlsx") if self.workbook else path
 
     def read(self, path: str | Path) -> Table:
-        """A table in this form as one in SI; columns that the mapping does not know stay."""
+        """Read a table in this form as one in SI; columns that the mapping does not know stay."""
         cells = read_cells(Path(path))
         known = {s: (n, u) for n, (s, u) in self.columns.items()}
         known = {split_name(s)[0]: form for s, form in known.items()} | known
@@ -103,7 +103,7 @@ class Like:
             write_text(path, frame.to_csv(index=False, **form))
 
     def _form(self, name: str) -> tuple[str, Unit | None, bool]:
-        """The user's name of a column, its unit, and whether a zero point moves its values."""
+        """Return the user's name of a column, its unit, and whether a zero point moves values."""
         joint, side, point = (p.fullmatch(name) for p in (_JOINT, _SIDE, _POINT))
         if side and side[1] in self.columns:
             return f"approach {split_name(self.columns[side[1]][0])[0]}", None, False

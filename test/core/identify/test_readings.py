@@ -181,7 +181,7 @@ def test_a_report_says_what_the_encoders_say(tmp_path: Path) -> None:
     """What the servo gives way, and how little of it the model leaves."""
     write_report(build_report(drooping(), "0" * 64), detail(drooping(), {}), tmp_path)
     page = (tmp_path / "report.html").read_text()
-    assert "What the encoders say" in page
+    assert "What the encoders say" in page and "effects behind it do not." in page
     lines = detail(drooping(), {}).encoders
     assert lines is not None and [line[0] for line in lines.rows] == list(ARM.joint_names)
     rows = drooping().fit.session.take(drooping().fit.weights > 0)

@@ -1,0 +1,29 @@
+"""The graph of a simulated arm without predictor and stereo, and a client on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import BringUp, running
+
+
+@contextmanager
+def simulated_graph(
+    arm: Path, kinematics: Mapping[str, Any], *, model: Path | None = None, speed: float = 10.0,
+    tips: graph.Topic = graph.TIP_BY_READINGS, **nodes: Mapping[str, Any],
+) -> Iterator[ArmClient]:  # fmt: skip
+    """Run it with parameters of `kinematics` and of others; a busy machine may be late."""
+    usual = {"method": "deflection", "compiled": False, "target_max_age_s": 60.0}
+    up = BringUp(
+        arm=arm, model=model, sim=True, speed=speed,
+        set={**nodes, "kinematics": {**usual, **kinematics}},
+        without=("error_predictor", "stereo_bridge"),
+    )  # fmt: skip
+    with running(up), ArmClient(Arm.load(arm), tips=tips) as client:
+        yield client
