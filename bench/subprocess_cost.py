@@ -14,7 +14,7 @@ import resource
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -84,17 +84,7 @@ def main() -> None:
     before, begin, used = _memory_mb("VmRSS"), time.perf_counter(), time.process_time()
     result = function(*json.loads(arguments))
     wall, cpu, peak = time.perf_counter() - begin, time.process_time() - used, _memory_mb("VmHWM")
-    print(
-        json.dumps(
-            {
-                "result": result,
-                "wall_s": wall,
-                "cpu_s": cpu,
-                "grown_mb": max(peak - before, 0.0),
-                "peak_mb": peak,
-            }
-        )
-    )
+    print(json.dumps(asdict(Cost(result, wall, cpu, max(peak - before, 0.0), peak))))
 
 
 if __name__ == "__main__":
