@@ -7,7 +7,7 @@ decorator `study_command` makes it a click command that shows progress and print
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,6 +117,13 @@ def arms_option(
 ) -> Callable[..., Any]:
     """The option ``--arms``, a number of arms."""
     return whole_number("--arms", default, what)
+
+
+def each_arm(arms: int, show: Show) -> Iterator[int]:
+    """Count the arms from 0, and show how many are done."""
+    for number in range(arms):
+        yield number
+        show(f"{number + 1} of {arms} arms", (number + 1) / arms)
 
 
 def split_interval(row: Mapping[str, Any]) -> dict[str, Any]:

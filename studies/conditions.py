@@ -20,7 +20,15 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies import table1
-from studies.commands import Figures, Show, arm_option, arms_option, split_interval, study_command
+from studies.commands import (
+    Figures,
+    Show,
+    arm_option,
+    arms_option,
+    each_arm,
+    split_interval,
+    study_command,
+)
 from studies.day_work import levers
 from studies.table1_bench import SETTINGS, Bench, Outcome, RowSetting, fitted_once
 
@@ -141,10 +149,8 @@ def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
     Example:
       longarm study conditions --arms 8
     """
-    settings, found = rows_of(), []
-    for number in range(arms):
-        show(f"arm {number + 1} of {arms}", number / arms)
-        found.append(one_arm(arm, seed, number, settings))
+    settings = rows_of()
+    found = [one_arm(arm, seed, number, settings) for number in each_arm(arms, show)]
     rows, lost = table(found, settings), claims(found, settings)
     return Figures(
         {"arms": arms, "rows": rows, "claims": lost},

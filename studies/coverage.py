@@ -34,6 +34,7 @@ from longarm_comp.core.model.model import slots_of
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session
 from studies.commands import Figures, Show, arm_option, study_command, whole_number
+from studies.interval import wilson
 from studies.loop_cases import Case
 from studies.loop_setting import set_up
 from studies.real_sessions import every_robot
@@ -135,7 +136,7 @@ def judge_real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOut
         InputError: it holds no data set.
     """
     for robot, parts in every_robot(folder).items():
-        terms = _bends if robot == "dlr_justin" else _rigid
+        terms: Terms = _bends if robot == "dlr_justin" else lambda arm: ()
         for part in parts:
             say(f"{robot}: its own split")
             yield judge(
@@ -154,7 +155,7 @@ def judge_pandas(say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
         place = session.labels["location"]
         for each in np.unique(place):
             say(f"{path.stem}: {each}")
-            fitted = _fit_terms(arm, session.take(place != each), _rigid)
+            fitted = _fit_terms(arm, session.take(place != each))
             judged = judge_touches(path.stem, fitted, session.take(place == each))
             yield replace(judged, places=len(np.unique(place)) - 1)
 
@@ -171,7 +172,7 @@ def judge_simulated(
         )
         told = (k // len(SIMULATED) + k) % 2 == 0
         kind = effect_class(name, "study coverage")
-        fitted = _fit_terms(setting.arm, setting.train, kind.for_arm if told else _rigid)
+        fitted = _fit_terms(setting.arm, setting.train, kind.for_arm if told else lambda arm: ())
         how = "the effect known" if told else "the effect not known"
         yield judge(f"simulated, {how}", fitted, setting.held_out)
         yield judge(f"the tip alone, {how}", fitted, setting.held_out, setting.clean_held_out)
@@ -204,7 +205,7 @@ def table(found: Sequence[LeftOutRows]) -> list[dict[str, object]]:
 
 
 def _interval(inside: Sequence[int], of: Sequence[int]) -> tuple[float, tuple[float, float]]:
-    """Share of all rows, and its 95 % interval (Wilson 1927), rows of one place being alike.
+    """Compute the share of all rows, and its 95 % interval, rows of one place being alike.
 
     Places that differ more than independent rows would count as fewer rows (design effect).
     """
@@ -212,11 +213,7 @@ def _interval(inside: Sequence[int], of: Sequence[int]) -> tuple[float, tuple[fl
     total, share = int(n.sum()), float(k.sum() / n.sum())
     spread = max(share * (1.0 - share), 1.0 / total)
     between = float(((k - n * share) ** 2).sum()) / (total * spread) * len(n) / max(len(n) - 1, 1)
-    rows = total / max(between, 1.0)
-    z = 1.96
-    middle = (share + z**2 / (2 * rows)) / (1 + z**2 / rows)
-    half = z / (1 + z**2 / rows) * math.sqrt(share * (1 - share) / rows + z**2 / (4 * rows**2))
-    return share, (max(middle - half, 0.0), min(middle + half, 1.0))
+    return share, wilson(share, total / max(between, 1.0))
 
 
 def _verdict(share: float, between: tuple[float, float], mine: Sequence[LeftOutRows]) -> str:
@@ -233,15 +230,11 @@ def _verdict(share: float, between: tuple[float, float], mine: Sequence[LeftOutR
     return why + (f"; {far:.0%} are far from the fitted rows" if far > 0.1 else "")
 
 
-def _fit_terms(arm: Arm, rows: Session, terms: Terms) -> ModelFit:
+def _fit_terms(arm: Arm, rows: Session, terms: Terms = lambda arm: ()) -> ModelFit:
     """Geometry, then further terms on top of it."""
     *_, (_, geometry) = fit_stages(declared_model(arm), rows)
     more = terms(arm)
     return fit_model(geometry.model.plus(*more), rows) if more else geometry
-
-
-def _rigid(arm: Arm) -> tuple[Effect | Bias, ...]:
-    return ()
 
 
 def _bends(arm: Arm) -> tuple[Effect | Bias, ...]:

@@ -32,10 +32,9 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies.simulated import arrival
-from studies.true_camera import hidden
 
 HIDDEN = ("joint_gain", "gear_eccentricity", "thermal_growth", "friction_hysteresis")
 """What the arm hides from the morning on; softer beams too where it has beams."""
@@ -193,11 +192,7 @@ class _Truth:
         grown = self.setting.grown(t_h)
         if grown not in self._arms:
             worn = FrictionHysteresis(self._lag(t_h))
-            effects: list[HiddenEffect] = [
-                worn if isinstance(e, FrictionHysteresis) else e
-                for e in self._fixed
-                if isinstance(e, HiddenEffect)
-            ]
+            effects = [worn if isinstance(e, FrictionHysteresis) else e for e in self._fixed]
             self._arms[grown] = TrueArm(self.setting.arm, effects, steps=2)
         return self._arms[grown].tip(q, replace(context, approach=side))
 
@@ -230,8 +225,7 @@ def levers(arm: Arm) -> list[int]:
     """Revolute joints (0-based), those first that move the tip most at mid-range."""
     tip, model = arm.mid, Model(arm)
     moved = np.linalg.norm(model.tip(tip + 1e-3 * np.eye(arm.n)) - model.tip(tip[None]), axis=1)
-    turning = [j for j, row in enumerate(arm.commanded) if arm.joints[row - 1].type == "revolute"]
-    return sorted(turning, key=lambda j: -moved[j])
+    return sorted(np.flatnonzero(~arm.slides).tolist(), key=lambda j: -moved[j])
 
 
 @dataclass

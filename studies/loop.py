@@ -71,15 +71,19 @@ def run(
     wanted = {case.id for case in cases}
     done = {i: line for i, line in read_lines(out).items() if i in wanted}
     left = [case for case in cases if case.id not in done]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with out.open("a", encoding="utf-8") as file:
-        for line in _run_cases(left, arm, jobs, dask):
-            file.write(json.dumps(line, allow_nan=False) + "\n")
-            file.flush()
-            done[line["case"]["id"]] = line
-            if progress is not None:
-                progress(line["case"]["id"], len(done) / len(cases))
+    for line in _run_cases(left, arm, jobs, dask):
+        append_line(out, line)
+        done[line["case"]["id"]] = line
+        if progress is not None:
+            progress(line["case"]["id"], len(done) / len(cases))
     return [done[case.id] for case in cases]
+
+
+def append_line(path: Path, line: dict[str, Any]) -> None:
+    """Add a line to a JSON-lines file, which is made where there is none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line, allow_nan=False) + "\n")
 
 
 def read_lines(path: Path) -> dict[str, dict[str, Any]]:

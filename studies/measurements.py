@@ -19,7 +19,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.math.points import kabsch
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.geometry import DhError, JointZero
-from studies.commands import Figures, Show, arm_option, arms_option, study_command
+from studies.commands import Figures, Show, arm_option, arms_option, each_arm, study_command
 
 ROWS = (15, 20, 30, 45, 70, 110, 170, 260)
 """Rows that are fitted."""
@@ -97,7 +97,7 @@ def errors_by_rows(arm: Arm, seed: int, counts: Sequence[int] = ROWS) -> dict[st
     rows = len(arm.joints)
     scale = np.array([ROW_RAD, ROW_M, ROW_RAD, ROW_M])[:, None]
     hidden = (
-        JointZero(ZERO_RAD * rng.standard_normal(arm.n) * _turning(arm)),
+        JointZero(ZERO_RAD * rng.standard_normal(arm.n) * ~arm.slides),
         DhError(0.5 * scale * rng.standard_normal((4, rows))),
     )
     true = TrueArm(arm, hidden)
@@ -167,10 +167,6 @@ def joints_at(arm: Arm, true: TrueArm, points: np.ndarray, rng: np.random.Genera
     return found
 
 
-def _turning(arm: Arm) -> np.ndarray:
-    return np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded], float)
-
-
 def table(found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int]) -> list[dict[str, Any]]:
     """Rows of the table: median error over the arms in mm, by count and kind."""
     middle = {kind: np.median([one[kind] for one in found], axis=0) for kind in KINDS}
@@ -219,10 +215,7 @@ def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
     Example:
       longarm study measurements --arms 5
     """
-    found = []
-    for k in range(arms):
-        found.append(errors_by_rows(arm, seed + k))
-        show(f"{k + 1} of {arms} arms", (k + 1) / arms)
+    found = [errors_by_rows(arm, seed + k) for k in each_arm(arms, show)]
     rows, least = table(found, ROWS), rows_needed(found, ROWS, (1e-3, 5e-4, 2.5e-4))
     return Figures(
         {"arms": arms, "seed": seed, "errors": rows, "needed": least},

@@ -114,9 +114,7 @@ class SupplySag(HiddenEffect):
     sag: float
 
     def held(self, torques: Array, state: State) -> Array:
-        turning = np.array(
-            [state.arm.joints[r - 1].type == "revolute" for r in state.arm.commanded]
-        )
+        turning = ~state.arm.slides
         drawn = np.abs(torques * turning).sum(axis=1, keepdims=True)
         return self.sag * torques * turning * drawn
 

@@ -8,7 +8,6 @@ in every place (no inertia: `longarm study ringing`).
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,11 +37,19 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
-from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
-from studies.loop import read_lines
+from studies.commands import (
+    Figures,
+    Show,
+    arm_option,
+    arms_option,
+    each_arm,
+    study_command,
+    whole_number,
+)
+from studies.loop import append_line, read_lines
 from studies.random_arms import random_arm
-from studies.true_camera import hidden
 
 SPEEDS = (0.05, 0.15, 0.5)
 """Mean speeds of the tip, m/s."""
@@ -106,7 +113,7 @@ class StudiedArm:
         effects = [hidden(name, arm, 1.0, rng) for name in ("joint_zero", "dh_error", *names)]
         half = sum((e.lag for e in effects if isinstance(e, FrictionHysteresis)), np.zeros(arm.n))
         kept = [e for e in effects if not isinstance(e, FrictionHysteresis)]
-        true = TrueArm(arm, [Play(), *(e for e in kept if isinstance(e, HiddenEffect))], steps=2)
+        true = TrueArm(arm, [Play(), *kept], steps=2)
         q, side = random_joints(arm, ROWS, rng), rng.choice([-1.0, 1.0], ROWS)
         clean = true.tip(q, TrueContext(behind=side[:, None] * half))
         seen = clean + NOISE_M * rng.standard_normal((ROWS, 3))
@@ -269,16 +276,12 @@ def command(arm: Arm, arms: int, paths: int, seed: int, output: Path | None, sho
     """
     done = read_lines(output) if output is not None else {}
     lines: list[dict[str, Any]] = []
-    for number in range(arms):
+    for number in each_arm(arms, show):
         case = {"id": f"{arm.hash[:12]} arm {number} seed {seed} paths {paths}"}
         if case["id"] not in done:
-            record = {"case": case, "lines": one_arm(arm, number, seed, paths)}
-            done[case["id"]] = record
+            done[case["id"]] = {"case": case, "lines": one_arm(arm, number, seed, paths)}
             if output is not None:
-                output.parent.mkdir(parents=True, exist_ok=True)
-                with output.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(record, allow_nan=False) + "\n")
-        show(f"{number + 1} of {arms} arms", (number + 1) / arms)
+                append_line(output, done[case["id"]])
         lines += done[case["id"]]["lines"]
     rows = table(lines)
     title = f"Deviation of the true tip from planned paths, {arms} arms"

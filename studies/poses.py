@@ -23,8 +23,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.planning.optimal_poses import Uncertainty, optimal_poses
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.hidden import catalogue
-from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.catalogue import hidden
 from studies.commands import Figures, Show, arm_option, arms_option, study_command
 
 COUNTS = (40, 60, 100, 200)
@@ -74,8 +73,7 @@ def one_arm(
 ) -> Iterator[PoseOutcome]:
     """Every way and count on one true arm, with the effect known and to be found."""
     rng = np.random.default_rng([seed, 5])
-    drawn = (catalogue.hidden(name, arm, 1.0, rng) for name in HIDDEN)
-    true = TrueArm(arm, [effect for effect in drawn if isinstance(effect, HiddenEffect)])
+    true = TrueArm(arm, [hidden(name, arm, 1.0, rng) for name in HIDDEN])
     fresh = random_joints(arm, FRESH, rng)
     where = true.tip(fresh, TrueContext())
     for n in counts:

@@ -36,14 +36,14 @@ from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.catalogue import draw, hidden
+from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.loads import JointCompliance
 from longarm_comp.sim.plant import Plant, PlantConfig, mounting
 from longarm_comp.sim.servo_emulator.joints import read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
 from studies.commands import Figures, Show, study_command, whole_number
 from studies.simulated import TrueEncoders, measure_session
-from studies.true_camera import TrueCamera
+from studies.true_camera import TrueCamera, draw_geometry_errors
 
 SIZE_MM = 8.0
 """Shift of the tip, as in the demonstration."""
@@ -133,19 +133,13 @@ def measure(
     load_kg: float = PAYLOADS_KG[1],
 ) -> Session:
     """A session of a simulated arm with wrong geometry too, empty and loaded, its motors read."""
-    true = TrueArm(arm, [*effects, *_misbuilt(arm, rng)], steps=4)
+    true = TrueArm(arm, [*effects, *draw_geometry_errors(arm, 1.0, rng)], steps=4)
     zero = rng.normal(0.0, 1e-3, arm.n)
     q = sobol(arm, rows, rng).q
     return measure_session(
         true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders(zero=zero),
         payload_kg=rng.choice([PAYLOADS_KG[0], load_kg], rows),
-    ).session()  # fmt: skip
-
-
-def _misbuilt(arm: Arm, rng: np.random.Generator) -> list[HiddenEffect]:
-    """Wrong geometry of typical size."""
-    made = [hidden(n, arm, 1.0, rng) for n in ("joint_zero", "dh_error", "base_pose")]
-    return [effect for effect in made if isinstance(effect, HiddenEffect)]
+    ).session  # fmt: skip
 
 
 def at_joint(
@@ -171,11 +165,10 @@ def tip(arm: Arm, rows: int = 150) -> dict[str, Any]:
     """
     rng = np.random.default_rng(26)
     droop, friction = (draw(n, arm, rng, 3.0) for n in ("servo_droop", "friction_hysteresis"))
-    assert isinstance(droop, HiddenEffect) and isinstance(friction, HiddenEffect)
-    true = TrueArm(arm, [droop, friction, *_misbuilt(arm, rng)], steps=4)
+    true = TrueArm(arm, [droop, friction, *draw_geometry_errors(arm, 1.0, rng)], steps=4)
     q = sobol(arm, rows, rng).q
     measured = measure_session(true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders())
-    session = measured.session()
+    session = measured.session
     terms = (*(ServoDroop(row) for row in ServoDroop.rows(arm)), *geometry_terms(arm, session))
     model = fit_model(declared_model(arm).plus(*terms), session).model
     q = sobol(arm, 100, rng).q

@@ -50,13 +50,6 @@ class ArmCase:
     model: Model
     locked: tuple[int, ...] = ()
 
-    @property
-    def turning(self) -> np.ndarray:
-        """Numbers of the revolute joints."""
-        arm = self.model.arm
-        kinds = [arm.joints[row - 1].type for row in arm.commanded]
-        return np.flatnonzero(np.array(kinds) == "revolute")
-
     def targets(self, count: int, rng: np.random.Generator, pose: bool) -> StudyTargets:
         """Tips at random joints; the ideal joints for them are found from mid-range."""
         arm, locked = self.model.arm, list(self.locked)
@@ -109,9 +102,7 @@ class StudyTargets:
 def cases(base: Arm, steps: int) -> list[ArmCase]:
     """Variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
     whole = _with_steps(base, steps)
-    slides = [
-        k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
-    ]
+    slides: list[int] = np.flatnonzero(whole.slides).tolist()
     model = declared_model(whole).commandable
     drawn = [
         ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
@@ -174,13 +165,13 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
     rows: list[dict[str, object]] = []
 
     def add(name: object, error: np.ndarray, at: np.ndarray, path: np.ndarray) -> None:
-        between = np.abs(np.diff(path[:, case.turning], axis=0)).max()  # neighbours of the path
+        steps = np.diff(path, axis=0)[:, ~case.model.arm.slides]  # between neighbours of the path
         rows.append(
             {
                 "price_mm_per_deg": name,
                 "mean_mm": 1e3 * error[:, 0].mean(),
                 "moved_deg": _largest_offset_deg(case, single, at),
-                "path_move_deg": float(np.degrees(between)),
+                "path_move_deg": float(np.degrees(np.abs(steps).max())),
             }
         )
 
@@ -204,7 +195,7 @@ def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict
     truth = [("as declared", arm.steps, right, case.model)]
     for true in WRONG_STEPS:
         wrong = arm.steps.copy()
-        wrong[case.turning] *= steps / true
+        wrong[~arm.slides] *= steps / true
         truth.append((f"{true} steps a turn", wrong, right, case.model))
     for share in WRONG_OFFSETS:
         offset = rng.uniform(-share, share, some) * arm.steps
@@ -250,7 +241,7 @@ def _line(case: ArmCase, seed: int) -> StudyTargets:
 
 def _largest_offset_deg(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
     """Return the largest move (deg) of a revolute joint from its ideal, mean over targets."""
-    return float(np.degrees(np.abs(q - got.ideal)[:, case.turning].max(axis=1).mean()))
+    return float(np.degrees(np.abs(q - got.ideal)[:, ~case.model.arm.slides].max(axis=1).mean()))
 
 
 @study_command(

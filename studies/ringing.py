@@ -26,7 +26,15 @@ from longarm_comp.core.vibration.shaper import shaper_of, way_modes
 from longarm_comp.math.shaper import Way
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.ringing import Ringing
-from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
+from studies.commands import (
+    Figures,
+    Show,
+    arm_option,
+    arms_option,
+    each_arm,
+    study_command,
+    whole_number,
+)
 from studies.path import ELASTIC, StudiedArm
 
 SAG_M = 0.02
@@ -166,10 +174,6 @@ def command(arm: Arm, arms: int, moves: int, seed: int, show: Show) -> Figures:
     Example:
       longarm study ringing --arms 8
     """
-    lines: list[dict[str, Any]] = []
-    for number in range(arms):
-        lines += one_arm(arm, number, seed, moves)
-        show(f"{number + 1} of {arms} arms", (number + 1) / arms)
-    rows = table(lines)
+    rows = table([line for k in each_arm(arms, show) for line in one_arm(arm, k, seed, moves)])
     title = f"Until the tip is within 0.1 mm, {arms} arms, {moves} moves each"
     return Figures({"rows": rows}, {title: rows})

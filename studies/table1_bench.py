@@ -40,9 +40,9 @@ from longarm_comp.workflows.train import training_rows
 from studies.extra import extra
 from studies.many import compensate_arrays
 from studies.peers import train_gaussian_process
-from studies.random_arms import Mix, paper_mix, random_arm
+from studies.random_arms import paper_mix, random_arm
 from studies.simulated import measure_session
-from studies.true_camera import TrueCamera, hidden
+from studies.true_camera import Hidden, TrueCamera, hidden, make_truth
 
 TARGETS = 40
 SAMPLES = (900, 300)
@@ -117,19 +117,15 @@ def with_effects(declared: Model, session: Session) -> Model:
     return explain_session(base, session, candidates).fit.model
 
 
-def without_steps(declared: Model, session: Session) -> Model:
-    """Return the declared model without the steps of the servos."""
-    return declared.commandable
-
-
 def as_printed(
     row: str, method: Method, paper: tuple[float, float], samples: int = 0
 ) -> RowSetting:
     """A row of the paper's Table I, by the paper's scheme."""
     learner = ssa_bp if samples else None
     return RowSetting(
-        row, method, samples, learner, without_steps, bool(samples), realisable=False, paper=paper
-    )
+        row, method, samples, learner, lambda declared, _: declared.commandable, bool(samples),
+        realisable=False, paper=paper,
+    )  # fmt: skip
 
 
 SETTINGS = (
@@ -173,10 +169,10 @@ COMPARISONS = (
 """Pairs of rows whose paired differences are reported."""
 
 
-def with_steps(arm: Arm, mix: Mix) -> Arm:
+def with_steps(arm: Arm, effects: Sequence[Hidden]) -> Arm:
     """The arm with the steps of its simulated servos declared."""
     data = arm.model_dump(mode="json", exclude_none=True)
-    for effect in mix.arm_side:
+    for effect in effects:
         if isinstance(effect, ServoQuantisation):
             for row, step in zip(arm.commanded, effect.step, strict=True):
                 if step:
@@ -224,22 +220,18 @@ class Bench:
         """
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, base)
-        mix = paper_mix(rng, arm)
-        arm = with_steps(arm, mix)
-        more = Mix.of(*(hidden(name, arm, 1.0, rng) for name in also))
-        mix = Mix(mix.arm_side + more.arm_side, mix.camera_side + more.camera_side)
-        true, camera = TrueArm(arm, mix.arm_side), TrueCamera.of(arm, mix.camera_side)
-        plan = _in_order(arm, poses, rng) if as_paper else grid(arm, poses, rng).q
-        measured = measure_session(
+        effects = paper_mix(rng, arm)
+        arm = with_steps(arm, effects)
+        more = (hidden(name, arm, 1.0, rng) for name in also)
+        true, camera = make_truth(arm, (*effects, *more))
+        if as_paper:
+            whole = paper_grid(arm)
+            plan = whole[np.sort(rng.permutation(len(whole))[:poses])]
+        else:
+            plan = grid(arm, poses, rng).q
+        session = measure_session(
             true, camera, plan, rng=rng, approach="below" if as_paper else "random"
-        ).columns
-        session = Session.record(
-            np.stack([measured[f"q{j + 1}"] for j in range(arm.n)], axis=1),
-            np.stack([measured[c] for c in "xyz"], axis=1),
-            approach=measured["approach"],
-            columns={k: measured[k] for k in ("t_s", "temperature_c", "payload_kg")},
-            source=f"arm {number}",
-        )
+        ).session
         declared = declared_model(arm)
         postures = random_joints(arm, TARGETS, rng)
         return cls(
@@ -250,7 +242,7 @@ class Bench:
             declared.rigid.pose(postures),
             postures,
             np.ones(TARGETS) if as_paper else rng.choice([-1.0, 1.0], TARGETS),
-            float(measured["temperature_c"][-1]),
+            float(session.columns["temperature_c"][-1]),
             arm.payload.mass_kg if arm.payload else 0.0,
             as_paper,
         )
@@ -298,11 +290,6 @@ class Bench:
             Errors.of(self.camera.seen(tip) - self.targets),
             sum(map(bool, sent.status)),
         )
-
-
-def _in_order(arm: Arm, poses: int, rng: np.random.Generator) -> np.ndarray:
-    whole = paper_grid(arm)
-    return np.asarray(whole[np.sort(rng.permutation(len(whole))[:poses])])
 
 
 def one_arm(

@@ -9,10 +9,11 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
+from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden import catalogue
 from longarm_comp.sim.hidden.base import Dosed, HiddenEffect
-from longarm_comp.sim.rods import rpy_matrix
+from longarm_comp.sim.rods import STEPS, rpy_matrix
 
 Array = np.ndarray
 
@@ -142,6 +143,27 @@ class TrueCamera:
 
 
 Hidden = HiddenEffect | CameraEffect
+
+
+def make_truth(
+    arm: Arm, effects: Sequence[Hidden], steps: int = STEPS
+) -> tuple[TrueArm, TrueCamera]:
+    """Return the arm and the head that sees it, each with the effects of its side, in order.
+
+    Args:
+        steps: of the rods, as in `TrueArm`.
+    """
+    on_arm = [e for e in effects if isinstance(e, HiddenEffect)]
+    seeing = [e for e in effects if isinstance(e, CameraEffect)]
+    return TrueArm(arm, on_arm, steps=steps), TrueCamera.of(arm, seeing)
+
+
+def draw_geometry_errors(arm: Arm, dose: float, rng: np.random.Generator) -> list[HiddenEffect]:
+    """Draw errors of joint zeros, of rows and of the base, `dose` times their typical size."""
+    names = ("joint_zero", "dh_error", "base_pose")
+    return [catalogue.hidden(name, arm, dose, rng) for name in names]
+
+
 HIDDEN: dict[str, Callable[[Arm, np.random.Generator], Hidden]] = {
     **catalogue.HIDDEN,
     "camera_pose": lambda arm, rng: CameraPose(rng.standard_normal(6) * ([2e-3] * 3 + [2e-3] * 3)),

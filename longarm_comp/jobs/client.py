@@ -212,7 +212,7 @@ class ArmClient(GraphClient):
         arm, gap = self.arm, np.abs(self.joints - q)
         k = int(np.argmax(gap / pace.tolerance))
         allowed = float(np.broadcast_to(pace.tolerance, gap.shape)[k])
-        unit = "m" if arm.joints[arm.commanded[k] - 1].type == "prismatic" else "rad"
+        unit = "m" if arm.slides[k] else "rad"
         said = f"{waited}: {arm.joint_names[k]} is {gap[k]:.2g} {unit} off, allowed {allowed:.2g}"
         if gap[k] <= allowed:
             return f"{said}, but does not stay there"

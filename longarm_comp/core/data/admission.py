@@ -199,10 +199,9 @@ def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
     endless = np.isinf(arm.bounds[1])
     # half a range; an endless joint may stand turns away, and so far it is another unit
     most = np.where(endless, 5.0 * np.pi, 0.5 * reach)
-    turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
     for kind, factor, hint in (
-        (turning, np.pi / 180, "radians (this looks like degrees)"),
-        (~turning, 1e-3, "metres (this looks like millimetres)"),
+        (~arm.slides, np.pi / 180, "radians (this looks like degrees)"),
+        (arm.slides, 1e-3, "metres (this looks like millimetres)"),
     ):
         far = (beyond > most) & kind
         if not far.any():

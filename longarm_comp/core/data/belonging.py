@@ -226,10 +226,10 @@ def mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
         yield f"x, y, z look written {times} {where} than their joints", moved
     mirrored = dataclasses.replace(session, xyz=xyz * (1.0, 1.0, -1.0))
     yield "x, y, z look mirrored: two of them are swapped or one is negated", mirrored
-    for j, row in enumerate(arm.commanded):
+    for j, slides in enumerate(arm.slides):
         name = f"q{j + 1} looks"
         yield f"{name} negated", joint(j, -q[:, j])
-        if arm.joints[row - 1].type != "revolute":
+        if slides:
             continue
         for text, angle in (("half a turn", np.pi), ("a quarter turn", np.pi / 2)):
             yield f"{name} offset by {text}", joint(j, q[:, j] - angle)
@@ -241,9 +241,8 @@ def mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
         order[[j, k]] = k, j
         swapped = dataclasses.replace(session, q=q[:, order])
         yield f"q{j + 1} and q{k + 1} look swapped", swapped
-    kinds = [arm.joints[row - 1].type for row in arm.commanded]
     for j, k in permutations(range(session.n), 2):
-        if kinds[j] != kinds[k] or not near(j, k):
+        if arm.slides[j] != arm.slides[k] or not near(j, k):
             continue
         for own, factor in product((1.0, -1.0), repeat=2):
             text = f"{'-' * (own < 0)}q{j + 1} {'-' if factor < 0 else '+'} q{k + 1}"

@@ -150,8 +150,7 @@ class ServoDroop(JointCompliance):
     """A proportional servo yields by torque / gain: `compliance` is 1 / gain, 0 where it slides."""
 
     def before(self, torques: Array, state: State) -> Array:
-        turning = np.array([j.type == "revolute" for j in state.arm.joints if j.commanded])
-        return turning * self.compliance * torques
+        return ~state.arm.slides * self.compliance * torques
 
 
 @dataclass(frozen=True)
