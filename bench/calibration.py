@@ -23,7 +23,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors, geometry_terms
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.model_fit import prior_widths
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
@@ -183,7 +183,7 @@ def _time_fit(
     begin = time.perf_counter()
     model = fit(start, session)
     seconds = time.perf_counter() - begin
-    return seconds, 1e3 * Errors.of(errors(model, held_out)).mean, len(start.slots)
+    return seconds, 1e3 * Errors.of(compute_tip_errors(model, held_out)).mean, len(start.slots)
 
 
 def _fit_by_differences(model: Model, session: Session) -> Model:

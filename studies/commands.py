@@ -106,7 +106,7 @@ arm_option = click.option(
 
 
 def whole_number(name: str, default: int, what: str, least: int = 1) -> Callable[..., Any]:
-    """An option for a whole number, at least ``least``."""
+    """Return an option for a whole number, at least ``least``."""
     return click.option(
         name, type=click.IntRange(min=least), default=default, show_default=True, help=what
     )
@@ -115,7 +115,7 @@ def whole_number(name: str, default: int, what: str, least: int = 1) -> Callable
 def arms_option(
     default: int, what: str = "Simulated arms, with other hidden errors each."
 ) -> Callable[..., Any]:
-    """The option ``--arms``, a number of arms."""
+    """Return the option ``--arms``, a number of arms."""
     return whole_number("--arms", default, what)
 
 

@@ -70,7 +70,7 @@ def set_up(arm: Arm, case: str, plan: str, seed: int, rows: int = ROWS) -> Setti
 
 
 def row(arm: Arm, case: str, plan: str, seed: int, network: bool) -> dict[str, Any]:
-    """Errors (rms, mm; on the plan and off it) of every stage, and what was found."""
+    """Return errors (rms, mm; on the plan and off it) of every stage, and what was found."""
     setting = set_up(arm, case, plan, seed)
     began = time.perf_counter()
     found = diagnose(

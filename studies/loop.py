@@ -20,7 +20,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.workflows.cluster import spread
+from longarm_comp.workflows.cluster import run_tasks
 from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
 from studies.extra import extra
 from studies.loop_cases import NAMES, Case, Design
@@ -87,7 +87,7 @@ def append_line(path: Path, line: dict[str, Any]) -> None:
 
 
 def read_lines(path: Path) -> dict[str, dict[str, Any]]:
-    """The lines of a file by case; empty if there is no file.
+    """Return the lines of a file by case; empty if there is no file.
 
     An incomplete last line is removed from the file.
 
@@ -113,7 +113,7 @@ def read_lines(path: Path) -> dict[str, dict[str, Any]]:
 def _run_cases(
     cases: Sequence[Case], arm: Arm, jobs: int, dask: str | None
 ) -> Iterator[dict[str, Any]]:
-    """The line of each case as it is done."""
+    """Yield the line of each case as it is done."""
     if dask is None:
         with extra():
             from joblib import Parallel, delayed
@@ -123,7 +123,7 @@ def _run_cases(
         return
     workers = jobs if jobs > 0 else os.cpu_count() or 1
     tasks = [(case, arm) for case in cases]
-    for (case, _), made in spread(run_case, tasks, dask, workers=workers, asked="study loop"):
+    for (case, _), made in run_tasks(run_case, tasks, dask, workers=workers, asked="study loop"):
         if isinstance(made, LongarmError):
             made = {"case": case.as_dict(), "error": str(made)}
         yield made

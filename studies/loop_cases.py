@@ -86,7 +86,7 @@ class Case:
         return np.random.default_rng(list(hashlib.sha256(self.id.encode()).digest()))
 
     def as_dict(self) -> dict[str, object]:
-        """Fields of a JSON line."""
+        """Return fields of a JSON line."""
         return {**dataclasses.asdict(self), "effects": list(self.effects), "id": self.id}
 
 
@@ -124,7 +124,7 @@ class Design:
                 raise InputError("study loop", name, getattr(self, name), "at least 1")
 
     def cases(self) -> list[Case]:
-        """All cases. Repetitions are the outer loop, so that a part is a fair sample."""
+        """Return all cases. Repetitions are the outer loop, so that a part is a fair sample."""
         drawn = []
         for number, arm in itertools.product(range(self.repeats), range(self.arms)):
             for plan, rows, noise in itertools.product(self.plans, self.rows, self.noises):

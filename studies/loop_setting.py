@@ -129,7 +129,7 @@ class _Gauge:
         return eye.seen(true.tip(self.q, self.context), self.t_s)
 
     def visibility(self, effect: Hidden) -> float:
-        """Remaining size in units of the noise over the smallest detectable size.
+        """Return remaining size in units of the noise over the smallest detectable size.
 
         Detectable is what an ideal observer finds who knows the shape of each of `CANDIDATES`
         effects, asks for odds of 20 and pays half a log of the number of readings per
@@ -144,7 +144,7 @@ class _Gauge:
         return math.sqrt(max(left, 0.0) / needed)
 
     def scale_to_visible(self, effect: Hidden, rng: np.random.Generator) -> tuple[Hidden, float]:
-        """The effect scaled to a random visibility of 1.25 to 3, at most 6 times typical."""
+        """Return the effect scaled to a random visibility of 1.25 to 3, at most 6 times typical."""
         wanted = float(np.exp(rng.uniform(np.log(1.25), np.log(3.0))))
         now = self.visibility(effect)
         if now < wanted and now > 0:

@@ -19,7 +19,7 @@ WORSE = 1.1
 
 
 def share(of: str, measure: str, answers: Iterable[bool | None]) -> Row | None:
-    """One row from the answers that are not None; None without any."""
+    """Return one row from the answers that are not None; None without any."""
     counted = [bool(a) for a in answers if a is not None]
     if not counted:
         return None
@@ -94,7 +94,7 @@ _MEASURES: dict[str, tuple[Measure, ...]] = {
 
 
 def summary(lines: Sequence[Line]) -> list[Row]:
-    """All shares, and the medians of the error ratios, of the cases that ran."""
+    """Return all shares, and the medians of the error ratios, of the cases that ran."""
     rows: list[Row | None] = []
     kinds: dict[tuple[str, str, int, bool], list[Line]] = {}
     for line in _ran(lines):
@@ -111,7 +111,7 @@ def summary(lines: Sequence[Line]) -> list[Row]:
 
 
 def by_effect(lines: Sequence[Line]) -> list[Row]:
-    """Visible single effects: one row per effect, plan and sample size."""
+    """Return visible single effects: one row per effect, plan and sample size."""
     kinds: dict[tuple[str, str, int], list[Line]] = {}
     for line in _ran(lines):
         case = line["case"]
@@ -139,7 +139,7 @@ def by_effect(lines: Sequence[Line]) -> list[Row]:
 
 
 def reliability(lines: Sequence[Line]) -> list[Row]:
-    """Names as probable as they were called, against how many of them were hidden.
+    """Return names as probable as they were called, against how many of them were hidden.
 
     Of sessions whose causes are all in the library. Every name of every finding counts, at its
     probability there; between 0.95 and 1 it is a single name.
@@ -160,7 +160,7 @@ def reliability(lines: Sequence[Line]) -> list[Row]:
 
 
 def failures(lines: Sequence[Line]) -> list[str]:
-    """One line per case that ended with an error."""
+    """Return one line per case that ended with an error."""
     return [f"{x['case']['id']}: {x['error']}" for x in lines if "error" in x]
 
 

@@ -227,7 +227,7 @@ class WindowGlass(CameraEffect):
 
 
 def outside(arm: Arm) -> dict[str, HiddenEffect | CameraEffect]:
-    """One of each for the demonstration's arm, moving its tip by about 1 to 3 mm."""
+    """Return one of each for the demonstration's arm, moving its tip by about 1 to 3 mm."""
     return {
         "hose_pull": HosePull(row=5, first=1, second=4, pull=24.0),
         "supply_sag": SupplySag(sag=2.5e-4),

@@ -69,12 +69,12 @@ class Play(HiddenEffect):
     """Joints stand behind their commands by what the context says, as `lagging` computes it."""
 
     def joints(self, q: np.ndarray, state: State) -> np.ndarray:
-        """The commands less that."""
+        """Return the commands less that."""
         return np.asarray(q - state.behind)
 
 
 def lagging(q: np.ndarray, half: np.ndarray, behind: np.ndarray) -> np.ndarray:
-    """(M, n): how far joints stand behind commands (M, n) one after the other.
+    """Return (M, n): how far joints stand behind commands (M, n) one after the other.
 
     Play of `half` (n,) to either side; before the first command they stand `behind` (n,).
     """
@@ -107,7 +107,7 @@ class StudiedArm:
 
     @classmethod
     def draw(cls, declared: Arm, number: int, seed: int, names: Sequence[str]) -> StudiedArm:
-        """Random lengths and stiffness, hidden effects whose kinds the calibration is told."""
+        """Draw lengths and stiffness, and hidden effects whose kinds the calibration is told."""
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, declared)
         effects = [hidden(name, arm, 1.0, rng) for name in ("joint_zero", "dh_error", *names)]
@@ -125,7 +125,7 @@ class StudiedArm:
 
 
 def way(arm: Arm, kind: str, speed: float, rng: np.random.Generator) -> Way:
-    """A random path of the declared arm from rest to rest at a mean speed of the tip, m/s.
+    """Return a random path of the declared arm from rest to rest at a mean speed of the tip, m/s.
 
     A line ends at the tips of two random postures, an arc runs through those of three.
     """
@@ -153,7 +153,7 @@ def way(arm: Arm, kind: str, speed: float, rng: np.random.Generator) -> Way:
 
 
 def through(a: np.ndarray, b: np.ndarray, c: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(M, 3) points at shares (M,) of the arc of the circle from a through b to c; of a line."""
+    """Return points (M, 3) at shares (M,) of the arc from a through b to c, or of the line."""
     chord, half = c - a, b - 0.5 * (a + c)
     along = chord / np.linalg.norm(chord)
     rise = half - (half @ along) * along
@@ -193,7 +193,7 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
 def deviation(
     studied: StudiedArm, path: CubicPath, curve: np.ndarray, sides: np.ndarray
 ) -> np.ndarray:
-    """(M,) m: distance of the true tip from the curve; joints came to its start from sides (n,)."""
+    """Compute distances (M,), m, of the true tip from the curve; joints came from sides (n,)."""
     count = _LOOKED_AT * (len(path.times) - 1) + 1
     joints = path.at(
         np.interp(np.arange(count) / _LOOKED_AT, np.arange(len(path.times)), path.times)
@@ -209,7 +209,7 @@ def deviation(
 
 
 def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, Any]]:
-    """`each` paths of every kind and speed on one arm."""
+    """Return `each` paths of every kind and speed on one arm."""
     names = (*ELASTIC, PLAY) if number % 2 else ELASTIC
     studied = StudiedArm.draw(declared, number, seed, names)
     known = Context(**History.unknown(studied.arm.n).fields())
@@ -225,7 +225,7 @@ def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, 
 
 
 def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row a kind and speed, with play and without; lengths in mm."""
+    """Return one row a kind and speed, with play and without; lengths in mm."""
     rows = []
     for play in (False, True):
         for kind in KINDS:

@@ -17,7 +17,7 @@ _STEPS = 2  # sizes need no nanometres
 
 
 def random_arm(rng: np.random.Generator, base: Arm) -> Arm:
-    """An arm like `base`: lengths by row, sections, masses and stiffness vary.
+    """Return an arm like `base`: lengths by row, sections, masses and stiffness vary.
 
     Lengths +-12 %, wall diameters +-4 %, masses +-20 %, stiffness +-20 % in common and +-8 %
     by beam; joints, limits and camera as in `base`.
@@ -50,7 +50,7 @@ def random_arm(rng: np.random.Generator, base: Arm) -> Arm:
 def paper_mix(
     rng: np.random.Generator, arm: Arm, *, deflection_only_mm: float = 15.4, mean_z_mm: float = 1.0
 ) -> tuple[Hidden, ...]:
-    """Typical effects of a printed arm with hobby servos, sized as in the paper's Table I.
+    """Return typical effects of a printed arm with hobby servos, sized as in the paper's Table I.
 
     Pot gains, gear eccentricity, servo steps, backlash with a load gate, friction and telescope
     clearance, and some lens distortion; joints that lift err most.  One common dose makes the
@@ -106,7 +106,7 @@ def paper_mix(
 
 
 def _moves(arm: Arm, poses: Array) -> Array:
-    """Travel of the tip per unit of each joint, (n, N, 3)."""
+    """Return the travel of the tip per unit of each joint, (n, N, 3)."""
     true, step = TrueArm(arm, steps=_STEPS), 1e-3
     steps = step * np.eye(arm.n)
     return np.stack([(true.tip(poses + s) - true.tip(poses - s)) / (2 * step) for s in steps])

@@ -38,7 +38,7 @@ from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.loads import JointCompliance
-from longarm_comp.sim.plant import Plant, PlantConfig, mounting
+from longarm_comp.sim.plant import Plant, PlantConfig, mount_plate
 from longarm_comp.sim.servo_emulator.joints import read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
 from studies.commands import Figures, Show, study_command, whole_number
@@ -60,7 +60,7 @@ every true name in a set and nothing beside; or else."""
 
 
 def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator[dict[str, Any]]:
-    """A row a case: planted at one joint, at a share of the size; what the diagnosis says.
+    """Yield a row a case: planted at one joint, at a share of the size; what the diagnosis says.
 
     Besides what that is (`SAID`): whether the servos' names are right.
     """
@@ -89,7 +89,7 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
 
 
 def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
-    """A row a soft joint and session: how sure its name is on average over the noise.
+    """Yield a row a soft joint and session: how sure its name is on average over the noise.
 
     `name` is its probability among all names, `rival` the next, both with their priors.
     """
@@ -132,7 +132,7 @@ def measure(
     rows: int,
     load_kg: float = PAYLOADS_KG[1],
 ) -> Session:
-    """A session of a simulated arm with wrong geometry too, empty and loaded, its motors read."""
+    """Measure a simulated arm with wrong geometry too, empty and loaded, its motors read."""
     true = TrueArm(arm, [*effects, *draw_geometry_errors(arm, 1.0, rng)], steps=4)
     zero = rng.normal(0.0, 1e-3, arm.n)
     q = sobol(arm, rows, rng).q
@@ -145,7 +145,7 @@ def measure(
 def at_joint(
     joint: int, name: str, arm: Arm, size_mm: float, rng: np.random.Generator
 ) -> HiddenEffect:
-    """Droop or softness of one joint, of a size at the tip."""
+    """Return droop or softness of one joint, of a size at the tip."""
     place = np.array([float(row == joint) for row in arm.commanded])
     made: HiddenEffect = JointCompliance(1e-3 * place)
     if name == "servo_droop":
@@ -159,7 +159,7 @@ def at_joint(
 
 
 def tip(arm: Arm, rows: int = 150) -> dict[str, Any]:
-    """Error of the tip by command and by readings, mm, of servos that droop and stick.
+    """Return the error of the tip by command and by readings, mm, of servos that droop and stick.
 
     The model knows neither: it was fitted to the same arm's geometry and readings.
     """
@@ -209,7 +209,7 @@ class SaggingArm:
             read_arm(folder / "servo_driver.yaml"),
             CameraPair(position_m=(0.75, -1.7, 0.3), optical_axis=(0.0, 1.0, 0.0)),
             tag_plate(0.06, 0.012, 2, 2),
-            mounting([0.0, 0.0, 0.0]),
+            mount_plate([0.0, 0.0, 0.0]),
             (drives.ServoDroop(2.3e-3 * turns), drives.ServoDeadband(3e-4 * turns, 0.05)),
             MotorSpec(encoder_zero_ticks=off),
         )
@@ -240,7 +240,7 @@ class SaggingArm:
                 return said[0]
 
     def miss(self, q: np.ndarray) -> float:
-        """Distance (m) of the tip from where joints (n,) would bring it that do not give way."""
+        """Return the tip's distance (m) from where stiff joints (n,) would bring it."""
         want = self._sound.tip(q, TrueContext(payload_kg=0.0)).ravel()
         return float(np.linalg.norm(self.plant.tip_pose(0.0)[:3, 3] - want))
 
@@ -251,7 +251,7 @@ class SaggingArm:
 
 
 def run_moves(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, Any]:
-    """Moves of an arm whose servos droop by 8 mm: true miss (mm) and time (s)."""
+    """Run moves of an arm whose servos droop by 8 mm: true miss (mm) and time (s)."""
     rig, off, took = SaggingArm(folder, scratch, trim), [], []
     steps = rig.arm.steps
     for q in np.round(sobol(rig.arm, moves + 1, np.random.default_rng(2)).q[1:] / steps) * steps:

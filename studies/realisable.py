@@ -51,7 +51,7 @@ class ArmCase:
     locked: tuple[int, ...] = ()
 
     def targets(self, count: int, rng: np.random.Generator, pose: bool) -> StudyTargets:
-        """Tips at random joints; the ideal joints for them are found from mid-range."""
+        """Return tips at random joints; the ideal joints for them are found from mid-range."""
         arm, locked = self.model.arm, list(self.locked)
         q = rng.uniform(arm.lower, arm.upper, (4 * count, arm.n))
         q[:, locked] = arm.mid[locked]
@@ -71,13 +71,13 @@ class StudyTargets:
     ideal: np.ndarray
 
     def search(self, **options: Any) -> Search:
-        """The default options with some replaced."""
+        """Return the default options with some replaced."""
         pose = self.requested.ndim == 3
         length = POSE_LENGTH_M if pose else characteristic_length(self.case.model)
         return Search(length, **options)
 
     def choose(self, rows: slice = slice(None), **options: Any) -> SimpleNamespace:
-        """The joints chosen for some of the targets."""
+        """Return the joints chosen for some of the targets."""
         case = self.case
         return choose_arrays(
             case.model.arm,
@@ -90,7 +90,7 @@ class StudyTargets:
         )
 
     def seconds(self) -> float:
-        """Processor time of a target: the median over targets, each the best of several runs."""
+        """Time a target on the processor: median over targets, each the best of several runs."""
         single = np.empty((len(self.ideal), TIMINGS))
         for i, run in np.ndindex(*single.shape):
             began = time.process_time()
@@ -100,7 +100,7 @@ class StudyTargets:
 
 
 def cases(base: Arm, steps: int) -> list[ArmCase]:
-    """Variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
+    """Return variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
     whole = _with_steps(base, steps)
     slides: list[int] = np.flatnonzero(whole.slides).tolist()
     model = declared_model(whole).commandable
@@ -128,7 +128,7 @@ def _with_steps(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
 
 
 def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
-    """Arms with few and many joints, positions and poses."""
+    """Tabulate arms with few and many joints, positions and poses."""
     rows: list[dict[str, object]] = []
     for case in cases(base, steps):
         ik.warm_up(case.model)
@@ -223,7 +223,7 @@ def _whole(base: Arm, steps: int) -> ArmCase:
 
 
 def _line(case: ArmCase, seed: int) -> StudyTargets:
-    """A straight line between two tips, a target every `PATH_STEP_M`, each from the one before."""
+    """Lay a straight line between two tips, a target every `PATH_STEP_M`, each from the last."""
     arm, rng = case.model.arm, np.random.default_rng(seed)
     while True:
         q = rng.uniform(arm.lower, arm.upper, (2, arm.n))

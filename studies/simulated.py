@@ -26,7 +26,7 @@ class TrueEncoders:
     sigma: Array | float = 0.0
 
     def read(self, shafts: Array, rng: np.random.Generator) -> Array:
-        """(N, n) readings of where the motors stand."""
+        """Return (N, n) readings of where the motors stand."""
         seen = (1.0 + self.scale) * shafts + self.zero
         seen = seen + self.sigma * rng.standard_normal(shafts.shape)
         return np.asarray(np.round(seen / self.step) * self.step)
@@ -113,7 +113,7 @@ def measure_session(
 
 
 def arrival(q: Array, written: Array) -> Array:
-    """Side (N, n) of -1, 0, +1 that each joint arrived from: below is +1.
+    """Return the side (N, n) of -1, 0, +1 that each joint arrived from: below is +1.
 
     A row's written side (N,) holds for all joints. If it is blank (NaN), it follows from the motion
     of each joint; a joint that did not move keeps its side.
@@ -156,6 +156,6 @@ def _written_side(approach: _Approach, order: Array, rng: np.random.Generator) -
 
 
 def _warming(t: Array, start_c: float, rise: float, rng: np.random.Generator) -> Array:
-    """Temperature of room and motors, rising over hours with fluctuations, read to 0.03 K."""
+    """Draw temperatures of room and motors: a rise over hours, fluctuations, read to 0.03 K."""
     slow = rise * -np.expm1(-t / 5000) + 0.15 * rise * np.sin(2 * np.pi * t / 2500)
     return start_c + slow + 0.03 * rng.standard_normal(len(t))

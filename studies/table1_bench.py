@@ -92,7 +92,7 @@ class Outcome:
 
 
 def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """The paper's network: joints in, one member, and it never refuses."""
+    """Return the paper's network: joints in, one member, and it never refuses."""
     made = train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
     far = np.full_like(made.encoding.lower, np.inf)
     everywhere = replace(made.encoding, lower=-far, upper=far)
@@ -101,17 +101,17 @@ def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> 
 
 
 def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """This package's: joints and context in, an ensemble."""
+    """Return this package's: joints and context in, an ensemble."""
     return train(q, residual, context, hidden=HIDDEN, ensemble=3, seed=seed)
 
 
 def gaussian_process(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """A Gaussian process with the approach direction (common to all joints)."""
+    """Return a Gaussian process with the approach direction (common to all joints)."""
     return train_gaussian_process(q, residual, context, seed=seed)
 
 
 def with_effects(declared: Model, session: Session) -> Model:
-    """Calibrated, with the effects found on the training rows (`explain_session`)."""
+    """Calibrate, with the effects found on the training rows (`explain_session`)."""
     base = declared.plus(*geometry_terms(declared.arm, session))
     candidates = list_candidates(declared.arm, session.context(), declared=base.terms).testable
     return explain_session(base, session, candidates).fit.model
@@ -120,7 +120,7 @@ def with_effects(declared: Model, session: Session) -> Model:
 def as_printed(
     row: str, method: Method, paper: tuple[float, float], samples: int = 0
 ) -> RowSetting:
-    """A row of the paper's Table I, by the paper's scheme."""
+    """Return a row of the paper's Table I, by the paper's scheme."""
     learner = ssa_bp if samples else None
     return RowSetting(
         row, method, samples, learner, lambda declared, _: declared.commandable, bool(samples),
@@ -170,7 +170,7 @@ COMPARISONS = (
 
 
 def with_steps(arm: Arm, effects: Sequence[Hidden]) -> Arm:
-    """The arm with the steps of its simulated servos declared."""
+    """Return the arm with the steps of its simulated servos declared."""
     data = arm.model_dump(mode="json", exclude_none=True)
     for effect in effects:
         if isinstance(effect, ServoQuantisation):
@@ -211,7 +211,7 @@ class Bench:
         as_paper: bool = False,
         also: tuple[str, ...] = (),
     ) -> Bench:
-        """Arm number `number` of a study: geometry, hidden effects, session, targets.
+        """Return arm number `number` of a study: geometry, hidden effects, session, targets.
 
         Args:
             as_paper: every joint arrives from below, always; the grid is measured in its order, so
@@ -307,7 +307,7 @@ def one_arm(
 
 
 def fitted_once(settings: Sequence[RowSetting]) -> list[RowSetting]:
-    """The rows of one arm; a model that two of them share is fitted once."""
+    """Return the rows of one arm; a model that two of them share is fitted once."""
     fitted: dict[int, Model] = {}
 
     def once(declared: Model, session: Session) -> Model:

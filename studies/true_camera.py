@@ -22,7 +22,7 @@ class CameraEffect(Dosed):
     """Moves the seen point, not the arm. Points are in camera axes: x right, y down, z depth."""
 
     def seen(self, points: Array, t_s: Array) -> Array:
-        """Seen points (N, 3) m of true points (N, 3) m at times (N,) s."""
+        """Return seen points (N, 3) m of true points (N, 3) m at times (N,) s."""
         raise NotImplementedError
 
 
@@ -87,7 +87,7 @@ class Noise:
     tail_dof: float | None = None
 
     def draw(self, sight: Array, rng: np.random.Generator) -> Array:
-        """Errors (N, 3) m for lines of sight (N, 3)."""
+        """Return errors (N, 3) m for lines of sight (N, 3)."""
         raw = self.sigma_m * self._unit((len(sight), 3), rng)
         raw += self.depth_m * self._unit((len(sight), 1), rng) * sight
         for k in range(1, len(raw)):
@@ -116,7 +116,7 @@ class TrueCamera:
 
     @classmethod
     def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> TrueCamera:
-        """The declared head of an arm, upright."""
+        """Return the declared head of an arm, upright."""
         if arm.camera is None:
             raise InputError(arm.name, "camera", "missing", "position_m and optical_axis")
         z = np.asarray(arm.camera.optical_axis, float)
@@ -129,7 +129,7 @@ class TrueCamera:
         return cls(np.asarray(arm.camera.position_m, float), axes, tuple(effects))
 
     def seen(self, points: Array, t_s: Array | float = 0.0) -> Array:
-        """Noise-free report (N, 3) m of true points (N, 3) m, measuring-side effects included."""
+        """Report true points (N, 3) m without noise, (N, 3) m, with measuring-side effects."""
         t = np.broadcast_to(t_s, len(points)).astype(float)
         local = (points - self.position_m) @ self.axes.T
         for effect in self.effects:
@@ -137,7 +137,7 @@ class TrueCamera:
         return local @ self.axes + self.position_m
 
     def sight(self, points: Array) -> Array:
-        """Unit line of sight to each point, (N, 3)."""
+        """Return unit line of sight to each point, (N, 3)."""
         line = points - self.position_m
         return line / np.linalg.norm(line, axis=1, keepdims=True)
 
@@ -177,7 +177,7 @@ HIDDEN: dict[str, Callable[[Arm, np.random.Generator], Hidden]] = {
 
 
 def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden:
-    """An effect by name, `dose` times its typical size, at a random place."""
+    """Return an effect by name, `dose` times its typical size, at a random place."""
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
     made: Hidden = HIDDEN[name](arm, rng).scaled(dose)
@@ -195,7 +195,7 @@ def draw(
 
 
 def seen_tip(effect: Hidden, arm: Arm, poses: Array, context: TrueContext, sound: Array) -> Array:
-    """Seen tip (N, 3) with one effect; `sound` is the tip without it."""
+    """Return seen tip (N, 3) with one effect; `sound` is the tip without it."""
     if isinstance(effect, CameraEffect):
         return TrueCamera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
     return catalogue.moved_tip(effect, arm, poses, context, sound)

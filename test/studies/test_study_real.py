@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.read import read_session
 from longarm_comp.workflows.calibrate import calibrate
@@ -172,7 +172,9 @@ def test_the_rigid_fit_by_scipy_agrees_with_calibration(data_dir: Path) -> None:
     """Two codes that share nothing leave the same at rows that neither saw."""
     (wam,) = every_robot(data_dir)["wam"]
     own = OwnRigid.fit(wam.arm, wam.train).left(wam.held_out).mean()
-    ours = np.linalg.norm(errors(calibrate(wam.arm, wam.train).model, wam.held_out), axis=1).mean()
+    ours = np.linalg.norm(
+        compute_tip_errors(calibrate(wam.arm, wam.train).model, wam.held_out), axis=1
+    ).mean()
     assert own == pytest.approx(ours, rel=0.1)
 
 

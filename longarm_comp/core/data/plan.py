@@ -122,7 +122,7 @@ def random_targets(model: Model, n: int, rng: np.random.Generator | int = 0) -> 
 
 
 def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
-    """Shares 0..1 of the joint box as joints; the limits are hit exactly."""
+    """Return shares 0..1 of the joint box as joints; the limits are hit exactly."""
     return np.where(shares == 1.0, arm.upper, arm.lower + shares * (arm.upper - arm.lower))
 
 
@@ -152,7 +152,7 @@ def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) ->
 
 
 def _with_sides(arm: Arm, q: np.ndarray, rng: np.random.Generator) -> Plan:
-    """A side for every joint; what the caller draws next does not depend on how many there are."""
+    """Draw a side for every joint; what the caller draws next does not depend on their number."""
     common = Plan(q, rng.choice(np.array([-1, 1]), size=len(q)))
     return with_random_sides(arm, common, rng.spawn(1)[0])
 

@@ -183,7 +183,7 @@ def load(
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
-    """Checked header, and all arrays of the file, of any shape."""
+    """Return checked header, and all arrays of the file, of any shape."""
     try:
         said, arrays = (_read_packed if Path(path).suffix == _OTHERS else _read_zipped)(path)
         header = json.loads(said)
@@ -222,7 +222,7 @@ def _read_packed(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray
 
 
 def _digest(header: str, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """SHA-256 of what a file holds: safetensors has no checksum."""
+    """Return SHA-256 of what a file holds: safetensors has no checksum."""
     digest = hashlib.sha256(header.encode())
     for name in sorted(arrays):
         array = arrays[name]

@@ -19,7 +19,7 @@ _Maker = Callable[[Arm, np.random.Generator], HiddenEffect]
 
 
 def _turning(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Array:
-    """A draw per turning motor, 0 for sliding ones, (n,)."""
+    """Return a draw per turning motor, 0 for sliding ones, (n,)."""
     return ~arm.slides * rng.uniform(low, high, arm.n)
 
 
@@ -133,14 +133,14 @@ OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
 
 
 def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> HiddenEffect:
-    """An effect by name, `dose` times its typical size, at a random place."""
+    """Return an effect by name, `dose` times its typical size, at a random place."""
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
     return HIDDEN[name](arm, rng).scaled(dose)
 
 
 def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> HiddenEffect:
-    """An effect by name, scaled so that it shifts the tip by about `size_mm` rms.
+    """Return an effect by name, scaled so that it shifts the tip by about `size_mm` rms.
 
     Servo steps exist only in a few sizes, so the nearest of them is taken.
     """
@@ -150,7 +150,7 @@ def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> Hidde
 def moved_tip(
     effect: HiddenEffect, arm: Arm, poses: Array, context: TrueContext, sound: Array
 ) -> Array:
-    """Tip (N, 3) with one effect; `sound` is the tip without it."""
+    """Return the tip (N, 3) with one effect; `sound` is the tip without it."""
     return TrueArm(arm, [effect], steps=QUICK_STEPS).tip(poses, context)
 
 
@@ -184,7 +184,7 @@ def scale_to_size(
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> TrueContext:
-    """Random approach, winding and ways, two hours, some warming."""
+    """Return random approach, winding and ways, two hours, some warming."""
     return TrueContext(
         approach=np.repeat(_signs(rng, postures)[:, None], arm.n, axis=1),
         temperature_c=arm.reference_temperature_c + rng.uniform(0, 12, postures),

@@ -62,7 +62,7 @@ class ServoQuantisation(HiddenEffect):
     step: Array
 
     def scaled(self, dose: float) -> ServoQuantisation:
-        """Steps about `dose` times as large, of servos that exist (`STEPS_PER_TURN`)."""
+        """Return steps about `dose` times as large, of servos that exist (`STEPS_PER_TURN`)."""
         if dose == 0.0:
             return ServoQuantisation(0 * self.step)
         sold = 2 * np.pi / np.array(STEPS_PER_TURN)
