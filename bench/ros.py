@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class Figures:
-    """What was measured.
+    """The measured times and rates.
 
     Attributes:
         ms: (blocks, calls) of each call of `Calls`, by name.

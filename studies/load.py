@@ -38,7 +38,7 @@ SCATTER = 0.3
 
 @dataclass(frozen=True)
 class Weighed:
-    """After a rest: what is carried, what is felt, whether it tells a payload from none."""
+    """The outcome of a rest: what is carried, what is felt, whether that tells a payload."""
 
     rest: int
     kg: float

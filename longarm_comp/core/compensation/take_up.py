@@ -35,7 +35,7 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
 @dataclass(frozen=True, eq=False)
 class TakeUp:
-    """How play is taken up along a path of a model's arm.
+    """The way in which play is taken up along a path of a model's arm.
 
     Attributes:
         model: the physics that commands are solved with.

@@ -150,7 +150,7 @@ class _Fit:
 
 @dataclass(frozen=True)
 class _Learner:
-    """What networks are trained on, and how."""
+    """The rows that networks are trained on, and the settings of the training."""
 
     x: Array  # x, target: (N, d) inputs and (N, 3) residual, standardised
     target: Array

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LearnedGain:
-    """What a network brought on rows that were left out of its training, lengths in m."""
+    """The gain by a network on rows that were left out of its training, lengths in m."""
 
     without: float = math.inf  # mean error that the physics alone leaves
     left: float = 0.0  # with the network
@@ -55,7 +55,7 @@ class LearnedGain:
 
     @property
     def helps(self) -> bool:
-        """Whether the error falls beyond chance."""
+        """True if the error falls beyond chance."""
         return self.low > 0.0
 
     def __str__(self) -> str:
@@ -76,7 +76,7 @@ class Provenance:
 
     @property
     def beside_deflection(self) -> bool:
-        """Whether it learned the residual of the physics with link deflection."""
+        """True if it learned the residual of the physics with link deflection."""
         return bool(self.settings.get("deflection", True))
 
 

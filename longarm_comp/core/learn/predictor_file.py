@@ -49,7 +49,7 @@ class _Network(Declared):
 
 
 class _Header(Declared):
-    """What a file says in JSON beside its arrays."""
+    """The part of a file that is JSON, beside its arrays."""
 
     format: Literal["longarm/predictor"]
     version: Literal[1]

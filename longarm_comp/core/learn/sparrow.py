@@ -105,7 +105,7 @@ class SparrowSearch:
 
     @property
     def evaluations(self) -> int:
-        """Of the fitness, in one search."""
+        """The number of evaluations of the fitness in one search."""
         return self.population + self.iterations * (self.population + self._watchers)
 
     @property

@@ -94,7 +94,9 @@ class Uncertainty:
         sigma: tuple[float, float],
         pool: Plan | None = None,
     ) -> Uncertainty:
-        """Before any measurement, or after a session; errors as of `fit_model`.
+        """Find what is unknown before any measurement, or after a session.
+
+        It raises what `fit_model` raises.
 
         Effects of circumstances that no plan tells, as of a recorded column, count as known.
 

@@ -83,7 +83,7 @@ class Motor:
 
     @property
     def way(self) -> float:
-        """How far the horn has come since it last stood or turned, ticks."""
+        """The way of the horn since it last stood or turned, ticks."""
         return self.position - self._stood
 
     def switch(self, on: bool) -> None:
