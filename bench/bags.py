@@ -151,6 +151,6 @@ def read_large(size: int = LONG_BYTES) -> Result:
     )
 
 
-def _bytes_per_message(path: Path, count: int = 5_000) -> float:
-    write_raw(path, recording(demo_arm()), count)
+def _bytes_per_message(path: Path) -> float:
+    count = write_raw(path, recording(demo_arm()), 5_000)
     return sum(file.stat().st_size for file in path.iterdir()) / count

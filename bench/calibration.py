@@ -8,19 +8,22 @@ of each is given with its time, since a ratio counts only if the error is not wo
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from bench.arms import demo_arm
-from bench.calibration_peers import by_finite_differences, pybotics
 from bench.comparison import Result, alone, beside, missing
+from bench.peer_process import PeerProcess
 from bench.subprocess_cost import Cost, cost_of
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors, geometry_terms
 from longarm_comp.core.calibration.fit import fit_model
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.calibration.model_fit import prior_widths
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
@@ -53,16 +56,12 @@ def _start(arm: Arm, session: Session, *, rigid: bool = False) -> Model:
     return base.plus(*geometry_terms(arm, session))
 
 
-def _held_out_mm(model: Model, session: Session) -> float:
-    return 1e3 * Errors.of(errors(model, session)).mean
-
-
 # ------------------------------------------------------------------ run in processes of their own
 
 
 def fit_once(samples: int, name: str = "demo", rigid: bool = False) -> dict[str, float]:
     """Fit one synthetic session. Returns the seconds of the fit without generating the data."""
-    arm = _arm(name)
+    arm = demo_arm() if name == "demo" else declared_arm(name)
     session = synthetic_session(arm, samples, rigid=rigid)
     start, used = _start(arm, session, rigid=rigid), time.process_time()
     fitted = fit_model(start, session)
@@ -72,10 +71,6 @@ def fit_once(samples: int, name: str = "demo", rigid: bool = False) -> dict[str,
         "parameters": len(fitted.slots),
         "converged": float(fitted.converged),
     }
-
-
-def _arm(name: str) -> Arm:
-    return demo_arm() if name == "demo" else declared_arm(name)
 
 
 # ------------------------------------------------------------------ against samples and joints
@@ -136,54 +131,90 @@ def against_joints() -> Result:
 
 def beside_scipy(samples: int = 300, repeats: int = 3, *, rigid: bool = False) -> Result:
     """Everything that is always fitted, against finite differences; the arm sags unless rigid."""
-    arm = demo_arm()
-    held_out = synthetic_session(arm, 512, 99, rigid=rigid)
-    ours, theirs, left = [], [], ([], [])  # type: ignore[var-annotated]
-    for seed in range(repeats):
-        session = synthetic_session(arm, samples, seed, rigid=rigid)
-        start, sigma = _start(arm, session, rigid=rigid), NOISE_M
-        begin = time.perf_counter()
-        mine = fit_model(start, session)
-        ours.append(time.perf_counter() - begin)
-        begin = time.perf_counter()
-        other = by_finite_differences(start, session, sigma)
-        theirs.append(time.perf_counter() - begin)
-        left[0].append(_held_out_mm(mine.model, held_out))
-        left[1].append(_held_out_mm(other, held_out))
-    return beside(
-        "s",
-        ours,
-        "scipy least_squares, 2-point, same parameters and priors, noise known",
-        theirs,
-        held_out_mm=float(np.median(left[0])),
-        peer_held_out_mm=float(np.median(left[1])),
-        note=f"{samples} samples, {len(start.slots)} parameters",
-    )
+    peer = "scipy least_squares, 2-point, same parameters and priors, noise known"
+
+    def by_scipy(start: Model, session: Session, held_out: Session) -> Fitted:
+        return _time_fit(_fit_by_differences, start, session, held_out)
+
+    return _beside_peer(peer, by_scipy, samples, repeats, rigid)
 
 
 def beside_pybotics(samples: int = 300, repeats: int = 2) -> Result:
     """Rigid geometry alone, against pybotics and SciPy as its documentation has it."""
-    arm = demo_arm()
-    held_out = synthetic_session(arm, 512, 99, rigid=True)
-    ours, left = [], []
     try:
-        theirs = []
-        for seed in range(repeats):
-            session = synthetic_session(arm, samples, seed, rigid=True)
-            start = _start(arm, session, rigid=True)
-            begin = time.perf_counter()
-            mine = fit_model(start, session)
-            ours.append(time.perf_counter() - begin)
-            left.append(_held_out_mm(mine.model, held_out))
-            theirs.append(pybotics(arm, session, held_out))
+        return _beside_peer(
+            "pybotics 3.1.2 with scipy least_squares", _fit_by_pybotics, samples, repeats, True
+        )
     except JobError as error:
         return missing("pybotics", str(error))
+
+
+Fitted = tuple[float, float, float]
+"""Seconds of a fit, its mean error at held-out rows, mm, and the number of its parameters."""
+
+
+def _beside_peer(
+    name: str,
+    peer: Callable[[Model, Session, Session], Fitted],
+    samples: int,
+    repeats: int,
+    rigid: bool,
+) -> Result:
+    """Fit the same sessions here and by a peer, called with start, session and held-out rows."""
+    arm = demo_arm()
+    held_out = synthetic_session(arm, 512, 99, rigid=rigid)
+    ours, theirs = [], []
+    for seed in range(repeats):
+        session = synthetic_session(arm, samples, seed, rigid=rigid)
+        start = _start(arm, session, rigid=rigid)
+        ours.append(_time_fit(lambda m, rows: fit_model(m, rows).model, start, session, held_out))
+        theirs.append(peer(start, session, held_out))
+    (mine, left, count), (other, peer_left, peer_count) = np.transpose(ours), np.transpose(theirs)
     return beside(
-        "s",
-        ours,
-        "pybotics 3.1.2 with scipy least_squares",
-        [peer.seconds for peer in theirs],
-        held_out_mm=float(np.median(left)),
-        peer_held_out_mm=float(np.median([peer.held_out_mm for peer in theirs])),
-        note=f"{samples} samples, {len(start.slots)} parameters, peer {theirs[0].parameters}",
-    )
+        "s", mine, name, other,
+        held_out_mm=float(np.median(left)), peer_held_out_mm=float(np.median(peer_left)),
+        note=f"{samples} samples, {count[0]:g} parameters, peer {peer_count[0]:g}",
+    )  # fmt: skip
+
+
+def _time_fit(
+    fit: Callable[[Model, Session], Model], start: Model, session: Session, held_out: Session
+) -> Fitted:
+    begin = time.perf_counter()
+    model = fit(start, session)
+    seconds = time.perf_counter() - begin
+    return seconds, 1e3 * Errors.of(compute_tip_errors(model, held_out)).mean, len(start.slots)
+
+
+def _fit_by_differences(model: Model, session: Session) -> Model:
+    """SciPy's ``least_squares`` (trf, 2-point) on the same posterior: residuals and priors."""
+    scale, context = prior_widths(model.slots), session.context()
+
+    def residual(u: np.ndarray) -> np.ndarray:
+        predicted = model.with_values(u * scale).measured(session.q, context)
+        return np.concatenate([((session.xyz - predicted) / NOISE_M).ravel(), u])
+
+    found = least_squares(residual, model.values / scale)
+    return model.with_values(found.x * scale)
+
+
+def _fit_by_pybotics(start: Model, session: Session, held_out: Session) -> Fitted:
+    """Rigid calibration as in pybotics's own example: DH rows beyond the first, the world's pose.
+
+    Raises:
+        JobError: it cannot be installed, or it failed.
+    """
+    joints = start.arm.joints
+    rows = [(np.radians(j.alpha_deg), j.a_m, np.radians(j.theta_offset_deg), j.d_m) for j in joints]
+    data = {
+        "rows": rows,
+        "prismatic": [j.type == "prismatic" for j in joints],
+        "tip": start.arm.tip.position_m,
+        "q": session.q,
+        "xyz": session.xyz,
+        "held_q": held_out.q,
+        "held_xyz": held_out.xyz,
+    }
+    with PeerProcess("pybotics", **data) as peer:
+        answer = peer.ask()
+    return answer["seconds"], answer["held_out_mm"], answer["p"]

@@ -12,8 +12,8 @@ from bench import catalogue, comparison, machine
 from bench.plot import draw
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows, progress
-from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.files import atomic_path, write_text
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.files import atomic_path, check_writable, write_text
 
 _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
 
@@ -49,11 +49,7 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool) -> None:
         print_rows("Benchmarks", rows)
         return
     if output is not None:
-        try:
-            output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            said = error.strerror or str(error)
-            raise InputError(output, "--output", said, "a folder to write in") from error
+        check_writable(output)
     results: dict[str, Any] = {
         "machine": machine.machine(),
         "libraries": machine.libraries(),

@@ -13,7 +13,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -37,14 +37,15 @@ ROOT = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class Figures:
-    """Milliseconds (blocks, calls) of each path; rates in targets per second, one a burst."""
+    """The measured times and rates.
 
-    topic: np.ndarray
-    topic_echo: np.ndarray
-    service: np.ndarray
-    service_echo: np.ndarray
-    predictor: np.ndarray
-    compute: np.ndarray
+    Attributes:
+        ms: (blocks, calls) of each call of `Calls`, by name.
+        questions: requests to the predictor per target.
+        rate, echo_rate: targets per second, one a burst.
+    """
+
+    ms: Mapping[str, np.ndarray]
     questions: float
     rate: np.ndarray
     echo_rate: np.ndarray
@@ -52,9 +53,9 @@ class Figures:
     @property
     def shares(self) -> dict[str, np.ndarray]:
         """Median milliseconds of a target, block by block; their sum is the whole."""
-        dds, ik = _p(self.topic_echo, 50), _p(self.compute, 50)
-        predictor = self.questions * _p(self.predictor, 50)
-        node = _p(self.topic, 50) - dds - ik - predictor
+        dds, ik = _p(self.ms["topic_echo"], 50), _p(self.ms["compute"], 50)
+        predictor = self.questions * _p(self.ms["predict"], 50)
+        node = _p(self.ms["topic"], 50) - dds - ik - predictor
         return {"dds": dds, "predictor": predictor, "ik": ik, "node": node}
 
 
@@ -64,7 +65,7 @@ def beside_echo(path: str, percent: int) -> Result:
     Medians over the blocks for p50; p99 is that of all calls together.
     """
     f = figures()
-    ours, echo = getattr(f, path), getattr(f, f"{path}_echo")
+    ours, echo = f.ms[path], f.ms[f"{path}_echo"]
     if percent != 50:
         ours, echo = ours.reshape(1, -1), echo.reshape(1, -1)
     mine, theirs = _p(ours, percent), _p(echo, percent)
@@ -126,22 +127,15 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
     with _graph(arm) as calls_on:
         calls: Calls = calls_on(Calls)
         calls.warm_up()
-        sides: tuple[Callable[[int], float], ...] = (
-            calls.topic, calls.topic_echo, calls.service, calls.service_echo, calls.predict,
-            calls.compute,
-        )  # fmt: skip
-        rounds: list[list[list[float]]] = [[] for _ in sides]
+        sides = ("topic", "topic_echo", "service", "service_echo", "predict", "compute")
+        ms: dict[str, list[list[float]]] = {side: [] for side in sides}
         for block in range(blocks):
             rows = range(block * per_block, (block + 1) * per_block)
-            for side, call in zip(rounds, sides, strict=True):
-                side.append([1e3 * call(i) for i in rows])
+            for side, times in ms.items():
+                times.append([1e3 * getattr(calls, side)(i) for i in rows])
         per_target = calls.predictions_per_target(per_block)
         rates = [(calls.rate(BURST), calls.rate(BURST, echo=True)) for _ in range(BURSTS)]
-    rate, echo_rate = np.array(rates).T
-    topic, topic_echo, service, service_echo, predictor, compute = (np.array(m) for m in rounds)
-    return Figures(
-        topic, topic_echo, service, service_echo, predictor, compute, per_target, rate, echo_rate
-    )
+    return Figures({k: np.array(v) for k, v in ms.items()}, per_target, *np.array(rates).T)
 
 
 @contextmanager

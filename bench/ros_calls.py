@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile
+from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory
 
 from bench.slow_path import slow_path
@@ -38,7 +39,8 @@ class Calls:
         node = self._client.node
         self._arm = arm
         self._targets = slow_path(arm, _POSES)
-        self._poses = [_stamp(matrix) for matrix in self._targets]
+        at = Header(frame_id="base")
+        self._poses = [PoseStamped(header=at, pose=pose_message(m)) for m in self._targets]
         self._model, self._known = declared_model(arm), _Known(arm.n)
         ik.warm_up(self._model)
         self._got = self._echoed = self._predicted = self._compensations = 0
@@ -201,9 +203,3 @@ class _Known:
 
     def __call__(self, q: np.ndarray, context: Context) -> Expansion:
         return self._told
-
-
-def _stamp(matrix: np.ndarray) -> PoseStamped:
-    message = PoseStamped(pose=pose_message(matrix))
-    message.header.frame_id = "base"
-    return message

@@ -7,7 +7,7 @@ import time
 import torch
 
 from bench.comparison import Result, beside, missing
-from bench.mealpy_peer import MealpyPeer
+from bench.peer_process import PeerProcess
 from bench.smooth import rms_mm, smooth_set
 from bench.ssa_problem import SHAPE, SsaProblem
 from bench.subprocess_cost import cost_of
@@ -58,15 +58,14 @@ def evals_vs_mealpy(samples: int, repeats: int = 7) -> Result:
     evaluations = SparrowSearch(50, 40).evaluations
     ours: list[float] = []
     theirs: list[float] = []
-    with MealpyPeer(*problem.standardised, SHAPE.hidden) as peer:
-        peer.solve(50, 2, 0)  # warm-up of both
+    with _start_mealpy(problem) as peer:
+        _mealpy_rate(peer, 50, 2, 0)  # warm-up of both
         problem.search(50, 40, 0)
         for seed in range(repeats):
             begin = time.perf_counter()
             problem.search(50, 40, seed)
             ours.append(evaluations / (time.perf_counter() - begin))
-            answer = peer.solve(50, 40, seed)
-            theirs.append(answer["evaluations"] / answer["seconds"])
+            theirs.append(_mealpy_rate(peer, 50, 40, seed))
     return beside("evaluations/s", ours, MEALPY, theirs, more_is_better=True)
 
 
@@ -74,14 +73,26 @@ def search_population(population: int, iterations: int = 1) -> Result:
     """A whole search with a large population, 900 samples."""
     ours = cost_of(NAME, "search_rate", 900, population, iterations)
     try:
-        with MealpyPeer(*SsaProblem.of(900, test=1).standardised, SHAPE.hidden) as other:
-            answer = other.solve(population, iterations, 0)
+        with _start_mealpy(SsaProblem.of(900, test=1)) as other:
+            theirs = _mealpy_rate(other, population, iterations, 0)
     except JobError as error:
         return missing(MEALPY, str(error))
     return beside(
-        "evaluations/s", [ours.result], MEALPY, [answer["evaluations"] / answer["seconds"]],
-        more_is_better=True, grown_mb=ours.grown_mb,
+        "evaluations/s", [ours.result], MEALPY, [theirs], more_is_better=True,
+        grown_mb=ours.grown_mb,
     )  # fmt: skip
+
+
+def _start_mealpy(problem: SsaProblem) -> PeerProcess:
+    x, y = problem.standardised
+    return PeerProcess("mealpy", x=x, y=y)
+
+
+def _mealpy_rate(peer: PeerProcess, population: int, epochs: int, seed: int) -> float:
+    """Run one search of mealpy, and return its fitness evaluations a second."""
+    size = {"hidden": SHAPE.hidden, "population": population}
+    answer = peer.ask(**size, epochs=epochs, seed=seed)
+    return answer["evaluations"] / answer["seconds"]
 
 
 def train_many(many: int, few: int = 1_000) -> Result:

@@ -14,7 +14,7 @@ import resource
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +30,12 @@ class Cost:
 
     Attributes:
         result: the returned value, as JSON can hold it.
-        wall_s, cpu_s: seconds of the call without imports.
+        cpu_s: processor seconds of the call without imports.
         grown_mb: peak memory above the memory before the call.
         peak_mb: peak memory in total.
     """
 
     result: Any
-    wall_s: float
     cpu_s: float
     grown_mb: float
     peak_mb: float
@@ -81,20 +80,10 @@ def main() -> None:
     function = getattr(importlib.import_module(module), name)
     with contextlib.suppress(OSError):
         _CLEAR.write_text("5")  # resets VmHWM
-    before, begin, used = _memory_mb("VmRSS"), time.perf_counter(), time.process_time()
+    before, used = _memory_mb("VmRSS"), time.process_time()
     result = function(*json.loads(arguments))
-    wall, cpu, peak = time.perf_counter() - begin, time.process_time() - used, _memory_mb("VmHWM")
-    print(
-        json.dumps(
-            {
-                "result": result,
-                "wall_s": wall,
-                "cpu_s": cpu,
-                "grown_mb": max(peak - before, 0.0),
-                "peak_mb": peak,
-            }
-        )
-    )
+    cpu, peak = time.process_time() - used, _memory_mb("VmHWM")
+    print(json.dumps(asdict(Cost(result, cpu, max(peak - before, 0.0), peak))))
 
 
 if __name__ == "__main__":

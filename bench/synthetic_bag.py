@@ -72,7 +72,7 @@ class _Messages:
     """Serialised messages of one arm, from patterns whose stamp and numbers are replaced."""
 
     def __init__(self, arm: Arm) -> None:
-        self._types, self._names, self._n = message_types(), list(arm.joint_names), arm.n
+        self._types, self._names = message_types(), list(arm.joint_names)
         none, marks = np.array([]), np.full(arm.n, 12345.678)
         self._state, self._q = self._pattern(
             "joint_states", marks, name=self._names, position=marks, velocity=marks, effort=marks

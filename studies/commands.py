@@ -7,7 +7,7 @@ decorator `study_command` makes it a click command that shows progress and print
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -106,7 +106,7 @@ arm_option = click.option(
 
 
 def whole_number(name: str, default: int, what: str, least: int = 1) -> Callable[..., Any]:
-    """An option for a whole number, at least ``least``."""
+    """Return an option for a whole number, at least ``least``."""
     return click.option(
         name, type=click.IntRange(min=least), default=default, show_default=True, help=what
     )
@@ -115,8 +115,15 @@ def whole_number(name: str, default: int, what: str, least: int = 1) -> Callable
 def arms_option(
     default: int, what: str = "Simulated arms, with other hidden errors each."
 ) -> Callable[..., Any]:
-    """The option ``--arms``, a number of arms."""
+    """Return the option ``--arms``, a number of arms."""
     return whole_number("--arms", default, what)
+
+
+def each_arm(arms: int, show: Show) -> Iterator[int]:
+    """Count the arms from 0, and show how many are done."""
+    for number in range(arms):
+        yield number
+        show(f"{number + 1} of {arms} arms", (number + 1) / arms)
 
 
 def split_interval(row: Mapping[str, Any]) -> dict[str, Any]:

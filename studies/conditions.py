@@ -20,7 +20,15 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies import table1
-from studies.commands import Figures, Show, arm_option, arms_option, split_interval, study_command
+from studies.commands import (
+    Figures,
+    Show,
+    arm_option,
+    arms_option,
+    each_arm,
+    split_interval,
+    study_command,
+)
 from studies.day_work import levers
 from studies.table1_bench import SETTINGS, Bench, Outcome, RowSetting, fitted_once
 
@@ -43,7 +51,7 @@ class Condition:
     play_rad: float = 0.0
 
     def of(self, bench: Bench) -> Bench:
-        """The bench in it."""
+        """Return the bench in it."""
         arm = bench.declared.arm
         more = self.play_rad * np.eye(arm.n)[levers(arm)[0]]
         worn = [
@@ -73,7 +81,7 @@ Found = Mapping[str, Sequence[Outcome]]
 def one_arm(
     base: Arm, seed: int, number: int, settings: Sequence[RowSetting], poses: int = 300
 ) -> Found:
-    """All rows of one arm, each trained once."""
+    """Return all rows of one arm, each trained once."""
     bench = Bench.draw(base, seed, number, poses, also=ALSO)
     found: dict[str, list[Outcome]] = {condition.name: [] for condition in CONDITIONS}
     for setting in fitted_once(settings):
@@ -84,12 +92,12 @@ def one_arm(
 
 
 def rows_of(names: Sequence[str] = ROWS) -> tuple[RowSetting, ...]:
-    """Rows of Table I by name."""
+    """Return rows of Table I by name."""
     return tuple(setting for setting in SETTINGS if setting.row in names)
 
 
 def table(arms: Sequence[Found], settings: Sequence[RowSetting]) -> list[dict[str, Any]]:
-    """One row a setting: mean |z| by condition, mm; then the mean 3-D error likewise."""
+    """Return one row a setting: mean |z| by condition, mm; then the mean 3-D error likewise."""
     made: list[dict[str, Any]] = [{"row": setting.row} for setting in settings]
     for name in arms[0]:
         for row, of in zip(made, table1.rows([arm[name] for arm in arms], settings), strict=True):
@@ -141,10 +149,8 @@ def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
     Example:
       longarm study conditions --arms 8
     """
-    settings, found = rows_of(), []
-    for number in range(arms):
-        show(f"arm {number + 1} of {arms}", number / arms)
-        found.append(one_arm(arm, seed, number, settings))
+    settings = rows_of()
+    found = [one_arm(arm, seed, number, settings) for number in each_arm(arms, show)]
     rows, lost = table(found, settings), claims(found, settings)
     return Figures(
         {"arms": arms, "rows": rows, "claims": lost},

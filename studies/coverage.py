@@ -24,7 +24,7 @@ from longarm_comp.core.calibration.left_out import subtract_point_means
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import measure_uncertainty
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import equations, errors, posture
+from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors, make_equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
@@ -34,6 +34,7 @@ from longarm_comp.core.model.model import slots_of
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session
 from studies.commands import Figures, Show, arm_option, study_command, whole_number
+from studies.interval import wilson
 from studies.loop_cases import Case
 from studies.loop_setting import set_up
 from studies.real_sessions import every_robot
@@ -50,7 +51,6 @@ FEWEST_PLACES = 9
 SIMULATED = ("joint_compliance", "backlash", "joint_gain", "link_stiffness")
 """Effects of the simulated arms in turn: half of the arms know them, half do not."""
 
-Terms = Callable[[Arm], tuple[Effect | Bias, ...]]
 Progress = Callable[[str], None]
 
 
@@ -91,12 +91,12 @@ def judge(
     """
     known, seen = measure_uncertainty(fitted), rows.take(rows.located)
     model = fitted.model
-    off = (commanded_errors if commanded else errors)(model, seen)
+    off = (commanded_errors if commanded else compute_tip_errors)(model, seen)
     if clean is not None:
         known = replace(known, noise=np.zeros((3, 3)))
         off = off + clean[rows.located] - seen.xyz
     slots = (*model.slots, *slots_of(model.arm, known.absent))
-    columns = equations(model, seen, posture(model, seen), slots).columns[:, :3]
+    columns = make_equations(model, seen, slots).columns[:, :3]
     carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
     return _judge(name, off, carried, known)
 
@@ -107,7 +107,7 @@ def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     model = fitted.model
     slots = model.uncertain_slots(known)
     names = [slot.identity for slot in slots]
-    tip, columns = model.columns(posture(model, rows), slots)
+    tip, columns = model.columns(compute_posture(model, rows), slots)
     off, alone = subtract_point_means(tip, touched)
     moved, _ = subtract_point_means(columns, touched)
     return _judge(name, off[~alone], known.carry_to_tip(moved[~alone], names), known)
@@ -125,7 +125,7 @@ def _judge(name: str, off: np.ndarray, carried: np.ndarray, known: ModelUncertai
 
 
 def judge_real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
-    """The public data sets: their own splits, and places.
+    """Yield the public data sets: their own splits, and places.
 
     Args:
         folder: holds ``dlr_justin``, ``wam_ur5`` or both.
@@ -135,26 +135,26 @@ def judge_real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOut
         InputError: it holds no data set.
     """
     for robot, parts in every_robot(folder).items():
-        terms = _bends if robot == "dlr_justin" else _rigid
         for part in parts:
+            bends = (*JointCompliance.for_arm(part.arm), *BearingTilt.for_arm(part.arm))
+            more = bends if robot == "dlr_justin" else ()
             say(f"{robot}: its own split")
-            yield judge(
-                f"{robot}, its own split", _fit_terms(part.arm, part.train, terms), part.held_out
-            )
+            fitted = _fit_terms(part.arm, part.train, *more)
+            yield judge(f"{robot}, its own split", fitted, part.held_out)
             for kept, out in _places(part.train):
                 say(f"{robot}: places")
-                yield judge(f"{robot}, places", _fit_terms(part.arm, kept, terms), out)
+                yield judge(f"{robot}, places", _fit_terms(part.arm, kept, *more), out)
 
 
 def judge_pandas(say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
-    """Six real arms that touched sockets, each place of the tool left out in turn."""
+    """Yield six real arms that touched sockets, each place of the tool left out in turn."""
     arm = Arm.load(EXAMPLE / "arm.yaml")
     for path in sorted(EXAMPLE.glob("panda_*.csv")):
         session = read_session(path, arm)
         place = session.labels["location"]
         for each in np.unique(place):
             say(f"{path.stem}: {each}")
-            fitted = _fit_terms(arm, session.take(place != each), _rigid)
+            fitted = _fit_terms(arm, session.take(place != each))
             judged = judge_touches(path.stem, fitted, session.take(place == each))
             yield replace(judged, places=len(np.unique(place)) - 1)
 
@@ -162,7 +162,7 @@ def judge_pandas(say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
 def judge_simulated(
     declared: Arm, count: int, say: Progress = lambda _: None
 ) -> Iterator[LeftOutRows]:
-    """Random arms with a hidden effect that every other model knows; fresh random poses."""
+    """Yield random arms with a hidden effect that every other model knows; fresh random poses."""
     for k in range(count):
         name = SIMULATED[k % len(SIMULATED)]
         say(f"arm {k + 1}: {name}")
@@ -171,14 +171,15 @@ def judge_simulated(
         )
         told = (k // len(SIMULATED) + k) % 2 == 0
         kind = effect_class(name, "study coverage")
-        fitted = _fit_terms(setting.arm, setting.train, kind.for_arm if told else _rigid)
+        more = kind.for_arm(setting.arm) if told else ()
+        fitted = _fit_terms(setting.arm, setting.train, *more)
         how = "the effect known" if told else "the effect not known"
         yield judge(f"simulated, {how}", fitted, setting.held_out)
         yield judge(f"the tip alone, {how}", fitted, setting.held_out, setting.clean_held_out)
 
 
 def table(found: Sequence[LeftOutRows]) -> list[dict[str, object]]:
-    """One row a set; ``kept``: whether the radius holds, or why that is not known."""
+    """Return one row a set; ``kept``: whether the radius holds, or why that is not known."""
     rows: list[dict[str, object]] = []
     for name in dict.fromkeys(each.set for each in found):
         mine = [each for each in found if each.set == name]
@@ -204,7 +205,7 @@ def table(found: Sequence[LeftOutRows]) -> list[dict[str, object]]:
 
 
 def _interval(inside: Sequence[int], of: Sequence[int]) -> tuple[float, tuple[float, float]]:
-    """Share of all rows, and its 95 % interval (Wilson 1927), rows of one place being alike.
+    """Compute the share of all rows, and its 95 % interval, rows of one place being alike.
 
     Places that differ more than independent rows would count as fewer rows (design effect).
     """
@@ -212,11 +213,7 @@ def _interval(inside: Sequence[int], of: Sequence[int]) -> tuple[float, tuple[fl
     total, share = int(n.sum()), float(k.sum() / n.sum())
     spread = max(share * (1.0 - share), 1.0 / total)
     between = float(((k - n * share) ** 2).sum()) / (total * spread) * len(n) / max(len(n) - 1, 1)
-    rows = total / max(between, 1.0)
-    z = 1.96
-    middle = (share + z**2 / (2 * rows)) / (1 + z**2 / rows)
-    half = z / (1 + z**2 / rows) * math.sqrt(share * (1 - share) / rows + z**2 / (4 * rows**2))
-    return share, (max(middle - half, 0.0), min(middle + half, 1.0))
+    return share, wilson(share, total / max(between, 1.0))
 
 
 def _verdict(share: float, between: tuple[float, float], mine: Sequence[LeftOutRows]) -> str:
@@ -233,23 +230,14 @@ def _verdict(share: float, between: tuple[float, float], mine: Sequence[LeftOutR
     return why + (f"; {far:.0%} are far from the fitted rows" if far > 0.1 else "")
 
 
-def _fit_terms(arm: Arm, rows: Session, terms: Terms) -> ModelFit:
-    """Geometry, then further terms on top of it."""
+def _fit_terms(arm: Arm, rows: Session, *more: Effect | Bias) -> ModelFit:
+    """Fit geometry, then further terms on top of it."""
     *_, (_, geometry) = fit_stages(declared_model(arm), rows)
-    more = terms(arm)
     return fit_model(geometry.model.plus(*more), rows) if more else geometry
 
 
-def _rigid(arm: Arm) -> tuple[Effect | Bias, ...]:
-    return ()
-
-
-def _bends(arm: Arm) -> tuple[Effect | Bias, ...]:
-    return (*JointCompliance.for_arm(arm), *BearingTilt.for_arm(arm))
-
-
 def _places(rows: Session) -> Iterator[tuple[Session, Session]]:
-    """Rows without and with each place: halves of the joints that moved farthest, crossed."""
+    """Yield rows without and with each place: halves of the joints that moved farthest, crossed."""
     place = np.zeros(len(rows), dtype=int)
     for j in np.argsort(-np.ptp(rows.q, axis=0))[:HALVED]:
         place = 2 * place + (rows.q[:, j] > np.median(rows.q[:, j]))

@@ -23,7 +23,7 @@ ARRAYS = ("t_h", "temperature_c", "payload_kg", "play_rad", "error")
 
 
 def table(found: Sequence[DayOutcome], hours: float, parts: int = 4) -> list[dict[str, object]]:
-    """A row a way: poses, minutes and targets lost to standing still, and the errors, a day.
+    """Return a row a way: poses, minutes and targets lost to standing still, and the errors, a day.
 
     3-D errors of the true tip in mm at the targets that were served: mean and p95, and the mean of
     each part of the day.

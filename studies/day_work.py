@@ -32,10 +32,9 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies.simulated import arrival
-from studies.true_camera import hidden
 
 HIDDEN = ("joint_gain", "gear_eccentricity", "thermal_growth", "friction_hysteresis")
 """What the arm hides from the morning on; softer beams too where it has beams."""
@@ -74,17 +73,17 @@ class DaySetting:
     kinds: Sequence[type[Effect] | type[Bias]] | None = None
 
     def temperature_c(self, t_h: np.ndarray | float) -> np.ndarray:
-        """At hours since work began; the calibration was before."""
+        """Return it at hours since work began; the calibration was before."""
         since = np.asarray(t_h) + self.rows * ROW_H
         return self.arm.reference_temperature_c - self.warming_k * np.expm1(-since / _WARM_H)
 
     def payload_kg(self, t_h: float) -> float:
-        """Carried at hours since work began."""
+        """Return what is carried at hours since work began."""
         turn = int(t_h / self.hours * len(self.payloads_kg))
         return self.payloads_kg[min(turn, len(self.payloads_kg) - 1)]
 
     def grown(self, t_h: float) -> float:
-        """Share of the growth of the play that has happened, by the hour."""
+        """Return the share of the growth of the play that has happened, by the hour."""
         return float(np.clip((np.floor(t_h) / self.hours - 0.2) / 0.4, 0.0, 1.0))
 
 
@@ -160,11 +159,11 @@ class DayOutcome:
     changes: tuple[tuple[float, str], ...] = ()
 
     def of(self, way: str) -> np.ndarray:
-        """(M,) m, errors of one way."""
+        """Return (M,) m, errors of one way."""
         return np.asarray(self.error[self.ways.index(way)])
 
     def stops_of(self, way: str) -> list[Stop]:
-        """The stops of one way."""
+        """Return the stops of one way."""
         return [stop for stop in self.stops if stop.way == way]
 
 
@@ -180,7 +179,7 @@ class _Truth:
         self._arms: dict[float, TrueArm] = {}
 
     def play(self, t_h: float) -> float:
-        """Half play of the worn joint, rad."""
+        """Return half play of the worn joint, rad."""
         return float(self._lag(t_h)[self._worn])
 
     def _lag(self, t_h: float) -> np.ndarray:
@@ -189,15 +188,11 @@ class _Truth:
         return friction.lag + more * np.eye(self.setting.arm.n)[self._worn]
 
     def tip(self, q: np.ndarray, side: np.ndarray, t_h: float, context: TrueContext) -> np.ndarray:
-        """(N, 3) m for commands (N, n) that arrived from sides (N, n)."""
+        """Return (N, 3) m for commands (N, n) that arrived from sides (N, n)."""
         grown = self.setting.grown(t_h)
         if grown not in self._arms:
             worn = FrictionHysteresis(self._lag(t_h))
-            effects: list[HiddenEffect] = [
-                worn if isinstance(e, FrictionHysteresis) else e
-                for e in self._fixed
-                if isinstance(e, HiddenEffect)
-            ]
+            effects = [worn if isinstance(e, FrictionHysteresis) else e for e in self._fixed]
             self._arms[grown] = TrueArm(self.setting.arm, effects, steps=2)
         return self._arms[grown].tip(q, replace(context, approach=side))
 
@@ -206,7 +201,7 @@ class _Truth:
         return tip + self.setting.noise_m * self.rng.standard_normal(tip.shape)
 
     def session(self, rows: int, t_h: float, payloads: Sequence[float]) -> Session:
-        """Poses measured up to t_h as `longarm collect` does, with run-ups; payloads in turn.
+        """Measure poses up to t_h as `longarm collect` does, with run-ups; payloads in turn.
 
         All joints of a pose arrive from one side.
         """
@@ -227,11 +222,10 @@ class _Truth:
 
 
 def levers(arm: Arm) -> list[int]:
-    """Revolute joints (0-based), those first that move the tip most at mid-range."""
+    """Return revolute joints (0-based), those first that move the tip most at mid-range."""
     tip, model = arm.mid, Model(arm)
     moved = np.linalg.norm(model.tip(tip + 1e-3 * np.eye(arm.n)) - model.tip(tip[None]), axis=1)
-    turning = [j for j, row in enumerate(arm.commanded) if arm.joints[row - 1].type == "revolute"]
-    return sorted(turning, key=lambda j: -moved[j])
+    return sorted(np.flatnonzero(~arm.slides).tolist(), key=lambda j: -moved[j])
 
 
 @dataclass

@@ -20,20 +20,17 @@ from longarm_comp.core.data.plan import grid, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
-from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.workflows.diagnose import diagnose
 from longarm_comp.workflows.train import training_rows
 from studies.commands import Figures, Show, arm_option, study_command, whole_number
 from studies.outside import outside
 from studies.peers import train_gaussian_process
 from studies.simulated import SimulatedSession, measure_session
-from studies.true_camera import CameraEffect, TrueCamera, hidden
+from studies.true_camera import draw_geometry_errors, make_truth
 
 NOTHING = "nothing"
 ROWS, REPEATS, HELD_OUT, FRESH = 240, 8, 100, 200
 PLANS = {"grid": grid, "sobol": sobol}
-_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -57,10 +54,9 @@ def set_up(arm: Arm, case: str, plan: str, seed: int, rows: int = ROWS) -> Setti
     The hold-out has as many rows of the plan as off it.
     """
     rng = np.random.default_rng([seed, *case.encode()])
-    off = [hidden(n, arm, 1.0, rng) for n in ("joint_zero", "dh_error", "base_pose")]
+    off = draw_geometry_errors(arm, 1.0, rng)
     cause = [] if case == NOTHING else [outside(arm)[case]]
-    true = TrueArm(arm, [e for e in (*cause, *off) if isinstance(e, HiddenEffect)], steps=_STEPS)
-    eye = TrueCamera.of(arm, [e for e in cause if isinstance(e, CameraEffect)])
+    true, eye = make_truth(arm, (*cause, *off))
 
     def measure(q: np.ndarray, repeats: int = 0, spoiled: float = 0.0) -> SimulatedSession:
         return measure_session(true, eye, q, rng=rng, repeats=repeats, outliers=spoiled)
@@ -70,12 +66,11 @@ def set_up(arm: Arm, case: str, plan: str, seed: int, rows: int = ROWS) -> Setti
     both = np.concatenate([PLANS[plan](arm, half, rng).q[:half], sobol(arm, half, rng).q])
     held_out = measure(both[rng.permutation(len(both))])
     fresh = [measure(p(arm, FRESH, rng).q) for p in (PLANS[plan], sobol)]
-    truths = [(m.session(), m.truth["seen"]) for m in fresh]
-    return Setting(train.session(), held_out.session(), *truths)
+    return Setting(train.session, held_out.session, *((m.session, m.truth["seen"]) for m in fresh))
 
 
 def row(arm: Arm, case: str, plan: str, seed: int, network: bool) -> dict[str, Any]:
-    """Errors (rms, mm; on the plan and off it) of every stage, and what was found."""
+    """Return errors (rms, mm; on the plan and off it) of every stage, and what was found."""
     setting = set_up(arm, case, plan, seed)
     began = time.perf_counter()
     found = diagnose(

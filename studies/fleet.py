@@ -56,7 +56,7 @@ def write_arms(folder: Path, count: int, seed: int) -> None:
 
 
 def row(arms: list[Diagnosed]) -> dict[str, object]:
-    """Shares of arms where what is hidden was found, and something else."""
+    """Return shares of arms where what is hidden was found, and something else."""
 
     def share(name: str, among: list[Diagnosed]) -> float:
         found = [any(name in f.effect for f in arm.findings) for arm in among]

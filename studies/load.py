@@ -26,7 +26,7 @@ from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.servo_emulator.joints import DATA_SHEETS
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 from longarm_comp.sim.servo_emulator.wire import RegisterWire
-from longarm_comp.sim.servo_emulator.wires import wires
+from longarm_comp.sim.servo_emulator.wires import list_wires
 from studies.commands import Figures, Show, arms_option, study_command
 from studies.random_arms import random_arm
 
@@ -38,7 +38,7 @@ SCATTER = 0.3
 
 @dataclass(frozen=True)
 class Weighed:
-    """After a rest: what is carried, what is felt, whether it tells a payload from none."""
+    """The outcome of a rest: what is carried, what is felt, whether that tells a payload."""
 
     rest: int
     kg: float
@@ -49,7 +49,7 @@ class Weighed:
 
 
 def weigh_at_rests(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> Iterator[Weighed]:
-    """Rests of one arm.
+    """Yield rests of one arm.
 
     Args:
         servo: model, of those in `DATA_SHEETS`.
@@ -77,7 +77,7 @@ def weigh_at_rests(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> 
 
 
 def reported_load(servo: str, load: float, side: float, part: float) -> float:
-    """Share of full effort that a resting servo reports under a load, through its registers."""
+    """Return the share of full effort that a resting servo's registers report under a load."""
     kind, sheet = models()[servo], dict(DATA_SHEETS[servo])
     changed: dict[str, Any] = sheet | {"hold_share": part * sheet["hold_share"]}
     spec = replace(MotorSpec(), **changed)
@@ -85,7 +85,7 @@ def reported_load(servo: str, load: float, side: float, part: float) -> float:
     motor.switch(True)
     motor.approach, motor.external_load = int(side), load
     motor.advance(0.01)
-    wire, dialect = wires()[kind.protocol], protocols()[kind.protocol]()
+    wire, dialect = list_wires()[kind.protocol], protocols()[kind.protocol]()
     assert isinstance(wire, RegisterWire)
     _, data = wire.read(wire.device(1, motor), dialect.state.address, dialect.state.length)
     return dialect.state_of(data, ServoAlarm.NONE, kind).load

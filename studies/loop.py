@@ -20,7 +20,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.workflows.cluster import spread
+from longarm_comp.workflows.cluster import run_tasks
 from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
 from studies.extra import extra
 from studies.loop_cases import NAMES, Case, Design
@@ -71,19 +71,23 @@ def run(
     wanted = {case.id for case in cases}
     done = {i: line for i, line in read_lines(out).items() if i in wanted}
     left = [case for case in cases if case.id not in done]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with out.open("a", encoding="utf-8") as file:
-        for line in _run_cases(left, arm, jobs, dask):
-            file.write(json.dumps(line, allow_nan=False) + "\n")
-            file.flush()
-            done[line["case"]["id"]] = line
-            if progress is not None:
-                progress(line["case"]["id"], len(done) / len(cases))
+    for line in _run_cases(left, arm, jobs, dask):
+        append_line(out, line)
+        done[line["case"]["id"]] = line
+        if progress is not None:
+            progress(line["case"]["id"], len(done) / len(cases))
     return [done[case.id] for case in cases]
 
 
+def append_line(path: Path, line: dict[str, Any]) -> None:
+    """Add a line to a JSON-lines file, which is made where there is none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line, allow_nan=False) + "\n")
+
+
 def read_lines(path: Path) -> dict[str, dict[str, Any]]:
-    """The lines of a file by case; empty if there is no file.
+    """Return the lines of a file by case; empty if there is no file.
 
     An incomplete last line is removed from the file.
 
@@ -109,7 +113,7 @@ def read_lines(path: Path) -> dict[str, dict[str, Any]]:
 def _run_cases(
     cases: Sequence[Case], arm: Arm, jobs: int, dask: str | None
 ) -> Iterator[dict[str, Any]]:
-    """The line of each case as it is done."""
+    """Yield the line of each case as it is done."""
     if dask is None:
         with extra():
             from joblib import Parallel, delayed
@@ -119,7 +123,7 @@ def _run_cases(
         return
     workers = jobs if jobs > 0 else os.cpu_count() or 1
     tasks = [(case, arm) for case in cases]
-    for (case, _), made in spread(run_case, tasks, dask, workers=workers, asked="study loop"):
+    for (case, _), made in run_tasks(run_case, tasks, dask, workers=workers, asked="study loop"):
         if isinstance(made, LongarmError):
             made = {"case": case.as_dict(), "error": str(made)}
         yield made

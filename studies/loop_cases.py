@@ -77,19 +77,8 @@ class Case:
     def id(self) -> str:
         """``single/backlash/one/usual/grid/300/1/arm2/0``."""
         place = "one" if self.one_place else "all"
-        return "/".join(
-            (
-                self.group,
-                "+".join(self.effects) or "-",
-                place,
-                self.spoiled,
-                self.plan,
-                str(self.rows),
-                f"{self.noise:g}",
-                f"arm{self.arm}",
-                str(self.number),
-            )
-        )
+        words = (self.group, "+".join(self.effects) or "-", place, self.spoiled, self.plan)
+        return f"{'/'.join(words)}/{self.rows}/{self.noise:g}/arm{self.arm}/{self.number}"
 
     @property
     def rng(self) -> np.random.Generator:
@@ -97,7 +86,7 @@ class Case:
         return np.random.default_rng(list(hashlib.sha256(self.id.encode()).digest()))
 
     def as_dict(self) -> dict[str, object]:
-        """Fields of a JSON line."""
+        """Return fields of a JSON line."""
         return {**dataclasses.asdict(self), "effects": list(self.effects), "id": self.id}
 
 
@@ -135,40 +124,27 @@ class Design:
                 raise InputError("study loop", name, getattr(self, name), "at least 1")
 
     def cases(self) -> list[Case]:
-        """All cases. Repetitions are the outer loop, so that a part is a fair sample."""
+        """Return all cases. Repetitions are the outer loop, so that a part is a fair sample."""
         drawn = []
         for number, arm in itertools.product(range(self.repeats), range(self.arms)):
             for plan, rows, noise in itertools.product(self.plans, self.rows, self.noises):
                 for group in self.groups:
-                    for effects, spoiled in _MENUS[group](self, number * self.arms + arm):
+                    for effects, spoiled in self._menu(group, number * self.arms + arm):
                         odd = (number + arm) % 2 == 1
                         drawn.append(
                             Case(group, effects, odd, spoiled, plan, rows, noise, arm, number)
                         )
         return drawn
 
-
-Menu = Iterator[tuple[tuple[str, ...], str]]
-
-
-def _none(design: Design, turn: int) -> Menu:
-    return (((), name) for name in SPOILED)
-
-
-def _single(design: Design, turn: int) -> Menu:
-    return (((name,), "usual") for name in design.effects)
-
-
-def _pair(design: Design, turn: int) -> Menu:
-    """Other pairs on every arm; in the end all of them."""
-    every = list(itertools.combinations(design.effects, 2))
-    order = np.random.default_rng(len(every)).permutation(len(every))
-    taken = [(turn * design.pairs + k) % len(every) for k in range(min(design.pairs, len(every)))]
-    return ((every[order[k]], "usual") for k in taken)
-
-
-def _outside(design: Design, turn: int) -> Menu:
-    return (((name,), "usual") for name in OUTSIDE_EVERY_LIBRARY)
-
-
-_MENUS = {"none": _none, "single": _single, "pair": _pair, "removed": _single, "outside": _outside}
+    def _menu(self, group: str, turn: int) -> Iterator[tuple[tuple[str, ...], str]]:
+        """Yield the effects and the disturbance of every case of a group, on one arm."""
+        if group == "none":
+            yield from (((), name) for name in SPOILED)
+        elif group == "pair":  # other pairs on every arm; in the end all of them
+            every = list(itertools.combinations(self.effects, 2))
+            order = np.random.default_rng(len(every)).permutation(len(every))
+            for k in range(min(self.pairs, len(every))):
+                yield every[order[(turn * self.pairs + k) % len(every)]], "usual"
+        else:
+            names = OUTSIDE_EVERY_LIBRARY if group == "outside" else self.effects
+            yield from (((name,), "usual") for name in names)

@@ -37,7 +37,7 @@ TWINS = tuple(
 
 
 def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
-    """All scores that the tables use, as plain JSON; lengths in mm."""
+    """Compute all scores that the tables use, as plain JSON; lengths in mm."""
     true = set(setting.case.effects)
     names = [set(f.names) for f in found.findings]
     knowable = true <= {kind.name for kind in LIBRARY}
@@ -91,7 +91,7 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
 
 
 def true_fit(setting: LoopSetting, session: Session | None = None) -> ModelFit:
-    """The model that holds exactly the hidden effects, in their best form, fitted.
+    """Return the model that holds exactly the hidden effects, in their best form, fitted.
 
     Args:
         setting: the case with its hidden effects.
@@ -106,7 +106,7 @@ def true_fit(setting: LoopSetting, session: Session | None = None) -> ModelFit:
 def _best(
     setting: LoopSetting, menus: Sequence[list[tuple[Term, ...]]], session: Session | None = None
 ) -> ModelFit:
-    """The likeliest of the combinations of one form per effect."""
+    """Return the likeliest of the combinations of one form per effect."""
     rows = setting.train if session is None else session
     made = (tuple(t for form in forms for t in form) for forms in itertools.product(*menus))
     return min((_fit_terms(setting, terms, rows, session is None) for terms in made), key=_misfit)
@@ -125,7 +125,7 @@ def _misfit(fitted: ModelFit) -> float:
 
 
 def _forms(setting: LoopSetting, name: str) -> list[tuple[Term, ...]]:
-    """Each form of an effect at all of its places, and all compatible forms together."""
+    """Return each form of an effect at all of its places, and all compatible forms together."""
     known = list_candidates(setting.arm, setting.train.context(), (BUILT_IN[name],))
     most = max(len(c.terms) for c in known.testable)
     forms = [c.terms for c in known.testable if len(c.terms) == most]
@@ -135,7 +135,7 @@ def _forms(setting: LoopSetting, name: str) -> list[tuple[Term, ...]]:
 
 
 def _errors(setting: LoopSetting, found: Diagnosis, best: ModelFit | None) -> dict[str, float]:
-    """RMS 3-D errors against the noise-free truth on fresh poses off the grid, and the noise."""
+    """Compute RMS 3-D errors by the noise-free truth at fresh poses off the grid, and the noise."""
     models: dict[str, Model] = dict(found.models)
     if best is not None:
         models["true_effects"] = best.model
@@ -183,7 +183,7 @@ def told_apart(setting: LoopSetting, terms: Sequence[Term]) -> bool:
 
 
 def _clean(setting: LoopSetting) -> Session:
-    """The training rows as they would be without noise and outliers."""
+    """Return the training rows as they would be without noise and outliers."""
     return dataclasses.replace(setting.train, xyz=setting.clean_train, sigma=None)
 
 
@@ -201,7 +201,7 @@ def _is_located(setting: LoopSetting, found: Diagnosis) -> bool | None:
 
 
 def _stated_places(found: Diagnosis, finding: Finding, name: str) -> set[str]:
-    """Places of an effect in a finding: its strongest place, or those of the alternative."""
+    """Return places of an effect in a finding: its strongest place, or those of the alternative."""
     if finding.name == name:
         return {_strongest(found, finding.terms)}
     return {w for a in finding.alternatives if a.candidate.name == name for w in a.candidate.where}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -15,21 +14,26 @@ from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.plan import grid, sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.rods import QUICK_STEPS
 from studies.loop_cases import SPOILED, Case
 from studies.loop_truth import at_one_place, size
 from studies.random_arms import random_arm
 from studies.simulated import arrival, measure_session
-from studies.true_camera import CameraEffect, Hidden, Noise, TrueCamera, hidden
+from studies.true_camera import (
+    Hidden,
+    Noise,
+    TrueCamera,
+    draw_geometry_errors,
+    hidden,
+    make_truth,
+)
 
 HELD_OUT = 100
 """Number of further poses, uniform over the joint box."""
 CANDIDATES = 150
 """Approximate number of candidates; visibility accounts for the choice among them."""
 _PLANS = {"grid": grid, "sobol": sobol}
-_STEPS = 4
 _MOST = 6.0  # times the typical size
 
 
@@ -72,77 +76,60 @@ def set_up(case: Case, declared: Arm) -> LoopSetting:
     plan = _PLANS[case.plan](arm, case.rows - 2 * repeats, rng).q
     fresh = sobol(arm, HELD_OUT, rng).q
     noise = Noise(0.22e-3 * case.noise, 0.28e-3 * case.noise, spoiled.rho, spoiled.tail_dof)
-    off = [hidden(n, arm, spoiled.geometry, rng) for n in ("joint_zero", "dh_error", "base_pose")]
+    off = draw_geometry_errors(arm, spoiled.geometry, rng)
     head = TrueCamera.of(arm)
     sight = np.asarray(head.axes[2])
     sigma = np.sqrt(noise.sigma_m**2 + (noise.depth_m * sight) ** 2)
-    gauge = _Gauge(arm, head, plan, sigma, rng)
-    drawn = [
-        gauge.scale_to_visible(_draw_effect(name, arm, case.one_place, rng), rng)
-        for name in case.effects
-    ]
+    gauge, drawn = _Gauge(arm, plan, sigma, rng), []
+    for name in case.effects:  # of 0.7 to 2 times its typical size
+        effect = hidden(name, arm, float(np.exp(rng.uniform(np.log(0.7), np.log(2.0)))), rng)
+        effect = at_one_place(effect, arm, rng) if case.one_place else effect
+        drawn.append(gauge.scale_to_visible(effect, rng))
     effects = [effect for effect, _ in drawn]
-    on_arm = [e for e in (*effects, *off) if isinstance(e, HiddenEffect)]
-    true = TrueArm(arm, on_arm, steps=_STEPS)
-    eye = dataclasses.replace(
-        head, effects=tuple(e for e in effects if isinstance(e, CameraEffect))
-    )
+    true, eye = make_truth(arm, (*effects, *off))
     train = measure_session(
         true, eye, plan, rng=rng, repeats=repeats, lost=0.01, outliers=spoiled.outliers, noise=noise
     )
-    end = float(train.columns["t_s"][-1]) + 60.0
+    end = float(train.session.columns["t_s"][-1]) + 60.0
     held = measure_session(true, eye, fresh, rng=rng, noise=noise, start_s=end)
     return LoopSetting(
         case,
         arm,
         tuple(effects),
         tuple(v for _, v in drawn),
-        train.session(),
-        held.session(),
+        train.session,
+        held.session,
         train.truth["seen"],
         held.truth["seen"],
         sigma,
     )
 
 
-def _draw_effect(name: str, arm: Arm, one_place: bool, rng: np.random.Generator) -> Hidden:
-    """An effect of 0.7 to 2 times its typical size."""
-    effect = hidden(name, arm, float(np.exp(rng.uniform(np.log(0.7), np.log(2.0)))), rng)
-    return at_one_place(effect, arm, rng) if one_place else effect
-
-
 class _Gauge:
     """Size of an effect after a geometry refit, on the poses of a plan."""
 
     def __init__(
-        self,
-        arm: Arm,
-        head: TrueCamera,
-        plan: np.ndarray,
-        sigma: np.ndarray,
-        rng: np.random.Generator,
+        self, arm: Arm, plan: np.ndarray, sigma: np.ndarray, rng: np.random.Generator
     ) -> None:
         side = arrival(plan, rng.choice([-1.0, 1.0], len(plan)))
         t = np.linspace(0.0, 16.0 * len(plan), len(plan))
         warm = arm.reference_temperature_c - 10.0 * np.expm1(-t / 5000.0)
         self.q, self.t_s = plan, t
         self.context = TrueContext(side, warm, None, t)
-        self.arm, self.head = arm, head
-        self.sound = self._see(None)
+        self.arm = arm
+        self.sound = self._see()
         session = Session.record(plan, self.sound)
         model = declared_model(arm)
         base = model.plus(*geometry_terms(arm, session))
         self.fit: ModelFit = fit_model(base, session, sigma=sigma, robust=False)
         self.marginal = Marginal(self.fit.design, self.fit.data)
 
-    def _see(self, effect: Hidden | None) -> np.ndarray:
-        inside = [effect] if isinstance(effect, HiddenEffect) else []
-        outside = (effect,) if isinstance(effect, CameraEffect) else ()
-        tip = TrueArm(self.arm, inside, steps=2).tip(self.q, self.context)
-        return dataclasses.replace(self.head, effects=outside).seen(tip, self.t_s)
+    def _see(self, *effects: Hidden) -> np.ndarray:
+        true, eye = make_truth(self.arm, effects, QUICK_STEPS)
+        return eye.seen(true.tip(self.q, self.context), self.t_s)
 
     def visibility(self, effect: Hidden) -> float:
-        """Remaining size in units of the noise over the smallest detectable size.
+        """Return remaining size in units of the noise over the smallest detectable size.
 
         Detectable is what an ideal observer finds who knows the shape of each of `CANDIDATES`
         effects, asks for odds of 20 and pays half a log of the number of readings per
@@ -157,7 +144,7 @@ class _Gauge:
         return math.sqrt(max(left, 0.0) / needed)
 
     def scale_to_visible(self, effect: Hidden, rng: np.random.Generator) -> tuple[Hidden, float]:
-        """The effect scaled to a random visibility of 1.25 to 3, at most 6 times typical."""
+        """Return the effect scaled to a random visibility of 1.25 to 3, at most 6 times typical."""
         wanted = float(np.exp(rng.uniform(np.log(1.25), np.log(3.0))))
         now = self.visibility(effect)
         if now < wanted and now > 0:

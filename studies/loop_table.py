@@ -7,7 +7,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
+
+from studies.interval import wilson
 
 Line = Mapping[str, Any]
 Row = dict[str, Any]
@@ -17,28 +18,21 @@ WORSE = 1.1
 """Largest allowed error of a found model, relative to the fit of the true model."""
 
 
-def wilson(hits: int, count: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927); 0 to 1 without any count."""
-    if count == 0:
-        return 0.0, 1.0
-    low, high = binomtest(hits, count).proportion_ci(0.95, "wilson")
-    return float(low), float(high)
-
-
 def share(of: str, measure: str, answers: Iterable[bool | None]) -> Row | None:
-    """One row from the answers that are not None; None without any."""
+    """Return one row from the answers that are not None; None without any."""
     counted = [bool(a) for a in answers if a is not None]
     if not counted:
         return None
-    low, high = wilson(sum(counted), len(counted))
+    hits, n = sum(counted), len(counted)
+    low, high = wilson(hits / n, n)
     return {
         "of": of,
         "measure": measure,
-        "share": sum(counted) / len(counted),
+        "share": hits / n,
         "low": low,
         "high": high,
-        "hits": sum(counted),
-        "n": len(counted),
+        "hits": hits,
+        "n": n,
     }
 
 
@@ -55,11 +49,6 @@ def _ratio(line: Line, which: str = "") -> float | None:
 def _within(line: Line, which: str = "") -> bool | None:
     ratio = _ratio(line, which)
     return None if ratio is None else ratio <= WORSE
-
-
-def _is_flagged(line: Line) -> bool:
-    r = line["result"]
-    return r["flag"] or r["verdict"] in ("unknown", "partly", "set")
 
 
 Measure = tuple[str, Callable[[Line], "bool | None"]]
@@ -87,7 +76,10 @@ _NAMING: tuple[Measure, ...] = (
     _DANGEROUS,
 )
 _OTHER: tuple[Measure, ...] = (
-    ("flagged: set, partly, unknown or rolled back", _is_flagged),
+    (
+        "flagged: set, partly, unknown or rolled back",
+        lambda x: x["result"]["flag"] or x["result"]["verdict"] in ("unknown", "partly", "set"),
+    ),
     _WRONG,
     _TOLD,
     _DANGEROUS,
@@ -102,7 +94,7 @@ _MEASURES: dict[str, tuple[Measure, ...]] = {
 
 
 def summary(lines: Sequence[Line]) -> list[Row]:
-    """All shares, and the medians of the error ratios, of the cases that ran."""
+    """Return all shares, and the medians of the error ratios, of the cases that ran."""
     rows: list[Row | None] = []
     kinds: dict[tuple[str, str, int, bool], list[Line]] = {}
     for line in _ran(lines):
@@ -112,12 +104,14 @@ def summary(lines: Sequence[Line]) -> list[Row]:
     for (group, plan, count, seen), mine in sorted(kinds.items(), key=_order):
         of = f"{group}, {plan} {count}" + ("" if seen else ", not visible")
         rows += [share(of, name, map(ask, mine)) for name, ask in _MEASURES[group]]
-        rows.append(share(of, "95 % interval holds the true value", _true_in_interval(mine)))
+        intervals = [i for line in mine for i in line["result"]["intervals"]]
+        inside = (i["low"] <= i["true"] <= i["high"] for i in intervals)
+        rows.append(share(of, "95 % interval holds the true value", inside))
     return [row for row in rows if row is not None]
 
 
 def by_effect(lines: Sequence[Line]) -> list[Row]:
-    """Visible single effects: one row per effect, plan and sample size."""
+    """Return visible single effects: one row per effect, plan and sample size."""
     kinds: dict[tuple[str, str, int], list[Line]] = {}
     for line in _ran(lines):
         case = line["case"]
@@ -145,7 +139,7 @@ def by_effect(lines: Sequence[Line]) -> list[Row]:
 
 
 def reliability(lines: Sequence[Line]) -> list[Row]:
-    """Names as probable as they were called, against how many of them were hidden.
+    """Return names as probable as they were called, against how many of them were hidden.
 
     Of sessions whose causes are all in the library. Every name of every finding counts, at its
     probability there; between 0.95 and 1 it is a single name.
@@ -166,16 +160,12 @@ def reliability(lines: Sequence[Line]) -> list[Row]:
 
 
 def failures(lines: Sequence[Line]) -> list[str]:
-    """One line per case that ended with an error."""
+    """Return one line per case that ended with an error."""
     return [f"{x['case']['id']}: {x['error']}" for x in lines if "error" in x]
 
 
 def _ran(lines: Sequence[Line]) -> list[Line]:
     return [x for x in lines if "result" in x]
-
-
-def _true_in_interval(lines: Sequence[Line]) -> list[bool]:
-    return [i["low"] <= i["true"] <= i["high"] for x in lines for i in x["result"]["intervals"]]
 
 
 _GROUPS = list(_MEASURES)

@@ -79,7 +79,7 @@ def values(effect: Hidden, arm: Arm) -> Values:
 
 
 def places(effect: Hidden, arm: Arm) -> frozenset[str]:
-    """Places of the effect in the terms of the library; empty for the whole arm."""
+    """Return places of the effect in the terms of the library; empty for the whole arm."""
     found = set()
     for field in effect.sizes:
         value = getattr(effect, field)
@@ -97,7 +97,7 @@ def places(effect: Hidden, arm: Arm) -> frozenset[str]:
 
 
 def at_one_place(effect: Hidden, arm: Arm, rng: np.random.Generator) -> Hidden:
-    """The effect at a random one of its joints or beams; effects of the whole arm unchanged."""
+    """Put the effect at one random joint or beam of its own; one of the whole arm stays."""
     where = sorted(places(effect, arm))
     if len(where) < 2:
         return effect
@@ -114,6 +114,6 @@ def at_one_place(effect: Hidden, arm: Arm, rng: np.random.Generator) -> Hidden:
 
 
 def size(effect: Hidden, arm: Arm) -> int:
-    """Number of parameters that describe it."""
+    """Return the number of parameters that describe it."""
     counts = [int(np.count_nonzero(getattr(effect, field))) for field in effect.sizes]
     return max(sum(counts), len(places(effect, arm)), 1)

@@ -15,7 +15,7 @@ from longarm_comp.core.model.model import Model
 
 
 def stack(rows: Sequence[Any]) -> SimpleNamespace:
-    """Fields of records of one kind, each with a leading axis; texts and records as a list."""
+    """Stack fields of records of one kind by a leading axis; texts and records as a list."""
     made: dict[str, Any] = {}
     for name in vars(rows[0]):
         values = [getattr(row, name) for row in rows]

@@ -19,7 +19,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.math.points import kabsch
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.geometry import DhError, JointZero
-from studies.commands import Figures, Show, arm_option, arms_option, study_command
+from studies.commands import Figures, Show, arm_option, arms_option, each_arm, study_command
 
 ROWS = (15, 20, 30, 45, 70, 110, 170, 260)
 """Rows that are fitted."""
@@ -97,7 +97,7 @@ def errors_by_rows(arm: Arm, seed: int, counts: Sequence[int] = ROWS) -> dict[st
     rows = len(arm.joints)
     scale = np.array([ROW_RAD, ROW_M, ROW_RAD, ROW_M])[:, None]
     hidden = (
-        JointZero(ZERO_RAD * rng.standard_normal(arm.n) * _turning(arm)),
+        JointZero(ZERO_RAD * rng.standard_normal(arm.n) * ~arm.slides),
         DhError(0.5 * scale * rng.standard_normal((4, rows))),
     )
     true = TrueArm(arm, hidden)
@@ -129,7 +129,7 @@ def errors_by_rows(arm: Arm, seed: int, counts: Sequence[int] = ROWS) -> dict[st
 def _touching(
     arm: Arm, true: TrueArm, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Joints, true poses and names of rows that touch every socket in turn."""
+    """Return joints, true poses and names of rows that touch every socket in turn."""
     middle = arm.lower + (arm.upper - arm.lower) * (0.25 + 0.5 * rng.random((PLACES, arm.n)))
     first = true.pose(middle)[:, :3, 3]
     way = rng.standard_normal((PLACES, 3))
@@ -142,7 +142,7 @@ def _touching(
 
 
 def joints_at(arm: Arm, true: TrueArm, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(N, n) joints within the limits at which the true tip is at points (N, 3), m."""
+    """Return (N, n) joints within the limits at which the true tip is at points (N, 3), m."""
     drawn, room = Model(arm), arm.upper - arm.lower
 
     def towards(q: np.ndarray, away: np.ndarray) -> np.ndarray:
@@ -167,12 +167,8 @@ def joints_at(arm: Arm, true: TrueArm, points: np.ndarray, rng: np.random.Genera
     return found
 
 
-def _turning(arm: Arm) -> np.ndarray:
-    return np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded], float)
-
-
 def table(found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int]) -> list[dict[str, Any]]:
-    """Rows of the table: median error over the arms in mm, by count and kind."""
+    """Return rows of the table: median error over the arms in mm, by count and kind."""
     middle = {kind: np.median([one[kind] for one in found], axis=0) for kind in KINDS}
     return [
         {"rows": int(count), **{f"{k}_mm": round(1e3 * float(middle[k][i]), 3) for k in KINDS}}
@@ -183,7 +179,7 @@ def table(found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int]) -> l
 def rows_needed(
     found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int], limits_m: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """Rows that reach an error, by kind: the median over the arms; None where most never do."""
+    """Count rows that reach an error, by kind: median over the arms; None where most never do."""
     made = []
     for limit in limits_m:
         row: dict[str, Any] = {"error_mm": 1e3 * limit}
@@ -196,7 +192,7 @@ def rows_needed(
 
 
 def _first(errors: np.ndarray, counts: Sequence[int], limit: float) -> float:
-    """Rows from which on the error stays below a limit, between the counts in logarithms."""
+    """Return rows from which on the error stays below a limit, between the counts in logarithms."""
     above = np.flatnonzero(errors > limit)
     if not len(above):
         return float(counts[0])
@@ -219,10 +215,7 @@ def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
     Example:
       longarm study measurements --arms 5
     """
-    found = []
-    for k in range(arms):
-        found.append(errors_by_rows(arm, seed + k))
-        show(f"{k + 1} of {arms} arms", (k + 1) / arms)
+    found = [errors_by_rows(arm, seed + k) for k in each_arm(arms, show)]
     rows, least = table(found, ROWS), rows_needed(found, ROWS, (1e-3, 5e-4, 2.5e-4))
     return Figures(
         {"arms": arms, "seed": seed, "errors": rows, "needed": least},

@@ -114,9 +114,7 @@ class SupplySag(HiddenEffect):
     sag: float
 
     def held(self, torques: Array, state: State) -> Array:
-        turning = np.array(
-            [state.arm.joints[r - 1].type == "revolute" for r in state.arm.commanded]
-        )
+        turning = ~state.arm.slides
         drawn = np.abs(torques * turning).sum(axis=1, keepdims=True)
         return self.sag * torques * turning * drawn
 
@@ -229,7 +227,7 @@ class WindowGlass(CameraEffect):
 
 
 def outside(arm: Arm) -> dict[str, HiddenEffect | CameraEffect]:
-    """One of each for the demonstration's arm, moving its tip by about 1 to 3 mm."""
+    """Return one of each for the demonstration's arm, moving its tip by about 1 to 3 mm."""
     return {
         "hose_pull": HosePull(row=5, first=1, second=4, pull=24.0),
         "supply_sag": SupplySag(sag=2.5e-4),

@@ -39,8 +39,8 @@ class OwnRigid:
 
     @classmethod
     def fit(cls, arm: Arm, session: Session) -> OwnRigid:
-        """Least squares of rows with positions, or with touches of unknown points."""
-        names = list(np.unique(_markers(session)))
+        """Fit by least squares rows with positions, or with touches of unknown points."""
+        names = list(np.unique(session.texts("marker")))
         points = np.unique(session.labels["touch"]) if _is_touched(session) else np.array([])
         tip = np.array(arm.tip.position_m)
         declared = cls(arm, np.zeros(6 * (len(arm.joints) + 1)), dict.fromkeys(names, tip))
@@ -73,7 +73,7 @@ class OwnRigid:
         return rebuild(least_squares(residual, near, loss="huber", max_nfev=60).x)
 
     def points(self, session: Session) -> np.ndarray:
-        """(N, 3) m, where the tip or marker of each row is."""
+        """Return (N, 3) m, where the tip or marker of each row is."""
         matrix, offset = self.arm.mixing
         joints = session.q @ matrix.T + offset
         turn, at = _as_motion(self.errors[:6])
@@ -96,11 +96,11 @@ class OwnRigid:
                 )
             error, shift = _as_motion(self.errors[6 * (k + 1) : 6 * (k + 2)])
             at, turn = at + turn.apply(shift), turn * error
-        tips = np.array([self.tips[name] for name in _markers(session)])
+        tips = np.array([self.tips[name] for name in session.texts("marker")])
         return np.asarray(at + turn.apply(tips))
 
     def left(self, session: Session) -> np.ndarray:
-        """(N,) m, distance of each row from what it says; touches from the mean of their point."""
+        """Return distances (N,), m, of rows from what they say; touches from their point's mean."""
         points = self.points(session)
         if not _is_touched(session):
             return np.asarray(np.linalg.norm(session.xyz - points, axis=1))
@@ -114,7 +114,7 @@ def _as_motion(six: np.ndarray) -> tuple[Rotation, np.ndarray]:
 
 
 def _register_base(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """The base from which points (N, 3) are nearest to those seen (Kabsch 1976)."""
+    """Return the base from which points (N, 3) are nearest to those seen (Kabsch 1976)."""
     middle, there = points.mean(axis=0), seen.mean(axis=0)
     turn = Rotation.align_vectors(seen - there, points - middle)[0]
     return np.concatenate([turn.as_rotvec(), there - turn.apply(middle)])
@@ -126,8 +126,3 @@ def _of(names: np.ndarray, at: np.ndarray, name: str) -> np.ndarray:
 
 def _is_touched(session: Session) -> bool:
     return "touch" in session.labels and not session.located.any()
-
-
-def _markers(session: Session) -> np.ndarray:
-    """(N,) marker of each row."""
-    return session.labels.get("marker", np.full(len(session), ""))

@@ -8,7 +8,6 @@ in every place (no inertia: `longarm study ringing`).
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,11 +37,19 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
-from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
-from studies.loop import read_lines
+from studies.commands import (
+    Figures,
+    Show,
+    arm_option,
+    arms_option,
+    each_arm,
+    study_command,
+    whole_number,
+)
+from studies.loop import append_line, read_lines
 from studies.random_arms import random_arm
-from studies.true_camera import hidden
 
 SPEEDS = (0.05, 0.15, 0.5)
 """Mean speeds of the tip, m/s."""
@@ -62,12 +69,12 @@ class Play(HiddenEffect):
     """Joints stand behind their commands by what the context says, as `lagging` computes it."""
 
     def joints(self, q: np.ndarray, state: State) -> np.ndarray:
-        """The commands less that."""
+        """Return the commands less that."""
         return np.asarray(q - state.behind)
 
 
 def lagging(q: np.ndarray, half: np.ndarray, behind: np.ndarray) -> np.ndarray:
-    """(M, n): how far joints stand behind commands (M, n) one after the other.
+    """Return (M, n): how far joints stand behind commands (M, n) one after the other.
 
     Play of `half` (n,) to either side; before the first command they stand `behind` (n,).
     """
@@ -100,13 +107,13 @@ class StudiedArm:
 
     @classmethod
     def draw(cls, declared: Arm, number: int, seed: int, names: Sequence[str]) -> StudiedArm:
-        """Random lengths and stiffness, hidden effects whose kinds the calibration is told."""
+        """Draw lengths and stiffness, and hidden effects whose kinds the calibration is told."""
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, declared)
         effects = [hidden(name, arm, 1.0, rng) for name in ("joint_zero", "dh_error", *names)]
         half = sum((e.lag for e in effects if isinstance(e, FrictionHysteresis)), np.zeros(arm.n))
         kept = [e for e in effects if not isinstance(e, FrictionHysteresis)]
-        true = TrueArm(arm, [Play(), *(e for e in kept if isinstance(e, HiddenEffect))], steps=2)
+        true = TrueArm(arm, [Play(), *kept], steps=2)
         q, side = random_joints(arm, ROWS, rng), rng.choice([-1.0, 1.0], ROWS)
         clean = true.tip(q, TrueContext(behind=side[:, None] * half))
         seen = clean + NOISE_M * rng.standard_normal((ROWS, 3))
@@ -118,7 +125,7 @@ class StudiedArm:
 
 
 def way(arm: Arm, kind: str, speed: float, rng: np.random.Generator) -> Way:
-    """A random path of the declared arm from rest to rest at a mean speed of the tip, m/s.
+    """Return a random path of the declared arm from rest to rest at a mean speed of the tip, m/s.
 
     A line ends at the tips of two random postures, an arc runs through those of three.
     """
@@ -146,7 +153,7 @@ def way(arm: Arm, kind: str, speed: float, rng: np.random.Generator) -> Way:
 
 
 def through(a: np.ndarray, b: np.ndarray, c: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(M, 3) points at shares (M,) of the arc of the circle from a through b to c; of a line."""
+    """Return points (M, 3) at shares (M,) of the arc from a through b to c, or of the line."""
     chord, half = c - a, b - 0.5 * (a + c)
     along = chord / np.linalg.norm(chord)
     rise = half - (half @ along) * along
@@ -186,7 +193,7 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
 def deviation(
     studied: StudiedArm, path: CubicPath, curve: np.ndarray, sides: np.ndarray
 ) -> np.ndarray:
-    """(M,) m: distance of the true tip from the curve; joints came to its start from sides (n,)."""
+    """Compute distances (M,), m, of the true tip from the curve; joints came from sides (n,)."""
     count = _LOOKED_AT * (len(path.times) - 1) + 1
     joints = path.at(
         np.interp(np.arange(count) / _LOOKED_AT, np.arange(len(path.times)), path.times)
@@ -202,7 +209,7 @@ def deviation(
 
 
 def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, Any]]:
-    """`each` paths of every kind and speed on one arm."""
+    """Return `each` paths of every kind and speed on one arm."""
     names = (*ELASTIC, PLAY) if number % 2 else ELASTIC
     studied = StudiedArm.draw(declared, number, seed, names)
     known = Context(**History.unknown(studied.arm.n).fields())
@@ -218,7 +225,7 @@ def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, 
 
 
 def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row a kind and speed, with play and without; lengths in mm."""
+    """Return one row a kind and speed, with play and without; lengths in mm."""
     rows = []
     for play in (False, True):
         for kind in KINDS:
@@ -269,16 +276,12 @@ def command(arm: Arm, arms: int, paths: int, seed: int, output: Path | None, sho
     """
     done = read_lines(output) if output is not None else {}
     lines: list[dict[str, Any]] = []
-    for number in range(arms):
+    for number in each_arm(arms, show):
         case = {"id": f"{arm.hash[:12]} arm {number} seed {seed} paths {paths}"}
         if case["id"] not in done:
-            record = {"case": case, "lines": one_arm(arm, number, seed, paths)}
-            done[case["id"]] = record
+            done[case["id"]] = {"case": case, "lines": one_arm(arm, number, seed, paths)}
             if output is not None:
-                output.parent.mkdir(parents=True, exist_ok=True)
-                with output.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(record, allow_nan=False) + "\n")
-        show(f"{number + 1} of {arms} arms", (number + 1) / arms)
+                append_line(output, done[case["id"]])
         lines += done[case["id"]]["lines"]
     rows = table(lines)
     title = f"Deviation of the true tip from planned paths, {arms} arms"

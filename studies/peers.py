@@ -38,7 +38,7 @@ class PeerPredictor:
     sigma: Array | None  # (3,) m where the regressor gives none of its own
 
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
-        """Expected residual. Peers have no domain, so every row counts as inside."""
+        """Return the expected residual. Peers have no domain, so every row counts as inside."""
         q, known = check_rows("predict", q, context)
         _, x = self.encoding.encode(q, known)
         if self.sigma is None:
@@ -51,17 +51,11 @@ class PeerPredictor:
 
 
 def train_gaussian_process(
-    q: Array,
-    residual: Array,
-    context: Context | None = None,
-    *,
-    inputs: str = "context",
-    seed: int = 0,
-    weights: Array | None = None,
+    q: Array, residual: Array, context: Context | None = None, *, seed: int = 0
 ) -> PeerPredictor:
-    """Gaussian process: squared-exponential kernel with one length per input, white noise.
+    """Train a Gaussian process: squared-exponential kernel, a length per input, white noise.
 
-    ``weights`` only leaves samples out (weight 0); arguments as of ``learn.ensemble.train``.
+    Arguments are as of ``learn.ensemble.train``.
     """
 
     def build(width: int) -> Any:
@@ -71,20 +65,11 @@ def train_gaussian_process(
             random_state=seed,
         )
 
-    return _fit(build, q, residual, context, inputs, weights, own_sigma=True)
+    return _fit(build, q, residual, context, own_sigma=True)
 
 
-def train_mlp(
-    q: Array,
-    residual: Array,
-    context: Context | None = None,
-    *,
-    inputs: str = "context",
-    seed: int = 0,
-    hidden: int = 12,
-    weights: Array | None = None,
-) -> PeerPredictor:
-    """``MLPRegressor`` of the same size by L-BFGS, its penalty by five-fold cross-validation."""
+def train_mlp(q: Array, residual: Array, *, seed: int, hidden: int) -> PeerPredictor:
+    """Train ``MLPRegressor`` of the same size by L-BFGS, its penalty by five-fold validation."""
 
     def build(width: int) -> Any:
         network = MLPRegressor(
@@ -93,23 +78,16 @@ def train_mlp(
         )  # fmt: skip
         return GridSearchCV(network, {"alpha": [1e-3, 1e-2, 1e-1, 1.0, 10.0]}, cv=5)
 
-    return _fit(build, q, residual, context, inputs, weights, own_sigma=False)
+    return _fit(build, q, residual, None, own_sigma=False)
 
 
 def _fit(
-    build: Any,
-    q: Array,
-    residual: Array,
-    context: Context | None,
-    inputs: str,
-    weights: Array | None,
-    own_sigma: bool,
+    build: Any, q: Array, residual: Array, context: Context | None, own_sigma: bool
 ) -> PeerPredictor:
     q, known = check_rows("train", q, context)
-    used = np.ones(len(q), bool) if weights is None else np.asarray(weights) > 0
-    encoding = fit_encoding(q, known, inputs)
-    x = encoding.encode(q, known)[1][used]
-    y = np.asarray(residual, float)[used]
+    encoding = fit_encoding(q, known, "context")
+    x = encoding.encode(q, known)[1]
+    y = np.asarray(residual, float)
     offset, scale = y.mean(axis=0), float(y.std())
     regressor = build(x.shape[1])
     with warnings.catch_warnings():

@@ -20,11 +20,10 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.planning.optimal_poses import Uncertainty, optimal_poses
+from longarm_comp.core.planning.optimal_poses import Uncertainty, choose_optimal_poses
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.hidden import catalogue
-from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.catalogue import hidden
 from studies.commands import Figures, Show, arm_option, arms_option, study_command
 
 COUNTS = (40, 60, 100, 200)
@@ -57,7 +56,7 @@ class PoseOutcome:
 
 
 def plan_poses(arm: Arm, way: str, n: int, known: bool, seed: int) -> Plan:
-    """The poses of one way; only I-optimal ones depend on what is known."""
+    """Return the poses of one way; only I-optimal ones depend on what is known."""
     if way == "grid":
         return grid(arm, n, seed)
     if way == "sobol":
@@ -66,16 +65,15 @@ def plan_poses(arm: Arm, way: str, n: int, known: bool, seed: int) -> Plan:
     if known:
         model = model.plus(*JointCompliance.for_arm(arm))
     uncertain = Uncertainty.of(model, None, "position", known=known, sigma=(SIGMA_M, 1e-3))
-    return optimal_poses(uncertain, n, rng=seed)
+    return choose_optimal_poses(uncertain, n, rng=seed)
 
 
 def one_arm(
     arm: Arm, seed: int, counts: Sequence[int] = COUNTS, ways: Sequence[str] = WAYS
 ) -> Iterator[PoseOutcome]:
-    """Every way and count on one true arm, with the effect known and to be found."""
+    """Yield every way and count on one true arm, with the effect known and to be found."""
     rng = np.random.default_rng([seed, 5])
-    drawn = (catalogue.hidden(name, arm, 1.0, rng) for name in HIDDEN)
-    true = TrueArm(arm, [effect for effect in drawn if isinstance(effect, HiddenEffect)])
+    true = TrueArm(arm, [hidden(name, arm, 1.0, rng) for name in HIDDEN])
     fresh = random_joints(arm, FRESH, rng)
     where = true.tip(fresh, TrueContext())
     for n in counts:
@@ -97,7 +95,7 @@ def one_arm(
 
 
 def table(found: Sequence[PoseOutcome]) -> list[dict[str, Any]]:
-    """Mean error over the arms in mm: a row a count, known and to be found; a column a way."""
+    """List the arms' mean error in mm: a row a count, known and to be found; a column a way."""
     rows = []
     for known in (True, False):
         for n in sorted({one.n for one in found}):

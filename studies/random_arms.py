@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
@@ -12,14 +10,14 @@ from longarm_comp.sim.hidden import drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import typical_context
 from studies import true_camera as camera
-from studies.true_camera import CameraEffect, TrueCamera
+from studies.true_camera import Hidden, TrueCamera
 
 Array = np.ndarray
 _STEPS = 2  # sizes need no nanometres
 
 
 def random_arm(rng: np.random.Generator, base: Arm) -> Arm:
-    """An arm like `base`: lengths by row, sections, masses and stiffness vary.
+    """Return an arm like `base`: lengths by row, sections, masses and stiffness vary.
 
     Lengths +-12 %, wall diameters +-4 %, masses +-20 %, stiffness +-20 % in common and +-8 %
     by beam; joints, limits and camera as in `base`.
@@ -49,26 +47,10 @@ def random_arm(rng: np.random.Generator, base: Arm) -> Arm:
     return Arm.parse(data, "random arm")
 
 
-@dataclass(frozen=True)
-class Mix:
-    """Hidden effects of both sides."""
-
-    arm_side: tuple[HiddenEffect, ...]
-    camera_side: tuple[CameraEffect, ...]
-
-    @classmethod
-    def of(cls, *effects: HiddenEffect | CameraEffect) -> Mix:
-        """Effects sorted by side, each side in the given order."""
-        return cls(
-            tuple(e for e in effects if isinstance(e, HiddenEffect)),
-            tuple(e for e in effects if isinstance(e, CameraEffect)),
-        )
-
-
 def paper_mix(
     rng: np.random.Generator, arm: Arm, *, deflection_only_mm: float = 15.4, mean_z_mm: float = 1.0
-) -> Mix:
-    """Typical effects of a printed arm with hobby servos, sized as in the paper's Table I.
+) -> tuple[Hidden, ...]:
+    """Return typical effects of a printed arm with hobby servos, sized as in the paper's Table I.
 
     Pot gains, gear eccentricity, servo steps, backlash with a load gate, friction and telescope
     clearance, and some lens distortion; joints that lift err most.  One common dose makes the
@@ -76,8 +58,7 @@ def paper_mix(
     the joint that lifts most makes the mean z `mean_z_mm` (the paper: 17.7 uncompensated, 15.39
     deflection only).
     """
-    turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
-    sliding = ~turning
+    turning = ~arm.slides
     poses = rng.uniform(arm.lower, arm.upper, (120, arm.n))
     context = typical_context(len(poses), arm, rng)
     moves = _moves(arm, poses)
@@ -89,7 +70,7 @@ def paper_mix(
     second = turning * rng.uniform(5e-4, 1.5e-3, arm.n)
     graded: tuple[HiddenEffect, ...] = (
         drives.JointGain(gain),
-        drives.PrismaticPitch(0.03 * signs * sliding),
+        drives.PrismaticPitch(0.03 * signs * arm.slides),
         drives.GearEccentricity(np.stack([0 * second, second]), phase),
         drives.FrictionHysteresis(play * rng.uniform(3e-3, 7e-3, arm.n)),
         drives.Backlash(play * rng.uniform(5e-3, 1e-2, arm.n), gate=0.35),
@@ -121,11 +102,11 @@ def paper_mix(
         centred = np.mean(np.abs(z - np.mean(z) + mean_z_mm))
         dose *= deflection_only_mm / centred
         zero = 1e-3 * (mean_z_mm - dose * per_dose) / rise
-    return Mix.of(*effects, *lens)
+    return (*effects, *lens)
 
 
 def _moves(arm: Arm, poses: Array) -> Array:
-    """Travel of the tip per unit of each joint, (n, N, 3)."""
+    """Return the travel of the tip per unit of each joint, (n, N, 3)."""
     true, step = TrueArm(arm, steps=_STEPS), 1e-3
     steps = step * np.eye(arm.n)
     return np.stack([(true.tip(poses + s) - true.tip(poses - s)) / (2 * step) for s in steps])

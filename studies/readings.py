@@ -36,14 +36,14 @@ from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.catalogue import draw, hidden
+from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.loads import JointCompliance
-from longarm_comp.sim.plant import Plant, PlantConfig, mounting
+from longarm_comp.sim.plant import Plant, PlantConfig, mount_plate
 from longarm_comp.sim.servo_emulator.joints import read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
 from studies.commands import Figures, Show, study_command, whole_number
 from studies.simulated import TrueEncoders, measure_session
-from studies.true_camera import TrueCamera
+from studies.true_camera import TrueCamera, draw_geometry_errors
 
 SIZE_MM = 8.0
 """Shift of the tip, as in the demonstration."""
@@ -60,7 +60,7 @@ every true name in a set and nothing beside; or else."""
 
 
 def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator[dict[str, Any]]:
-    """A row a case: planted at one joint, at a share of the size; what the diagnosis says.
+    """Yield a row a case: planted at one joint, at a share of the size; what the diagnosis says.
 
     Besides what that is (`SAID`): whether the servos' names are right.
     """
@@ -89,7 +89,7 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
 
 
 def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
-    """A row a soft joint and session: how sure its name is on average over the noise.
+    """Yield a row a soft joint and session: how sure its name is on average over the noise.
 
     `name` is its probability among all names, `rival` the next, both with their priors.
     """
@@ -132,26 +132,20 @@ def measure(
     rows: int,
     load_kg: float = PAYLOADS_KG[1],
 ) -> Session:
-    """A session of a simulated arm with wrong geometry too, empty and loaded, its motors read."""
-    true = TrueArm(arm, [*effects, *_misbuilt(arm, rng)], steps=4)
+    """Measure a simulated arm with wrong geometry too, empty and loaded, its motors read."""
+    true = TrueArm(arm, [*effects, *draw_geometry_errors(arm, 1.0, rng)], steps=4)
     zero = rng.normal(0.0, 1e-3, arm.n)
     q = sobol(arm, rows, rng).q
     return measure_session(
         true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders(zero=zero),
         payload_kg=rng.choice([PAYLOADS_KG[0], load_kg], rows),
-    ).session()  # fmt: skip
-
-
-def _misbuilt(arm: Arm, rng: np.random.Generator) -> list[HiddenEffect]:
-    """Wrong geometry of typical size."""
-    made = [hidden(n, arm, 1.0, rng) for n in ("joint_zero", "dh_error", "base_pose")]
-    return [effect for effect in made if isinstance(effect, HiddenEffect)]
+    ).session  # fmt: skip
 
 
 def at_joint(
     joint: int, name: str, arm: Arm, size_mm: float, rng: np.random.Generator
 ) -> HiddenEffect:
-    """Droop or softness of one joint, of a size at the tip."""
+    """Return droop or softness of one joint, of a size at the tip."""
     place = np.array([float(row == joint) for row in arm.commanded])
     made: HiddenEffect = JointCompliance(1e-3 * place)
     if name == "servo_droop":
@@ -165,17 +159,16 @@ def at_joint(
 
 
 def tip(arm: Arm, rows: int = 150) -> dict[str, Any]:
-    """Error of the tip by command and by readings, mm, of servos that droop and stick.
+    """Return the error of the tip by command and by readings, mm, of servos that droop and stick.
 
     The model knows neither: it was fitted to the same arm's geometry and readings.
     """
     rng = np.random.default_rng(26)
     droop, friction = (draw(n, arm, rng, 3.0) for n in ("servo_droop", "friction_hysteresis"))
-    assert isinstance(droop, HiddenEffect) and isinstance(friction, HiddenEffect)
-    true = TrueArm(arm, [droop, friction, *_misbuilt(arm, rng)], steps=4)
+    true = TrueArm(arm, [droop, friction, *draw_geometry_errors(arm, 1.0, rng)], steps=4)
     q = sobol(arm, rows, rng).q
     measured = measure_session(true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders())
-    session = measured.session()
+    session = measured.session
     terms = (*(ServoDroop(row) for row in ServoDroop.rows(arm)), *geometry_terms(arm, session))
     model = fit_model(declared_model(arm).plus(*terms), session).model
     q = sobol(arm, 100, rng).q
@@ -216,7 +209,7 @@ class SaggingArm:
             read_arm(folder / "servo_driver.yaml"),
             CameraPair(position_m=(0.75, -1.7, 0.3), optical_axis=(0.0, 1.0, 0.0)),
             tag_plate(0.06, 0.012, 2, 2),
-            mounting([0.0, 0.0, 0.0]),
+            mount_plate([0.0, 0.0, 0.0]),
             (drives.ServoDroop(2.3e-3 * turns), drives.ServoDeadband(3e-4 * turns, 0.05)),
             MotorSpec(encoder_zero_ticks=off),
         )
@@ -247,7 +240,7 @@ class SaggingArm:
                 return said[0]
 
     def miss(self, q: np.ndarray) -> float:
-        """Distance (m) of the tip from where joints (n,) would bring it that do not give way."""
+        """Return the tip's distance (m) from where stiff joints (n,) would bring it."""
         want = self._sound.tip(q, TrueContext(payload_kg=0.0)).ravel()
         return float(np.linalg.norm(self.plant.tip_pose(0.0)[:3, 3] - want))
 
@@ -258,7 +251,7 @@ class SaggingArm:
 
 
 def run_moves(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, Any]:
-    """Moves of an arm whose servos droop by 8 mm: true miss (mm) and time (s)."""
+    """Run moves of an arm whose servos droop by 8 mm: true miss (mm) and time (s)."""
     rig, off, took = SaggingArm(folder, scratch, trim), [], []
     steps = rig.arm.steps
     for q in np.round(sobol(rig.arm, moves + 1, np.random.default_rng(2)).q[1:] / steps) * steps:

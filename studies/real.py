@@ -21,9 +21,9 @@ from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import (
     Errors,
+    compute_tip_errors,
     copy_known_values,
     declared_model,
-    errors,
     geometry_terms,
     placement_terms,
 )
@@ -133,7 +133,8 @@ def _own(slot: Slot) -> bool:
 
 
 def _line(name: str, parts: Sequence[Measured], fits: Sequence[ModelFit]) -> Line:
-    left = np.concatenate([errors(f.model, p.held_out) for f, p in zip(fits, parts, strict=True)])
+    pairs = zip(fits, parts, strict=True)
+    left = np.concatenate([compute_tip_errors(f.model, p.held_out) for f, p in pairs])
     effects = dict.fromkeys(t.name for f in fits for t in f.model.terms if not t.geometry)
     _, *ci95 = mean_ci95(np.linalg.norm(left, axis=1))
     return Line(name, Errors.of(left), (ci95[0], ci95[1]), tuple(effects))

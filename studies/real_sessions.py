@@ -45,7 +45,7 @@ class Measured:
 
 
 def declared_arm(name: str) -> Arm:
-    """An arm file that ships with the studies."""
+    """Return an arm file that ships with the studies."""
     return Arm.load(Path(__file__).parent / "arms" / f"{name}.yaml")
 
 
@@ -58,7 +58,7 @@ def _table(path: Path) -> list[dict[str, str]]:
 
 
 def every_robot(folder: Path) -> dict[str, list[Measured]]:
-    """The sets that a folder holds, by robot: ``dlr_justin``, ``wam``, ``ur5``.
+    """Return the sets that a folder holds, by robot: ``dlr_justin``, ``wam``, ``ur5``.
 
     Raises:
         InputError: it holds none.
@@ -78,7 +78,7 @@ def every_robot(folder: Path) -> dict[str, list[Measured]]:
 
 
 def justin(folder: Path) -> list[Measured]:
-    """DLR Agile Justin, right and left arm (split: default_rng(0), 350 postures to train).
+    """Read DLR Agile Justin, right and left arm (split: default_rng(0), 350 postures to train).
 
     The other arm loads the torso with its own posture; its weight is one mass at its rigid
     centre of mass in the last torso frame.
@@ -110,7 +110,7 @@ def justin(folder: Path) -> list[Measured]:
 
 
 def _centre_of_mass(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """(N, 3) centre of mass of all beyond the fixed row 5, seen in row 4 (the last torso row)."""
+    """Return the centre of mass (N, 3) of all beyond the fixed row 5, in row 4 (last of torso)."""
     still = tuple(m for m in arm.point_masses if m.frame > 5)
     bare = arm.model_copy(update={"point_masses": still})
     model = Model(bare)
@@ -123,7 +123,7 @@ def _centre_of_mass(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 
 def laser_tracked(folder: Path, name: str) -> list[Measured]:
-    """Barrett WAM or UR5 by laser tracker (split by the authors: grid to train, random to test)."""
+    """Read Barrett WAM or UR5 by laser tracker (authors' split: grid to train, random to test)."""
     rows = _table(folder / TRACKED.format(name))
     arm = declared_arm(name)
     session = Session.record(

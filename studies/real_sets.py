@@ -16,7 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import as_commanded, own_way
-from longarm_comp.core.data.measurement import spreads
+from longarm_comp.core.data.measurement import compute_touch_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -71,7 +71,7 @@ class HeldOut:
 
 
 def real_sets(folder: Path) -> Iterator[tuple[str, list[Measured]]]:
-    """The sets that a folder holds, by name.
+    """Yield the sets that a folder holds, by name.
 
     Raises:
         InputError: it holds none.
@@ -94,7 +94,7 @@ def real_sets(folder: Path) -> Iterator[tuple[str, list[Measured]]]:
 
 
 def judge_splits(part: Measured, say: Say) -> Iterator[HeldOut]:
-    """Every split of an arm's rows."""
+    """Yield every split of an arm's rows."""
     for train, test in part.splits:
         touched = test is not None and not test.located.any()
         say("diagnosis")
@@ -114,7 +114,7 @@ def _diagnose(arm: Arm, train: Session, test: Session | None) -> Diagnosis:
 
 
 def _rows(found: Diagnosis) -> HeldOut:
-    """Rows that say where the tip is; fold by fold, as the proof has them."""
+    """Return rows that say where the tip is; fold by fold, as the proof has them."""
     own, inside = [], []
     for fold in found.folds:
         rows = fold.rows.take(fold.rows.located)
@@ -133,13 +133,13 @@ def _rows(found: Diagnosis) -> HeldOut:
 
 
 def _touches(found: Diagnosis) -> HeldOut:
-    """Touches of the place that was held out."""
+    """Return touches of the place that was held out."""
     (fold,) = found.folds
     rows, before, after = fold.rows, fold.fits[CALIBRATED], fold.fits[found.written]
     own = OwnRigid.fit(found.arm, before.session).left(rows)
-    told = [spreads(as_commanded(f.model), own_way(rows)) for f in (before, after)]
+    told = [compute_touch_errors(as_commanded(f.model), own_way(rows)) for f in (before, after)]
     judged = coverage.judge_touches("", after, rows)
-    seen = (spreads(before.model, rows), spreads(after.model, rows))
+    seen = (compute_touch_errors(before.model, rows), compute_touch_errors(after.model, rows))
     return HeldOut(own, *seen, told[0], told[1], judged.error <= judged.radius, found)
 
 
@@ -152,7 +152,7 @@ def _keep_rigid(arm: Arm, train: Session, test: Session | None, why: str) -> Hel
 
 
 def line(name: str, parts: Sequence[Measured], held: Sequence[HeldOut], say: Say) -> dict[str, Any]:
-    """One set's figures, as ``--json`` has them."""
+    """Return one set's figures, as ``--json`` has them."""
 
     def mean(field: str) -> float | None:
         values = np.concatenate([getattr(h, field) for h in held])
@@ -207,7 +207,7 @@ def _list_names(found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def halves(part: Measured, seed: int = 1) -> tuple[int, int]:
-    """Names that a half of the poses states, and how many of them the other half's sets hold."""
+    """Count names that half of the poses states, and those that the other half's sets hold."""
     poses = np.unique(part.train.pose_id)
     drawn = np.random.default_rng(seed).permutation(poses)[: len(poses) // 2]
     mine = np.isin(part.train.pose_id, drawn)
@@ -227,13 +227,13 @@ def halves(part: Measured, seed: int = 1) -> tuple[int, int]:
 
 
 def overlap(counted: Sequence[tuple[int, int]]) -> dict[str, Any]:
-    """Names stated at 0.95 or more by the halves, and the share that the other half has."""
+    """Return names stated at 0.95 or more by the halves, and the share that the other half has."""
     stated, kept = (sum(each) for each in zip(*counted, strict=True))
     return {"halves_stated": stated, "halves_overlap": kept / stated if stated else None}
 
 
 def simulate_sets(declared: Arm, count: int) -> Iterator[Measured]:
-    """Sessions of simulated arms with one hidden effect each, in turn."""
+    """Yield sessions of simulated arms with one hidden effect each, in turn."""
     for k in range(count):
         name = NAMES[k % len(NAMES)]
         case = Case("single", (name,), False, "usual", "sobol", coverage.ROWS, 1.0, k, 0)

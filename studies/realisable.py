@@ -50,15 +50,8 @@ class ArmCase:
     model: Model
     locked: tuple[int, ...] = ()
 
-    @property
-    def turning(self) -> np.ndarray:
-        """Numbers of the revolute joints."""
-        arm = self.model.arm
-        kinds = [arm.joints[row - 1].type for row in arm.commanded]
-        return np.flatnonzero(np.array(kinds) == "revolute")
-
     def targets(self, count: int, rng: np.random.Generator, pose: bool) -> StudyTargets:
-        """Tips at random joints; the ideal joints for them are found from mid-range."""
+        """Return tips at random joints; the ideal joints for them are found from mid-range."""
         arm, locked = self.model.arm, list(self.locked)
         q = rng.uniform(arm.lower, arm.upper, (4 * count, arm.n))
         q[:, locked] = arm.mid[locked]
@@ -78,13 +71,13 @@ class StudyTargets:
     ideal: np.ndarray
 
     def search(self, **options: Any) -> Search:
-        """The default options with some replaced."""
+        """Return the default options with some replaced."""
         pose = self.requested.ndim == 3
         length = POSE_LENGTH_M if pose else characteristic_length(self.case.model)
         return Search(length, **options)
 
     def choose(self, rows: slice = slice(None), **options: Any) -> SimpleNamespace:
-        """The joints chosen for some of the targets."""
+        """Return the joints chosen for some of the targets."""
         case = self.case
         return choose_arrays(
             case.model.arm,
@@ -97,7 +90,7 @@ class StudyTargets:
         )
 
     def seconds(self) -> float:
-        """Processor time of a target: the median over targets, each the best of several runs."""
+        """Time a target on the processor: median over targets, each the best of several runs."""
         single = np.empty((len(self.ideal), TIMINGS))
         for i, run in np.ndindex(*single.shape):
             began = time.process_time()
@@ -107,11 +100,9 @@ class StudyTargets:
 
 
 def cases(base: Arm, steps: int) -> list[ArmCase]:
-    """Variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
+    """Return variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
     whole = _with_steps(base, steps)
-    slides = [
-        k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
-    ]
+    slides: list[int] = np.flatnonzero(whole.slides).tolist()
     model = declared_model(whole).commandable
     drawn = [
         ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
@@ -137,7 +128,7 @@ def _with_steps(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
 
 
 def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
-    """Arms with few and many joints, positions and poses."""
+    """Tabulate arms with few and many joints, positions and poses."""
     rows: list[dict[str, object]] = []
     for case in cases(base, steps):
         ik.warm_up(case.model)
@@ -174,13 +165,13 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
     rows: list[dict[str, object]] = []
 
     def add(name: object, error: np.ndarray, at: np.ndarray, path: np.ndarray) -> None:
-        between = np.abs(np.diff(path[:, case.turning], axis=0)).max()  # neighbours of the path
+        steps = np.diff(path, axis=0)[:, ~case.model.arm.slides]  # between neighbours of the path
         rows.append(
             {
                 "price_mm_per_deg": name,
                 "mean_mm": 1e3 * error[:, 0].mean(),
                 "moved_deg": _largest_offset_deg(case, single, at),
-                "path_move_deg": float(np.degrees(between)),
+                "path_move_deg": float(np.degrees(np.abs(steps).max())),
             }
         )
 
@@ -204,7 +195,7 @@ def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict
     truth = [("as declared", arm.steps, right, case.model)]
     for true in WRONG_STEPS:
         wrong = arm.steps.copy()
-        wrong[case.turning] *= steps / true
+        wrong[~arm.slides] *= steps / true
         truth.append((f"{true} steps a turn", wrong, right, case.model))
     for share in WRONG_OFFSETS:
         offset = rng.uniform(-share, share, some) * arm.steps
@@ -232,7 +223,7 @@ def _whole(base: Arm, steps: int) -> ArmCase:
 
 
 def _line(case: ArmCase, seed: int) -> StudyTargets:
-    """A straight line between two tips, a target every `PATH_STEP_M`, each from the one before."""
+    """Lay a straight line between two tips, a target every `PATH_STEP_M`, each from the last."""
     arm, rng = case.model.arm, np.random.default_rng(seed)
     while True:
         q = rng.uniform(arm.lower, arm.upper, (2, arm.n))
@@ -250,7 +241,7 @@ def _line(case: ArmCase, seed: int) -> StudyTargets:
 
 def _largest_offset_deg(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
     """Return the largest move (deg) of a revolute joint from its ideal, mean over targets."""
-    return float(np.degrees(np.abs(q - got.ideal)[:, case.turning].max(axis=1).mean()))
+    return float(np.degrees(np.abs(q - got.ideal)[:, ~case.model.arm.slides].max(axis=1).mean()))
 
 
 @study_command(

@@ -19,14 +19,22 @@ from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.vibration.modes import modes
-from longarm_comp.core.vibration.ring import straight
-from longarm_comp.core.vibration.seen import correct_modes, waves
-from longarm_comp.core.vibration.shaper import shaper_of, way_modes
+from longarm_comp.core.vibration.modes import find_modes
+from longarm_comp.core.vibration.ring import move_straight
+from longarm_comp.core.vibration.seen import correct_modes, fit_waves
+from longarm_comp.core.vibration.shaper import find_shaper, find_way_modes
 from longarm_comp.math.shaper import Way
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.ringing import Ringing
-from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
+from studies.commands import (
+    Figures,
+    Show,
+    arm_option,
+    arms_option,
+    each_arm,
+    study_command,
+    whole_number,
+)
 from studies.path import ELASTIC, StudiedArm
 
 SAG_M = 0.02
@@ -66,7 +74,7 @@ SHAPINGS = (
 
 
 def soften(arm: Arm, sag_m: float) -> Arm:
-    """The arm with its beams so soft that it sags so much on average over its postures."""
+    """Return the arm with its beams so soft that it sags so much on average over its postures."""
     q = random_joints(arm, 64, np.random.default_rng(0))
     for _ in range(3):
         sag = np.linalg.norm(declared_model(arm).tip(q) - Model(arm).tip(q), axis=1).mean()
@@ -80,7 +88,7 @@ def soften(arm: Arm, sag_m: float) -> Arm:
 
 
 def after(true: TrueArm, way: Way, seconds: float) -> Ringing:
-    """The true arm at the end of a motion."""
+    """Return the true arm at the end of a motion."""
     ring = Ringing(true, DAMPING)
     times = np.append(np.arange(0.0, seconds, _STEP_S), seconds)
     for t, q in zip(times.tolist(), way(times), strict=True):
@@ -97,7 +105,7 @@ def settle_s(ring: Ringing) -> float:
 
 
 def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str, Any]]:
-    """Random moves of one arm, each made in every way."""
+    """Make random moves of one arm, each in every way."""
     studied = StudiedArm.draw(soften(declared, SAG_M), number, seed, ELASTIC)
     known = {"identified": studied.model, "declared": declared_model(studied.arm)}
     rng = np.random.default_rng([seed, number, 1])
@@ -107,21 +115,21 @@ def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str,
         far = np.linalg.norm(np.diff(studied.model.tip(np.stack([start, end])), axis=0))
         share = np.abs(end - start) / (studied.arm.upper - studied.arm.lower)
         seconds = float(max(far / SPEED, RANGE_S * share.max()))
-        way = straight(start, end, seconds)
+        way = move_straight(start, end, seconds)
         if heard is None:  # the first move is watched
             times = np.arange(0.0, SEEN_S, 1.0 / CAMERA_HZ)
             seen = after(studied.true, way, seconds).tip_ring(times)
-            found = waves(times, seen + NOISE_M * rng.standard_normal(seen.shape))
-            heard = modes(studied.model, end), found
+            found = fit_waves(times, seen + NOISE_M * rng.standard_normal(seen.shape))
+            heard = find_modes(studied.model, end), found
             continue
         for shaping in SHAPINGS:
             made, longer = way, 0.0
             if shaping.model:
-                way_by = way_modes(known[shaping.model], way, seconds)
+                way_by = find_way_modes(known[shaping.model], way, seconds)
                 if shaping.seen:
                     way_by = [correct_modes(each, *heard) for each in way_by]
                 wrong = [replace(each, omega=shaping.factor * each.omega) for each in way_by]
-                shaper = shaper_of(wrong, way, seconds, DAMPING)
+                shaper = find_shaper(wrong, way, seconds, DAMPING)
                 assert shaper is not None
                 made, longer = shaper.shape_motion(way, seconds), shaper.duration
             lines.append({
@@ -132,7 +140,7 @@ def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str,
 
 
 def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row a way: mean times, s, and the mean settling over that of unshaped moves."""
+    """Return one row a way: mean times, s, and the mean settling over that of unshaped moves."""
     rows: list[dict[str, Any]] = []
     for shaping in SHAPINGS:
         mine = [line for line in lines if line["moves"] == shaping.name]
@@ -166,10 +174,6 @@ def command(arm: Arm, arms: int, moves: int, seed: int, show: Show) -> Figures:
     Example:
       longarm study ringing --arms 8
     """
-    lines: list[dict[str, Any]] = []
-    for number in range(arms):
-        lines += one_arm(arm, number, seed, moves)
-        show(f"{number + 1} of {arms} arms", (number + 1) / arms)
-    rows = table(lines)
+    rows = table([line for k in each_arm(arms, show) for line in one_arm(arm, k, seed, moves)])
     title = f"Until the tip is within 0.1 mm, {arms} arms, {moves} moves each"
     return Figures({"rows": rows}, {title: rows})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -27,7 +26,7 @@ class TrueEncoders:
     sigma: Array | float = 0.0
 
     def read(self, shafts: Array, rng: np.random.Generator) -> Array:
-        """(N, n) readings of where the motors stand."""
+        """Return (N, n) readings of where the motors stand."""
         seen = (1.0 + self.scale) * shafts + self.zero
         seen = seen + self.sigma * rng.standard_normal(shafts.shape)
         return np.asarray(np.round(seen / self.step) * self.step)
@@ -38,28 +37,14 @@ class SimulatedSession:
     """A measured session and its truth.
 
     Attributes:
-        columns: as in samples.csv; NaN is blank.
+        session: as a diagnosis reads it.
         truth: noise-free: `tip` (N, 3) m, `seen` (N, 3) m with measuring-side effects, `side`
-            (N, n) true approach, `outlier` (N,) bool.
+            (N, n) true approach, `written` (N,) side that was recorded, NaN where it was not,
+            `outlier` (N,) bool.
     """
 
-    columns: dict[str, Array]
+    session: Session
     truth: dict[str, Array] = field(repr=False)
-
-    def session(self) -> Session:
-        """Make the session that a diagnosis reads."""
-        columns = dict(self.columns)
-        joints = [name for name in columns if re.fullmatch(r"q\d+", name)]
-        q = np.column_stack([columns.pop(name) for name in joints])
-        xyz = np.column_stack([columns.pop(axis) for axis in "xyz"])
-        repeat = np.nan_to_num(columns.pop("repeat_id"), nan=-1.0).astype(int)
-        index, approach = columns.pop("index").astype(int), columns.pop("approach")
-        read = [name for name in columns if name.startswith("read_q")]
-        readings = {name: columns.pop(name)[:, None] for name in read}
-        return Session.record(
-            q, xyz, index=index, approach=approach, repeat_id=repeat, columns=columns,
-            readings=readings, source="study",
-        )  # fmt: skip
 
 
 def measure_session(
@@ -111,27 +96,24 @@ def measure_session(
     jump *= rng.uniform(4e-3, 15e-3, (rows, 1)) / np.linalg.norm(jump, axis=1, keepdims=True)
     xyz = xyz + gross[:, None] * jump
     xyz[rng.random(rows) < lost] = np.nan
-    columns = {
-        "index": np.arange(rows, dtype=float),
-        "t_s": t,
-        "temperature_c": temperature,
-        "payload_kg": mass.astype(float),
-        "approach": written,
-        **{f"q{k + 1}": q[:, k] for k in range(arm.n)},
-        **{axis: xyz[:, k] for k, axis in enumerate("xyz")},
-        "repeat_id": repeat_id,
-    }
+    columns = {"t_s": t, "temperature_c": temperature, "payload_kg": mass.astype(float)}
     for effect in true_arm.hidden:
         for name, clean in effect.readings(State.of(arm, q, context)).items():
             columns[name] = clean + 5e-5 * rng.standard_normal(rows)
+    readings = {}
     if encoders is not None:
         read = encoders.read(true_arm.shafts(q, context), rng)
-        columns |= {f"read_q{k + 1}": read[:, k] for k in range(arm.n)}
-    return SimulatedSession(columns, {"tip": tip, "seen": seen, "side": side, "outlier": gross})
+        readings = {f"read_q{k + 1}": read[:, k, None] for k in range(arm.n)}
+    session = Session.record(
+        q, xyz, approach=written, repeat_id=repeat_id, columns=columns, readings=readings,
+        source="study",
+    )  # fmt: skip
+    truth = {"tip": tip, "seen": seen, "side": side, "written": written, "outlier": gross}
+    return SimulatedSession(session, truth)
 
 
 def arrival(q: Array, written: Array) -> Array:
-    """Side (N, n) of -1, 0, +1 that each joint arrived from: below is +1.
+    """Return the side (N, n) of -1, 0, +1 that each joint arrived from: below is +1.
 
     A row's written side (N,) holds for all joints. If it is blank (NaN), it follows from the motion
     of each joint; a joint that did not move keeps its side.
@@ -149,7 +131,7 @@ def arrival(q: Array, written: Array) -> Array:
 def _with_repeats(
     poses: int, repeats: int, both: bool, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Pose number of every row, and the repeat id (first row of that pose; NaN if single)."""
+    """Number the pose of every row; repeat id: the first row of that pose, -1 if it is single."""
     order = np.arange(poses)
     again = rng.choice(poses, min(repeats, poses), replace=False)
     for pose in np.repeat(again, 2):
@@ -157,7 +139,7 @@ def _with_repeats(
     if both:
         order = np.repeat(order, 2)
     first = {pose: int(np.argmax(order == pose)) for pose in again}
-    return order, np.array([first.get(pose, np.nan) for pose in order], float)
+    return order, np.array([first.get(pose, -1) for pose in order])
 
 
 def _written_side(approach: _Approach, order: Array, rng: np.random.Generator) -> Array:
@@ -174,6 +156,6 @@ def _written_side(approach: _Approach, order: Array, rng: np.random.Generator) -
 
 
 def _warming(t: Array, start_c: float, rise: float, rng: np.random.Generator) -> Array:
-    """Temperature of room and motors, rising over hours with fluctuations, read to 0.03 K."""
+    """Draw temperatures of room and motors: a rise over hours, fluctuations, read to 0.03 K."""
     slow = rise * -np.expm1(-t / 5000) + 0.15 * rise * np.sin(2 * np.pi * t / 2500)
     return start_c + slow + 0.03 * rng.standard_normal(len(t))

@@ -30,7 +30,7 @@ from studies.table1_bench import (
 def rows(
     arms: Sequence[Sequence[Outcome]], settings: Sequence[RowSetting] = SETTINGS
 ) -> list[dict[str, Any]]:
-    """One dictionary per row of the table, in mm and mm^2, over the arms.
+    """Return one dictionary per row of the table, in mm and mm^2, over the arms.
 
     `mean_abs_z_mm` and `variance_mm2` are of the true tip, `seen_mean_abs_z_mm` of what the camera
     reports; `sd_over_arms_mm` is the spread of the former.
@@ -59,7 +59,7 @@ def rows(
 def differences(
     table: Sequence[dict[str, Any]], pairs: Sequence[tuple[str, str]] = COMPARISONS
 ) -> list[dict[str, Any]]:
-    """Mean |z| of one row minus that of another on the same arms, with a 95 % interval (mm)."""
+    """Compare mean |z| of one row with another's on the same arms, with a 95 % interval (mm)."""
     by_name = {row["row"]: np.array(row["arms_mm"]) for row in table}
     lines = []
     for one, other in pairs:
@@ -85,7 +85,7 @@ def differences(
 
 
 def contradictions(table: Sequence[dict[str, Any]]) -> list[str]:
-    """Pairs of the paper's rows with the opposite order here, in words."""
+    """Return pairs of the paper's rows with the opposite order here, in words."""
     printed = [row for row in table if row["paper_mean_abs_z_mm"] is not None]
     found = []
     for k, one in enumerate(printed):

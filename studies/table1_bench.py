@@ -40,9 +40,9 @@ from longarm_comp.workflows.train import training_rows
 from studies.extra import extra
 from studies.many import compensate_arrays
 from studies.peers import train_gaussian_process
-from studies.random_arms import Mix, paper_mix, random_arm
+from studies.random_arms import paper_mix, random_arm
 from studies.simulated import measure_session
-from studies.true_camera import TrueCamera, hidden
+from studies.true_camera import Hidden, TrueCamera, hidden, make_truth
 
 TARGETS = 40
 SAMPLES = (900, 300)
@@ -92,7 +92,7 @@ class Outcome:
 
 
 def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """The paper's network: joints in, one member, and it never refuses."""
+    """Return the paper's network: joints in, one member, and it never refuses."""
     made = train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
     far = np.full_like(made.encoding.lower, np.inf)
     everywhere = replace(made.encoding, lower=-far, upper=far)
@@ -101,35 +101,31 @@ def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> 
 
 
 def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """This package's: joints and context in, an ensemble."""
+    """Return this package's: joints and context in, an ensemble."""
     return train(q, residual, context, hidden=HIDDEN, ensemble=3, seed=seed)
 
 
 def gaussian_process(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """A Gaussian process with the approach direction (common to all joints)."""
+    """Return a Gaussian process with the approach direction (common to all joints)."""
     return train_gaussian_process(q, residual, context, seed=seed)
 
 
 def with_effects(declared: Model, session: Session) -> Model:
-    """Calibrated, with the effects found on the training rows (`explain_session`)."""
+    """Calibrate, with the effects found on the training rows (`explain_session`)."""
     base = declared.plus(*geometry_terms(declared.arm, session))
     candidates = list_candidates(declared.arm, session.context(), declared=base.terms).testable
     return explain_session(base, session, candidates).fit.model
 
 
-def without_steps(declared: Model, session: Session) -> Model:
-    """Return the declared model without the steps of the servos."""
-    return declared.commandable
-
-
 def as_printed(
     row: str, method: Method, paper: tuple[float, float], samples: int = 0
 ) -> RowSetting:
-    """A row of the paper's Table I, by the paper's scheme."""
+    """Return a row of the paper's Table I, by the paper's scheme."""
     learner = ssa_bp if samples else None
     return RowSetting(
-        row, method, samples, learner, without_steps, bool(samples), realisable=False, paper=paper
-    )
+        row, method, samples, learner, lambda declared, _: declared.commandable, bool(samples),
+        realisable=False, paper=paper,
+    )  # fmt: skip
 
 
 SETTINGS = (
@@ -173,10 +169,10 @@ COMPARISONS = (
 """Pairs of rows whose paired differences are reported."""
 
 
-def with_steps(arm: Arm, mix: Mix) -> Arm:
-    """The arm with the steps of its simulated servos declared."""
+def with_steps(arm: Arm, effects: Sequence[Hidden]) -> Arm:
+    """Return the arm with the steps of its simulated servos declared."""
     data = arm.model_dump(mode="json", exclude_none=True)
-    for effect in mix.arm_side:
+    for effect in effects:
         if isinstance(effect, ServoQuantisation):
             for row, step in zip(arm.commanded, effect.step, strict=True):
                 if step:
@@ -215,7 +211,7 @@ class Bench:
         as_paper: bool = False,
         also: tuple[str, ...] = (),
     ) -> Bench:
-        """Arm number `number` of a study: geometry, hidden effects, session, targets.
+        """Return arm number `number` of a study: geometry, hidden effects, session, targets.
 
         Args:
             as_paper: every joint arrives from below, always; the grid is measured in its order, so
@@ -224,22 +220,18 @@ class Bench:
         """
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, base)
-        mix = paper_mix(rng, arm)
-        arm = with_steps(arm, mix)
-        more = Mix.of(*(hidden(name, arm, 1.0, rng) for name in also))
-        mix = Mix(mix.arm_side + more.arm_side, mix.camera_side + more.camera_side)
-        true, camera = TrueArm(arm, mix.arm_side), TrueCamera.of(arm, mix.camera_side)
-        plan = _in_order(arm, poses, rng) if as_paper else grid(arm, poses, rng).q
-        measured = measure_session(
+        effects = paper_mix(rng, arm)
+        arm = with_steps(arm, effects)
+        more = (hidden(name, arm, 1.0, rng) for name in also)
+        true, camera = make_truth(arm, (*effects, *more))
+        if as_paper:
+            whole = paper_grid(arm)
+            plan = whole[np.sort(rng.permutation(len(whole))[:poses])]
+        else:
+            plan = grid(arm, poses, rng).q
+        session = measure_session(
             true, camera, plan, rng=rng, approach="below" if as_paper else "random"
-        ).columns
-        session = Session.record(
-            np.stack([measured[f"q{j + 1}"] for j in range(arm.n)], axis=1),
-            np.stack([measured[c] for c in "xyz"], axis=1),
-            approach=measured["approach"],
-            columns={k: measured[k] for k in ("t_s", "temperature_c", "payload_kg")},
-            source=f"arm {number}",
-        )
+        ).session
         declared = declared_model(arm)
         postures = random_joints(arm, TARGETS, rng)
         return cls(
@@ -250,7 +242,7 @@ class Bench:
             declared.rigid.pose(postures),
             postures,
             np.ones(TARGETS) if as_paper else rng.choice([-1.0, 1.0], TARGETS),
-            float(measured["temperature_c"][-1]),
+            float(session.columns["temperature_c"][-1]),
             arm.payload.mass_kg if arm.payload else 0.0,
             as_paper,
         )
@@ -300,11 +292,6 @@ class Bench:
         )
 
 
-def _in_order(arm: Arm, poses: int, rng: np.random.Generator) -> np.ndarray:
-    whole = paper_grid(arm)
-    return np.asarray(whole[np.sort(rng.permutation(len(whole))[:poses])])
-
-
 def one_arm(
     base: Arm,
     seed: int,
@@ -320,7 +307,7 @@ def one_arm(
 
 
 def fitted_once(settings: Sequence[RowSetting]) -> list[RowSetting]:
-    """The rows of one arm; a model that two of them share is fitted once."""
+    """Return the rows of one arm; a model that two of them share is fitted once."""
     fitted: dict[int, Model] = {}
 
     def once(declared: Model, session: Session) -> Model:

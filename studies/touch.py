@@ -21,7 +21,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import PRINTED
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.fit import fit_model
-from longarm_comp.core.data.measurement import spreads
+from longarm_comp.core.data.measurement import compute_touch_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
@@ -55,7 +55,7 @@ class Touched:
     places: tuple[Left, ...]
 
     def mean_mm(self, model: str) -> float:
-        """Mean distance over all rows, mm."""
+        """Return the mean distance over all rows, mm."""
         return 1e3 * float(np.concatenate([p.spread[model] for p in self.places]).mean())
 
     @property
@@ -65,7 +65,7 @@ class Touched:
 
 
 def read(path: Path, arm: Arm) -> Session:
-    """The touches of one file."""
+    """Return the touches of one file."""
     with path.open(newline="", encoding="utf-8") as handle:
         rows = list(csv.DictReader(handle))
     wanted = ("location", "socket", *(f"q{j}" for j in range(1, arm.n + 1)))
@@ -97,7 +97,7 @@ def _judge_places(name: str, arm: Arm, session: Session, say: Callable[[str], No
         except LongarmError as error:
             say(f"{name}, {place}: {error}")
             models["diagnosed"], names = models["rigid"], ()
-        left = {key: spreads(model, held) for key, model in models.items()}
+        left = {key: compute_touch_errors(model, held) for key, model in models.items()}
         made.append(Left(str(place), left, names))
     return Touched(name, len(session), tuple(made))
 
@@ -114,7 +114,7 @@ def gains_mm(arms: list[Touched], model: str, than: str) -> tuple[float, float, 
 
 
 def lines(arms: list[Touched]) -> list[dict[str, Any]]:
-    """One row an arm, then all arms together, every row counted once."""
+    """Return one row an arm, then all arms together, every row counted once."""
     made = []
     groups = [(a.arm, [a]) for a in arms] + [("all", arms)]
     for name, held in groups:

@@ -9,10 +9,11 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
+from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden import catalogue
 from longarm_comp.sim.hidden.base import Dosed, HiddenEffect
-from longarm_comp.sim.rods import rpy_matrix
+from longarm_comp.sim.rods import STEPS, rpy_matrix
 
 Array = np.ndarray
 
@@ -21,7 +22,7 @@ class CameraEffect(Dosed):
     """Moves the seen point, not the arm. Points are in camera axes: x right, y down, z depth."""
 
     def seen(self, points: Array, t_s: Array) -> Array:
-        """Seen points (N, 3) m of true points (N, 3) m at times (N,) s."""
+        """Return seen points (N, 3) m of true points (N, 3) m at times (N,) s."""
         raise NotImplementedError
 
 
@@ -86,7 +87,7 @@ class Noise:
     tail_dof: float | None = None
 
     def draw(self, sight: Array, rng: np.random.Generator) -> Array:
-        """Errors (N, 3) m for lines of sight (N, 3)."""
+        """Return errors (N, 3) m for lines of sight (N, 3)."""
         raw = self.sigma_m * self._unit((len(sight), 3), rng)
         raw += self.depth_m * self._unit((len(sight), 1), rng) * sight
         for k in range(1, len(raw)):
@@ -115,7 +116,7 @@ class TrueCamera:
 
     @classmethod
     def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> TrueCamera:
-        """The declared head of an arm, upright."""
+        """Return the declared head of an arm, upright."""
         if arm.camera is None:
             raise InputError(arm.name, "camera", "missing", "position_m and optical_axis")
         z = np.asarray(arm.camera.optical_axis, float)
@@ -128,7 +129,7 @@ class TrueCamera:
         return cls(np.asarray(arm.camera.position_m, float), axes, tuple(effects))
 
     def seen(self, points: Array, t_s: Array | float = 0.0) -> Array:
-        """Noise-free report (N, 3) m of true points (N, 3) m, measuring-side effects included."""
+        """Report true points (N, 3) m without noise, (N, 3) m, with measuring-side effects."""
         t = np.broadcast_to(t_s, len(points)).astype(float)
         local = (points - self.position_m) @ self.axes.T
         for effect in self.effects:
@@ -136,12 +137,33 @@ class TrueCamera:
         return local @ self.axes + self.position_m
 
     def sight(self, points: Array) -> Array:
-        """Unit line of sight to each point, (N, 3)."""
+        """Return unit line of sight to each point, (N, 3)."""
         line = points - self.position_m
         return line / np.linalg.norm(line, axis=1, keepdims=True)
 
 
 Hidden = HiddenEffect | CameraEffect
+
+
+def make_truth(
+    arm: Arm, effects: Sequence[Hidden], steps: int = STEPS
+) -> tuple[TrueArm, TrueCamera]:
+    """Return the arm and the head that sees it, each with the effects of its side, in order.
+
+    Args:
+        steps: of the rods, as in `TrueArm`.
+    """
+    on_arm = [e for e in effects if isinstance(e, HiddenEffect)]
+    seeing = [e for e in effects if isinstance(e, CameraEffect)]
+    return TrueArm(arm, on_arm, steps=steps), TrueCamera.of(arm, seeing)
+
+
+def draw_geometry_errors(arm: Arm, dose: float, rng: np.random.Generator) -> list[HiddenEffect]:
+    """Draw errors of joint zeros, of rows and of the base, `dose` times their typical size."""
+    names = ("joint_zero", "dh_error", "base_pose")
+    return [catalogue.hidden(name, arm, dose, rng) for name in names]
+
+
 HIDDEN: dict[str, Callable[[Arm, np.random.Generator], Hidden]] = {
     **catalogue.HIDDEN,
     "camera_pose": lambda arm, rng: CameraPose(rng.standard_normal(6) * ([2e-3] * 3 + [2e-3] * 3)),
@@ -155,7 +177,7 @@ HIDDEN: dict[str, Callable[[Arm, np.random.Generator], Hidden]] = {
 
 
 def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden:
-    """An effect by name, `dose` times its typical size, at a random place."""
+    """Return an effect by name, `dose` times its typical size, at a random place."""
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
     made: Hidden = HIDDEN[name](arm, rng).scaled(dose)
@@ -173,7 +195,7 @@ def draw(
 
 
 def seen_tip(effect: Hidden, arm: Arm, poses: Array, context: TrueContext, sound: Array) -> Array:
-    """Seen tip (N, 3) with one effect; `sound` is the tip without it."""
+    """Return seen tip (N, 3) with one effect; `sound` is the tip without it."""
     if isinstance(effect, CameraEffect):
         return TrueCamera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
     return catalogue.moved_tip(effect, arm, poses, context, sound)

@@ -118,6 +118,15 @@ def demo(demo_arm_path: Path) -> Arm:
 
 
 @pytest.fixture(scope="session")
+def stepped(demo: Arm) -> Arm:
+    """The same arm with servos of 1000 steps a turn, and slides of 0.1 mm."""
+    data = demo.model_dump(mode="json", exclude_defaults=True)
+    for joint in data["joints"]:
+        joint |= {"step_deg": 0.36} if joint["type"] == "revolute" else {"step_m": 1e-4}
+    return Arm.parse(data, "stepped demo")
+
+
+@pytest.fixture(scope="session")
 def arm(demo: Arm) -> Arm:
     """The arm of the demonstration too, in a file that has no other one."""
     return demo

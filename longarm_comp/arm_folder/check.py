@@ -23,7 +23,7 @@ from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import unstack
-from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.modes import find_modes
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.cameras import CameraPair
 
@@ -99,7 +99,7 @@ def _describe_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
     said = f"held out to {out.max():.2f} m ({', '.join(joints)}) the tip sags by {sag:.3g} mm. "
     said += "Measure it: twice or half of it means a wrong section, or width and height swapped"
     yield declared("arm.yaml: links", said)
-    hz, known = modes(model, at).hz, model.arm.damping
+    hz, known = find_modes(model, at).hz, model.arm.damping
     if len(hz):
         more = f"damping {known:g}" if known else "how long: longarm modes, and `damping`"
         yield declared("arm.yaml: damping", f"there it rings at {hz[0]:.3g} Hz; {more}")

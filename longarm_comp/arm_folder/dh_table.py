@@ -39,7 +39,7 @@ def _parse_limits(text: Any) -> tuple[float, float]:
 
 
 def _parse_tube(text: Any) -> tuple[float, float]:
-    """Outer and inner diameter, m."""
+    """Return outer and inner diameter, m."""
     found = re.fullmatch(rf"{_NUMBER}(?:/{_NUMBER})?", str(text))
     outer, inner = (float(v or 0) for v in found.groups()) if found else (0.0, 1.0)
     if (outer and outer <= inner) or (not outer and inner):

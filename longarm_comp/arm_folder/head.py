@@ -149,7 +149,7 @@ class View:
         from longarm_comp.devices.stereo.found import Limits  # these take a second, with OpenCV
         from longarm_comp.devices.stereo.target import TagBoard
         from longarm_comp.sim.cameras import CameraPair
-        from longarm_comp.sim.plant import mounting
+        from longarm_comp.sim.plant import mount_plate
 
         board = TagBoard.of(bridge)
         corners = board.points(np.arange(board.n_corners)).reshape(-1, 4, 3)
@@ -157,14 +157,14 @@ class View:
         # White around a tag that must be in the picture, as a share of the tag. These three are
         # from rendered images: `pytest test/arm_folder/test_collect_preview.py` compares
         wide = middle + (1.0 + 2.0 * 0.1) * (corners - middle)
-        on_tip = mounting(simulated["marker.mounting"])[:3, :3]
+        on_tip = mount_plate(simulated["marker.mounting"])[:3, :3]
         pair = CameraPair(
             focal_px=simulated["camera.focal_px"],
             size=(simulated["camera.width"], simulated["camera.height"]),
         )
         turn = np.array(bridge["hand_eye.quaternion"])
         return cls(
-            quaternion.pose(np.array(bridge["hand_eye.xyz"]), turn),
+            quaternion.compute_pose(np.array(bridge["hand_eye.xyz"]), turn),
             pair.focal_px,
             (pair.k[0, 2], pair.k[1, 2]),
             pair.size,
@@ -225,7 +225,7 @@ class View:
         return np.asarray(self.focal_px * points[..., :2] / ahead + self.middle_px)
 
     def _inside(self, tags: np.ndarray) -> np.ndarray:
-        """(M, T) whether all of a tag, corners (M, T, 4, 3) in the camera's frame, is in view."""
+        """Tell (M, T) whether tags, corners (M, T, 4, 3) in the camera's frame, are all in view."""
         pixels = self._project(tags)
         with np.errstate(invalid="ignore"):
             inside = (pixels >= 0.0) & (pixels <= np.array(self.size_px) - 1.0)

@@ -126,12 +126,6 @@ def demonstration() -> dict[str, str]:
     return {ARM: (folder("config") / "arm_demo.yaml").read_text("utf-8"), **files}
 
 
-def check_free(out: Path) -> None:
-    """Raise InputError where a folder cannot be made because something is there."""
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError("init", "DIR", out, "a new or empty folder")
-
-
 def write_folder(out: Path, files: Mapping[str, str]) -> None:
     """Write a new folder of files in one step."""
     try:

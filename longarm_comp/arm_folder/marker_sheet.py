@@ -25,8 +25,8 @@ _RIM, _FOOT = 12.0, 34.0
 Printed = TagBoard | CharucoTarget
 
 
-def sheet(board: Printed) -> tuple[str, Figure]:
-    """The smallest paper that the marker fits on, and the page in true size."""
+def lay_out_sheet(board: Printed) -> tuple[str, Figure]:
+    """Return the smallest paper that the marker fits on, and the page in true size."""
     from matplotlib.figure import Figure
 
     size, quiet = _size(board)
@@ -74,7 +74,7 @@ def sheet(board: Printed) -> tuple[str, Figure]:
 
 def write_sheet(board: Printed, path: Path) -> str:
     """Write the page as PDF and return the paper's name."""
-    paper, figure = sheet(board)
+    paper, figure = lay_out_sheet(board)
     page = io.BytesIO()
     # As fine as printers: an edge is where it belongs to 0.02 mm
     figure.savefig(page, format="pdf", dpi=600, metadata={"Creator": "longarm"})
@@ -83,7 +83,7 @@ def write_sheet(board: Printed, path: Path) -> str:
 
 
 def _size(board: Printed) -> tuple[np.ndarray, float]:
-    """Width and height, and the white about it, mm."""
+    """Return width and height, and the white about it, mm."""
     grid = np.array([board.columns, board.rows])
     if isinstance(board, CharucoTarget):
         return 1e3 * board.square_m * grid, 200.0 * board.square_m

@@ -145,7 +145,7 @@ def _pose(file: Path, field: str, given: Sequence[Any]) -> np.ndarray:
         good = False
     if not good:
         raise InputError(file, field, list(given), "xyz and a unit quaternion")
-    return quaternion.pose(xyz, turn)
+    return quaternion.compute_pose(xyz, turn)
 
 
 def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:

@@ -140,7 +140,7 @@ def edit_text(text: str, values: Mapping[Keys, Any], where: object) -> str:
 
 
 def _laid_out(writer: YAML, value: Any, *, inner: bool = False) -> Any:
-    """A value as it is written: a mapping in lines, what is in it on one line each."""
+    """Return a value as it is written: a mapping in lines, what is in it on one line each."""
     if isinstance(value, Mapping):
         made = CommentedMap((k, _laid_out(writer, v, inner=True)) for k, v in value.items())
         if inner:

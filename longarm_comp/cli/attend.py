@@ -44,7 +44,7 @@ def status(namespace: str) -> None:
 
 
 def _asked_of_the_driver(name: str, what: str) -> click.Command:
-    """The command of one request to the driver; ``name`` is the `Attendant`'s too."""
+    """Return the command of one request to the driver; ``name`` is the `Attendant`'s too."""
 
     def ask(namespace: str) -> None:
         from longarm_comp.jobs.attend import Attendant
@@ -101,7 +101,7 @@ def reset(namespace: str, kept: bool, yes: bool) -> None:
 
 
 def _fault(name: str, parameter: str, metavar: str, what: str, example: str) -> click.Command:
-    """The command of one fault, which a parameter of the simulated arm lists by name."""
+    """Return the command of one fault, which a parameter of the simulated arm lists by name."""
 
     def spoil(name: str, back: bool, namespace: str) -> None:
         from longarm_comp.jobs import attend
@@ -136,10 +136,10 @@ def freeze(node: str, seconds: float, namespace: str) -> None:
     Example:
       longarm sim freeze kinematics --for 20
     """
-    from longarm_comp.jobs.attend import frozen
+    from longarm_comp.jobs.attend import freeze_node
 
     with on_graph("rehearse", namespace) as client:
-        with frozen(client, node) as process:
+        with freeze_node(client, node) as process:
             note(f"{node} (process {process}) stands still for {seconds:g} s")
             client.stop.wait(seconds)
         note(f"{node} goes on")

@@ -78,7 +78,12 @@ def collect(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.plan import from_both_sides, with_floor, with_random_sides
     from longarm_comp.core.model.declared_model import declared_model
-    from longarm_comp.jobs.collect.visits import plan_checks, refuse_blocked, servos_beside, visits
+    from longarm_comp.jobs.collect.visits import (
+        list_visits,
+        plan_checks,
+        refuse_blocked,
+        servos_beside,
+    )
     from longarm_comp.sessions.poses import read_poses
 
     if output is None and not dry_run:
@@ -88,7 +93,7 @@ def collect(
     other = {"random": with_random_sides, "both": from_both_sides}.get(sides)
     if other is not None:
         plan = other(declared, plan, seed)
-    todo = visits(plan, declared, repeats=repeats, shuffle=not in_order, seed=seed)
+    todo = list_visits(plan, declared, repeats=repeats, shuffle=not in_order, seed=seed)
     bounded = declared if floor is None else with_floor(declared, floor)
     view = view_beside(arm)
     checks = plan_checks(bounded, todo, view=view, servos=servos_beside(arm, declared.joint_names))
@@ -209,7 +214,7 @@ def touch(
       longarm touch arm.yaml -o touches.csv --distance left_0 left_1 0.050 --name left_0
       longarm touch arm.yaml -o touches.csv --resume --by-hand
     """
-    from longarm_comp.jobs.touch import TouchLog, limp
+    from longarm_comp.jobs.touch import TouchLog, release_servos
     from longarm_comp.sessions.read import read_session
 
     touches = TouchLog(arm, tuple((*known, 1e-3 * tolerance_mm) for known in distances))
@@ -226,7 +231,7 @@ def touch(
     with (
         kept_if_broken_off(say_kept),
         on_graph("touch", namespace, arm) as client,
-        limp(client) if by_hand else nullcontext(""),
+        release_servos(client) if by_hand else nullcontext(""),
     ):
         note(_HELP)
         column, line = "touch", _ask_line(f"touch {name}", client.stop)
@@ -255,7 +260,7 @@ def touch(
 
 
 def _ask_line(prompt: str, stop: Event) -> str:
-    """The next line; the end of the input ends the session, and a signal waits for no key."""
+    """Return the next line; the end of the input ends the session, a signal waits for no key."""
 
     def now(*_: object) -> None:
         stop.set()

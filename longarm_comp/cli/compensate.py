@@ -95,7 +95,7 @@ def command(
     from longarm_comp.sessions.targets import Targets, read_targets
     from longarm_comp.workflows.compensate import Commands, compensate, method_of
     from longarm_comp.workflows.compensate_path import compensate_path
-    from longarm_comp.workflows.inputs import load_predictor, physics
+    from longarm_comp.workflows.inputs import choose_physics, load_predictor
 
     if (bool(numbers), targets is not None, path is not None).count(True) != 1:
         allowed = "one of X Y Z, --targets FILE, --path FILE"
@@ -105,7 +105,7 @@ def command(
     for name in along if path is None else ():
         flag = "--" + name.replace("_", "-")
         raise InputError("compensate", flag, along[name], "with --path alone")
-    base = physics(arm, model)
+    base = choose_physics(arm, model)
     form, output = options.form_of(like, output)
     given = (targets or path, *([form.read] if form else []))
     wanted = read_targets(*given) if targets or path else Targets.one([_number(v) for v in numbers])

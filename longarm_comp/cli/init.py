@@ -91,10 +91,11 @@ def command(
     from longarm_comp.arm_folder.dh_table import arm_of
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.devices.servo_bus.registry import models
-    from longarm_comp.sim.servo_emulator.wires import wires
+    from longarm_comp.sim.servo_emulator.wires import list_wires
     from longarm_comp.urdf import chain_ends, describe_drive, import_urdf, read_drives
 
-    make.check_free(out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError("init", "DIR", out, "a new or empty folder")
     sources = {"--urdf": urdf, "--like": like, "--arm": arm, "--joint": rows}
     given = [option for option, value in sources.items() if value]
     if len(given) != 1:
@@ -138,7 +139,7 @@ def command(
     then = f"longarm up {out}/arm.yaml --sim"
     if only_arm:
         then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"
-    elif like is None and models()[servos].protocol not in wires():
+    elif like is None and models()[servos].protocol not in list_wires():
         then = f"longarm up {out}/arm.yaml"
     note(f"next: longarm check {out}; {then}")
 

@@ -147,9 +147,9 @@ def verify(
     from longarm_comp.jobs import targets as job
     from longarm_comp.nodes import interfaces as graph
     from longarm_comp.sessions.targets import read_targets
-    from longarm_comp.workflows.inputs import physics
+    from longarm_comp.workflows.inputs import choose_physics
 
-    drawn_from, rng = physics(arm, model), np.random.default_rng(seed)
+    drawn_from, rng = choose_physics(arm, model), np.random.default_rng(seed)
     draw = job.at_random(drawn_from, rng)
     if targets is not None:
         given = read_targets(targets).xyz
@@ -162,7 +162,7 @@ def verify(
             runner = job.TargetRunner(client, paced)
             runner.ready(Model(arm).tip(arm.mid), 30.0)
             judged = Method(method) if method else job.method_at_work(client)
-            kept, refused = job.choose(runner, draw, count, (Method.NONE, judged))
+            kept, refused = job.choose_targets(runner, draw, count, (Method.NONE, judged))
             result, report = job.verify(runner, kept, refused, judged, seed=seed, progress=show)
     if output is not None:
         write_text(output / "verify.json", outputs.json_text(report))

@@ -52,14 +52,19 @@ def command(
       longarm modes arm.yaml
       longarm modes arm.yaml --model model.yaml --at poses.csv --ring tip.csv
     """
-    from longarm_comp.core.vibration.ring import ring_of_moves
-    from longarm_comp.core.vibration.seen import SeenWave, as_tips, correct_modes, steps, waves
-    from longarm_comp.core.vibration.shaper import USUAL_DAMPING
+    from longarm_comp.core.vibration.ring import USUAL_DAMPING, ring_of_moves
+    from longarm_comp.core.vibration.seen import (
+        SeenWave,
+        as_tips,
+        correct_modes,
+        find_least_steps,
+        fit_waves,
+    )
     from longarm_comp.sessions.poses import read_poses
     from longarm_comp.sessions.read import read_ring
-    from longarm_comp.workflows.inputs import physics
+    from longarm_comp.workflows.inputs import choose_physics
 
-    known = physics(arm, model)
+    known = choose_physics(arm, model)
     ends = np.stack([arm.lower, arm.mid, arm.upper])
     joints = ends if at is None else read_poses(at, arm).q
     chosen = damping if damping is not None else arm.damping or USUAL_DAMPING
@@ -69,13 +74,13 @@ def command(
     found = ring_of_moves(known, joints, move, chosen)
     seen: list[SeenWave] = []
     if heard is not None:
-        seen, here = waves(heard.times, heard.seen), found[0][0]
+        seen, here = fit_waves(heard.times, heard.seen), found[0][0]
         tips = as_tips(seen, here) if heard.of_joints and len(here.omega) else seen
         found = [(correct_modes(each, here, tips), left) for each, left in found]
         if not seen:
             note(f"{ring}: nothing rings above the noise")
         if heard.of_joints:
-            smallest = steps(heard.seen)
+            smallest = find_least_steps(heard.seen)
             largest = np.max([w.size for w in seen] or np.zeros((1, 1)), axis=0)
             if (largest <= smallest).all():
                 listed = " ".join(f"{value:.2g}" for value in smallest.tolist())

@@ -30,7 +30,7 @@ def never(path: Path) -> bool:
 
 
 def with_marks(*marks: bytes) -> Kind:
-    """A file in whose first or last bytes all of these stand."""
+    """Return a file in whose first or last bytes all of these stand."""
 
     def ours(path: Path) -> bool:
         ends = _ends(path)
@@ -40,7 +40,7 @@ def with_marks(*marks: bytes) -> Kind:
 
 
 def table(*columns: str, without: str = "") -> Kind:
-    """A table whose header begins with ``index`` and has these columns."""
+    """Return a table whose header begins with ``index`` and has these columns."""
 
     def ours(path: Path) -> bool:
         header = _ends(path).split(b"\n")[0].decode("utf-8", "replace").strip().split(",")
@@ -51,7 +51,7 @@ def table(*columns: str, without: str = "") -> Kind:
 
 
 def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
-    """A folder that has no file of these names, or one that the command wrote before."""
+    """Return a folder that has no file of these names, or one that the command wrote before."""
 
     def ours(path: Path) -> bool:
         if not path.is_dir():
@@ -103,7 +103,7 @@ DIAGNOSIS = folder(*_DIAGNOSED, told_by="report.json", schema="longarm/diagnosis
 
 
 def json_text(data: object) -> str:
-    """Results as JSON text; NaN becomes null."""
+    """Return results as JSON text; NaN becomes null."""
     from pydantic import TypeAdapter
 
     written = TypeAdapter(Any).dump_json(data, indent=2, fallback=lambda array: array.tolist())

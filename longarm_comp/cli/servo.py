@@ -70,7 +70,7 @@ def _find_servos(
     known: str | None = None,
     expected: Collection[int] = (),
 ) -> Scan:
-    """The servos that answer; a port that is not given is asked.
+    """Return the servos that answer; a port that is not given is asked.
 
     A servo file says which port is `known` and which ids are `expected`.
     """
@@ -311,7 +311,7 @@ def setup(
 
 
 def _held_pose(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
-    """Joint values of the held pose, rad or m."""
+    """Return joint values of the held pose, rad or m."""
     from longarm_comp.devices.servo_setup import hand_unit
 
     joints = config.joints
@@ -323,7 +323,7 @@ def _held_pose(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
 
 
 def _given_directions(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
-    """+1 or -1 of the joints whose direction is given: of all where nobody is there to be asked."""
+    """Return +1 or -1 of joints whose direction is given: of all where nobody can be asked."""
     form = "JOINT=+ or JOINT=-"
     given = by_name(_COMMAND, "--direction", direction, form, list(config.joints))
     for text in given.values():
@@ -356,7 +356,7 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
 
 
 def _ask_direction(setup: ServoSetup, name: str) -> int:
-    """Direction of a joint: it is nudged, and the user says which way it went."""
+    """Return the direction of a joint: it is nudged, and the user says which way it went."""
     text = "which way did it go, by arm.yaml? (another joint moved: Ctrl-C, correct servo_id)"
     kind, said = click.Choice([*_SIGNS, "again"]), "again"
     while said == "again":

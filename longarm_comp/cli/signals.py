@@ -94,7 +94,7 @@ def go_on(command: str, yes: bool, text: str) -> None:
 def by_name(
     command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
 ) -> dict[str, str]:
-    """Values of a flag ``NAME=VALUE`` that may be repeated; `form`: what it is called in errors."""
+    """Read values of a repeated flag ``NAME=VALUE``; `form`: what it is called in errors."""
     values: dict[str, str] = {}
     for text in given:
         name, _, value = map(str.strip, text.partition("="))
@@ -108,7 +108,7 @@ def by_name(
 def numbers_by_name(
     command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
 ) -> dict[str, float]:
-    """The same of values that are numbers below a million."""
+    """Return the same of values that are numbers below a million."""
     values = {}
     for name, text in by_name(command, flag, given, form, names).items():
         try:

@@ -26,7 +26,7 @@ _SQUARE_MM, _TAG_SHARE = 25.0, 0.72
 
 
 def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options of a board, the arguments of `_target`."""
+    """Return options of a board, the arguments of `_target`."""
     return options.several(
         click.option(
             "--board",
@@ -234,12 +234,12 @@ def hand_eye(folder: Path, session: Path, model: Path | None) -> None:
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.camera_placement import placed_cameras
     from longarm_comp.sessions.read import read_session
-    from longarm_comp.workflows.inputs import physics
+    from longarm_comp.workflows.inputs import choose_physics
 
     arm = Arm.load(folder / "arm.yaml")
     rows = read_session(session, arm)
     assumed = head_at(folder, rows.hash)
-    found = placed_cameras(physics(arm, model), rows, assumed)
+    found = placed_cameras(choose_physics(arm, model), rows, assumed)
     quality = {
         "rows": found.rows,
         "outliers": found.outliers,

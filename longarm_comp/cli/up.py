@@ -96,7 +96,7 @@ def alone(namespace: str, stop: threading.Event, *, others: bool = False) -> Ite
     On this machine a lock tells it, which ends with its process; the graph tells of others, as
     soon as the middleware has discovered them, unless ``others`` may drive the arm.
     """
-    from longarm_comp.jobs.graph_client import GraphClient, drivers
+    from longarm_comp.jobs.graph_client import GraphClient, count_drivers
 
     several = (
         "a graph is already running in this namespace and ROS_DOMAIN_ID: end it, or use --namespace"
@@ -115,7 +115,7 @@ def alone(namespace: str, stop: threading.Event, *, others: bool = False) -> Ite
                 # A graph that runs is seen within it
                 client.spin(1.5)
                 # The middleware counts a killed driver for 20 s
-                client.until(lambda: not drivers(client.node), 22.0, several)
+                client.until(lambda: not count_drivers(client.node), 22.0, several)
         yield
 
 

@@ -152,7 +152,7 @@ def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
 
 
 @contextmanager
-def frozen(client: GraphClient, node: str) -> Iterator[int]:
+def freeze_node(client: GraphClient, node: str) -> Iterator[int]:
     """Let a node of a simulated arm's graph stand still, as one that hangs; yields its process."""
     if node not in KNOWN:
         raise InputError("sim freeze", "NODE", node, ", ".join(sorted(KNOWN)))

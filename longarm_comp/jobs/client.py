@@ -15,7 +15,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.jobs.graph_client import GraphClient, drivers
+from longarm_comp.jobs.graph_client import GraphClient, count_drivers
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.messages import driver_words, joints_of, sighting_of, trajectory_message
@@ -111,10 +111,10 @@ class ArmClient(GraphClient):
         self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
         # a killed driver is counted for up to 20 s
         several = "two drivers are on this graph: end one `longarm up`"
-        self.until(lambda: drivers(self.node) < 2, within_s, several)
+        self.until(lambda: count_drivers(self.node) < 2, within_s, several)
 
         def driver_hears() -> bool:
-            """Everybody who listens to commands is matched, and not only kinematics listens."""
+            """Tell whether all listeners to commands are matched, and not only kinematics."""
             topic = self.node.resolve_topic_name(graph.JOINT_TRAJECTORY.name)
             ends = self.node.get_subscriptions_info_by_topic(topic)
             driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
@@ -212,7 +212,7 @@ class ArmClient(GraphClient):
         arm, gap = self.arm, np.abs(self.joints - q)
         k = int(np.argmax(gap / pace.tolerance))
         allowed = float(np.broadcast_to(pace.tolerance, gap.shape)[k])
-        unit = "m" if arm.joints[arm.commanded[k] - 1].type == "prismatic" else "rad"
+        unit = "m" if arm.slides[k] else "rad"
         said = f"{waited}: {arm.joint_names[k]} is {gap[k]:.2g} {unit} off, allowed {allowed:.2g}"
         if gap[k] <= allowed:
             return f"{said}, but does not stay there"

@@ -19,6 +19,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import check_writable
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.loop import Loop, LoopSettings, Names
 from longarm_comp.jobs.targets import Say, Trial, Witness
@@ -192,10 +193,6 @@ def prepare(settings: DemoSettings) -> None:
     out = settings.out
     if out.exists() and (not out.is_dir() or {p.name for p in out.iterdir()} - {_LOGS}):
         raise InputError("demo", "--out", out, "a new or empty folder")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise InputError(out, "--out", why, "a folder to write in") from error
+    check_writable(out)
     os.environ.setdefault("ROS_LOG_DIR", str(out.absolute() / _LOGS))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

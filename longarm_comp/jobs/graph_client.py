@@ -42,7 +42,7 @@ class Interrupted(JobError):  # noqa: N818
     exit_code = 130
 
 
-def drivers(node: Node) -> int:
+def count_drivers(node: Node) -> int:
     """Count the servo drivers in a node's namespace."""
     return node.count_publishers(node.resolve_topic_name(graph.DRIVER_STATE.name))
 
@@ -60,7 +60,7 @@ class Call:
         self._asked.append(self._client.call_async(self._request))
 
     def answer(self) -> Any:
-        """The response; None while there is none."""
+        """Return the response; None while there is none."""
         if self._again and time.monotonic() - self._sent > self._pause:
             self._send(min(2.0 * self._pause, _ASK_AGAIN_S[1]))
         return next((future.result() for future in self._asked if future.done()), None)
@@ -152,7 +152,7 @@ class GraphClient:
             asked.close()
 
     def ask(self, node: str, service: Service, request: Any, within_s: float = _ANSWER_S) -> Any:
-        """The response of a node's own service to a request that may be served twice."""
+        """Return the response of a node's own service to a request that may be served twice."""
         made = service.client(self.node, of=node)
         try:
             return self.call(made, request, within_s, again=True)

@@ -21,14 +21,14 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.collect.run import collect
-from longarm_comp.jobs.collect.visits import visits
+from longarm_comp.jobs.collect.visits import list_visits
 from longarm_comp.jobs.targets import (
     Say,
     TargetRunner,
     Trial,
     Witness,
     at_random,
-    choose,
+    choose_targets,
     method_at_work,
 )
 from longarm_comp.report.pages import loop_page
@@ -51,7 +51,7 @@ RULE = (
 def another_round(
     gain_ci95_m: tuple[float, float], mean_m: float, sigma_m: tuple[float, float, float]
 ) -> tuple[bool, str]:
-    """The rule: whether to go on, and why.
+    """Tell by the rule whether to go on, and why.
 
     From the 95 % interval of what the round took off the mean error, the mean that is left, and
     the noise of a sighting along each axis, all in m.
@@ -99,7 +99,7 @@ class LoopSettings:
                 raise InputError("loop", f"--{name}", getattr(self, name), f"at least {least}")
 
     def path(self, what: str, k: int) -> Path:
-        """A file or folder of round k: ``session``, ``session_2``, ..."""
+        """Return a file or folder of round k: ``session``, ``session_2``, ..."""
         name, dot, ending = what.partition(".")
         return self.out / (what if k == 1 else f"{name}_{k}{dot}{ending}")
 
@@ -192,14 +192,14 @@ class Loop:
         learned = files.predictor is not None and files.predictor.is_file()
         now = method if learned else Method.DEFLECTION
 
-        def choose_targets() -> dict[str, Any]:
+        def draw_targets() -> dict[str, Any]:
             settings = self._settings
             draw = at_random(declared, np.random.default_rng(settings.seed + 1))
-            kept, left = choose(self._runner, draw, settings.targets, (Method.NONE, now))
+            kept, left = choose_targets(self._runner, draw, settings.targets, (Method.NONE, now))
             refused = [{"target": xyz.tolist(), "why": why} for xyz, why in left]
             return {"xyz": kept.tolist(), "refused": refused}
 
-        chosen = self._journal.once("targets", choose_targets)
+        chosen = self._journal.once("targets", draw_targets)
         targets = np.array(chosen["xyz"])
         trials = [
             self._drive(names.without, targets, Method.NONE),
@@ -221,7 +221,7 @@ class Loop:
     def _run_round(
         self, k: int, files: FilesAtWork, targets: np.ndarray, method: Method, trials: list[Trial]
     ) -> dict[str, Any]:
-        """One turn of the cycle, number k from 1; its runs are added to the trials."""
+        """Run one turn of the cycle, number k from 1; add its runs to the trials."""
         names = self._settings.names
         collected = self._journal.once(f"collected {k}", partial(self._collect, k))
         self._time_step(f"collect_{k}")
@@ -275,7 +275,7 @@ class Loop:
             )
         write_poses(plan, settings.path("poses.csv", k))
         seed = settings.seed + k - 1
-        todo = visits(plan, arm, repeats=min(5, settings.poses // 10), seed=seed)
+        todo = list_visits(plan, arm, repeats=min(5, settings.poses // 10), seed=seed)
         bag = settings.path("session", k)
         done = collect(
             self._client,

@@ -87,7 +87,7 @@ class Recorder:
             self._since = time.monotonic()
 
     def about(self, since_ns: int) -> list[Message]:
-        """Waiting messages about this time (ns) and later, and those that still hold."""
+        """Return waiting messages about this time (ns) and later, and those that still hold."""
         return [
             entry
             for entry in self.waiting
@@ -105,7 +105,7 @@ class Recorder:
         self.waiting = list(last.values())
 
     def waits_for(self) -> list[str]:
-        """Topics of `HELD_TOPICS` that another node publishes and that were not heard yet."""
+        """List topics of `HELD_TOPICS` that another node publishes and that were not heard."""
         heard = {topic for topic, *_ in self.waiting} | set(self.counts)
         return [
             name

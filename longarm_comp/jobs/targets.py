@@ -26,7 +26,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import NO_JOINTS
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.messages import joints_of
-from longarm_comp.workflows.verification import Verification, verification
+from longarm_comp.workflows.verification import Verification, compare_runs
 from longarm_interfaces.srv import Compensate
 
 Witness = Callable[[int], np.ndarray]
@@ -81,7 +81,7 @@ class Trial:
 
     def against(self, before: Trial, seed: int = 0) -> Verification:
         """Compare this run, target by target, with another run over the same targets."""
-        return verification((before.name, self.name), before.off, self.off, seed)
+        return compare_runs((before.name, self.name), before.off, self.off, seed)
 
 
 class TargetRunner:
@@ -146,7 +146,7 @@ class TargetRunner:
         return Trial(name, targets, self._in_base(seen, targets), true, status)
 
     def _in_base(self, seen: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """Sightings (N, 3), m, in the base; where nobody knows their frame, laid on the targets."""
+        """Carry sightings (N, 3), m, to the base; of an unknown frame, lay them on the targets."""
         frame = self._client.seen_in
         if frame in ("", self._frame, prefix_of(self._client.node) + self._frame):
             return seen
@@ -159,7 +159,7 @@ class TargetRunner:
         return np.asarray(seen @ rotation.T + offset)
 
     def ask(self, target: np.ndarray, *, execute: bool) -> Compensate.Response:
-        """The answer for a target (3,), m; asked again where the request came too late."""
+        """Return the answer for a target (3,), m; asked again where the request came too late."""
         pose = PoseStamped()
         pose.header.frame_id = self._frame
         pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = target.tolist()
@@ -192,10 +192,10 @@ class TargetRunner:
         return seen, true, int(answer.status)
 
 
-def choose(
+def choose_targets(
     runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]
 ) -> tuple[np.ndarray, list[Refused]]:
-    """Up to n targets (N, 3), m, that the graph accepts with every method, and those that it
+    """Return up to n targets (N, 3), m, that the graph accepts with every method, and those that it
     refused; nothing moves.
     """
     kept: list[np.ndarray] = []
@@ -219,7 +219,7 @@ def choose(
 def at_random(model: Model, rng: np.random.Generator) -> Draw:
     """Draws where a model's tip is at random joints, in the base."""
     stands = base_of_graph(model)
-    return lambda n: stands.asked(random_targets(model, n, rng))
+    return lambda n: stands.carry_from_model(random_targets(model, n, rng))
 
 
 def one_by_one(targets: np.ndarray) -> Draw:

@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.data.kinds import KINDS
-from longarm_comp.core.data.measurement import spreads
+from longarm_comp.core.data.measurement import compute_touch_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
@@ -56,7 +56,7 @@ class TouchLog:
             JobError: the arm does not rest, or something on the graph feels for the ball
                 (`contact`), and it sits in no socket.
         """
-        q = resting(client)
+        q = wait_for_rest(client)
         if column == "touch" and not _is_seated(client):
             raise JobError(f"touch {name}: the ball sits in no socket; nothing was recorded")
         self.rows.append((q, column, name))
@@ -79,7 +79,7 @@ class TouchLog:
         )
 
     def spread_m(self) -> np.ndarray | None:
-        """Distance of every touch from its point, m, after a fit to them; None if they are few."""
+        """Fit the touches; return each one's distance from its point, m; None if they are few."""
         whole = self.session()
         if np.isfinite(whole.reading(KINDS["touch"])).sum() < ENOUGH:
             return None
@@ -87,7 +87,7 @@ class TouchLog:
             *_, (_, fitted) = fit_stages(declared_model(self.arm), whole)
         except LongarmError:
             return None
-        return spreads(fitted.model, whole)
+        return compute_touch_errors(fitted.model, whole)
 
 
 def _is_seated(client: ArmClient) -> bool:
@@ -103,7 +103,7 @@ def _is_seated(client: ArmClient) -> bool:
 
 
 @contextmanager
-def limp(client: GraphClient) -> Iterator[str]:
+def release_servos(client: GraphClient) -> Iterator[str]:
     """Switch the servos' torque off within the block, so that a hand can guide the arm.
 
     Yields what the driver answered.
@@ -116,8 +116,8 @@ def limp(client: GraphClient) -> Iterator[str]:
             attendant.reset()
 
 
-def resting(client: ArmClient) -> np.ndarray:
-    """Mean of the next joint readings that hardly differ, (n,).
+def wait_for_rest(client: ArmClient) -> np.ndarray:
+    """Return the mean of the next joint readings that hardly differ, (n,).
 
     Readings that were waiting to be heard are as old as the last move: they are passed over.
     """

@@ -49,7 +49,7 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
     if not quaternion.is_unit(turn):
         wrong = f"orientation {turn.tolist()} is not a unit quaternion"
         raise Refusal(Status.BAD_TARGET, wrong)
-    return quaternion.pose(xyz, turn)
+    return quaternion.compute_pose(xyz, turn)
 
 
 @dataclass(frozen=True)

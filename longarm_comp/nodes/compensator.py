@@ -110,7 +110,7 @@ class Compensator:
         compensate = partial(
             compensate_move,
             model,
-            target=stands.carried(place),
+            target=stands.carry_to_model(place),
             start=start,
             seed=seed,
             history=self._state.driver.history,

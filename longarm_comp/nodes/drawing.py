@@ -72,7 +72,8 @@ class ArmFrames:
         others = self._teller.listeners > 1  # one is this node's own
         if others and (context := state.known_context()) is not None:
             loaded = state.files.loaded
-            tip = loaded.stands.asked(loaded.model.pose(q, context))  # takes 10 times as long
+            pose = loaded.model.pose(q, context)  # takes 10 times as long
+            tip = loaded.stands.carry_from_model(pose)
             placed.append(Placed.at(state.base_frame, self._prefix + _TIP_PREDICTED, tip))
         self._teller.tell(placed, state.stamp)
 
@@ -117,7 +118,7 @@ class Markers:
         )
         straight = outline(self._state.files.rigid, q)
         stands = self._state.files.loaded.stands
-        hanging = exaggerate_sag(stands.asked(outline(model, q, context)), straight, sag)
+        hanging = exaggerate_sag(stands.carry_from_model(outline(model, q, context)), straight, sag)
         drawn = [
             self._marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),

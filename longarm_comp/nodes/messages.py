@@ -181,7 +181,7 @@ def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
     if not quaternion.is_unit(turn):
         raise InputError("inclination", "orientation", turn.tolist(), "a unit quaternion")
     row = message.header.frame_id or "0"
-    x, y = quaternion.tilt(turn)
+    x, y = quaternion.compute_tilt(turn)
     return row, {f"incl_{row}_x": x, f"incl_{row}_y": y}
 
 
@@ -231,7 +231,7 @@ def express_sighting(
     """Express a sighting in another frame, in which its own frame has the pose ``place`` (4, 4)."""
     tip, o = sighting_of(message)[0], message.pose.pose.orientation
     turn = np.array([o.x, o.y, o.z, o.w])
-    seen = quaternion.pose(tip, turn) if quaternion.is_unit(turn) else tip
+    seen = quaternion.compute_pose(tip, turn) if quaternion.is_unit(turn) else tip
     covariance = np.reshape(message.pose.covariance, (6, 6))
     told = PoseWithCovarianceStamped(header=Header(stamp=message.header.stamp, frame_id=frame))
     told.pose.pose = pose_message(carry_place(place, seen))

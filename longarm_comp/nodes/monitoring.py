@@ -74,15 +74,15 @@ class ReadingsTeller:
         state, (model, q, context) = self._state, now
         stands = state.files.loaded.stands
         found = tip_by_readings(stands.promising(model), q, context)
-        found = self.last = replace(found, tip=stands.asked(found.tip))
+        found = self.last = replace(found, tip=stands.carry_from_model(found.tip))
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = np.nan_to_num(found.doubt.covariance)
-        covariance = turned_covariance(stands.asked(np.eye(4)), covariance)
+        covariance = turned_covariance(stands.carry_from_model(np.eye(4)), covariance)
         self._tips.publish(tip_message(found.tip, covariance, state.stamp, state.base_frame))
         return found
 
     def report(self) -> Report:
-        return Report(OK, "not known yet" if self.last is None else self.last.said())
+        return Report(OK, "not known yet" if self.last is None else self.last.describe())
 
 
 _LEAST_M = 1e-3
@@ -225,7 +225,7 @@ class TipMonitor:
             return None
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
         stands = self._state.files.loaded.stands
-        missed = stands.asked(rest.tip - seen_beside) - self._aim[1]
+        missed = stands.carry_from_model(rest.tip - seen_beside) - self._aim[1]
         self.sighted = Sighted(rest.q, carry_place(stands.measurements, rest.tip), missed)
         return missed
 
@@ -333,7 +333,7 @@ class RingTeller:
         elif self._shaped:
             self._said = f"{self._last.hz:.2g} Hz; moves are shaped, little of the ring is left"
         else:
-            self._said = self._last.said()
+            self._said = self._last.describe()
 
     def report(self) -> Report:
         """Return a report on the last ring; first begin the work on a ring that is due."""

@@ -96,7 +96,7 @@ class ReachServer:
         result.success = True
         stands, at = self._tips.tell(), answer.target.pose.pose.position
         if stands is not None:
-            said = stands.said(np.array([at.x, at.y, at.z]))
+            said = stands.describe(np.array([at.x, at.y, at.z]))
             result.message = f"{result.message}; {said}" if result.message else said
         goal.succeed()
         return result

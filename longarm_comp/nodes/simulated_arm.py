@@ -29,7 +29,7 @@ from longarm_comp.nodes.messages import pose_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 from longarm_comp.sim.cameras import CameraPair, tag_plate
-from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting
+from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mount_plate
 from longarm_comp.sim.servo_emulator.joints import read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
 
@@ -124,7 +124,7 @@ class _SimulatedArm(ArmNode):
                 size=(p["camera.width"], p["camera.height"]),
             ),
             tag_plate(p["marker.tag_m"], p["marker.gap_m"], p["marker.columns"], p["marker.rows"]),
-            mounting(p["marker.mounting"]),
+            mount_plate(p["marker.mounting"]),
             hidden_effects(arm, sizes(p["hidden"]), rng),
             MotorSpec(
                 max_speed_ticks_s=p["speed_ticks_s"],

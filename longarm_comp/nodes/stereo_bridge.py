@@ -88,7 +88,7 @@ class _StereoBridge(ArmNode):
         if not quaternion.is_unit(turn):
             where = "parameters of stereo_bridge"
             raise InputError(where, "hand_eye.quaternion", turn.tolist(), "a unit quaternion")
-        self._hand_eye = quaternion.pose(np.array(p["hand_eye.xyz"]), turn)
+        self._hand_eye = quaternion.compute_pose(np.array(p["hand_eye.xyz"]), turn)
         self._tip_in_marker = p["tip_in_marker"]
         limits = ("epipolar_px", "rms_px", "edge_px")
         self._limits = Limits(**{name: p[f"limits.{name}"] for name in limits})

@@ -260,7 +260,7 @@ class _TrajectoryCompensator(ArmNode):
             context = self._state.context(model=model)
             ik.warm_up(model, context)
             free = self.p["position_only"]
-            real = loaded.stands.asked(model.pose(q, context))
+            real = loaded.stands.carry_from_model(model.pose(q, context))
             planned = as_planned(self._files.rigid, real, q, free)
             self._planned.publish(joints_message(self._arm, planned, stamp))
             self._ready = True

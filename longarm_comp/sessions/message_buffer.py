@@ -191,7 +191,7 @@ class MessageBuffer:
         o = message.orientation
         frame = re.sub(r"\W+", "_", message.header.frame_id)
         frame = "0" if frame in ("", "base") else frame
-        roll, pitch = quaternion.tilt(np.array([o.x, o.y, o.z, o.w]))
+        roll, pitch = quaternion.compute_tilt(np.array([o.x, o.y, o.z, o.w]))
         self._set_column(f"incl_{frame}_x", t, roll)
         self._set_column(f"incl_{frame}_y", t, pitch)
 

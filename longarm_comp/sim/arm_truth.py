@@ -73,17 +73,17 @@ class Walk:
         return masses
 
     def rigid(self) -> Array:
-        """Gravity in the last frame's axes of the arm without weight, (3, N)."""
+        """Return the gravity in the last frame's axes of the arm without weight, (3, N)."""
         small = 1e-9  # m/s^2 along each axis: it bends nothing
         gamma = np.broadcast_to(small * np.eye(3)[..., None], (3, 3, len(self._state.q)))
         return np.tensordot(self.gravity, self._walk(gamma)[0].gravity / small, 1)
 
     def solve(self, start: Array) -> Array:
-        """Gravity in the last frame's axes at rest, (3, N)."""
+        """Return the gravity in the last frame's axes at rest, (3, N)."""
         return settle(lambda gamma: self._walk(gamma)[0], start, self.gravity)
 
     def finish(self, gamma: Array) -> Settled:
-        """The arm at rest for the solved gravity direction."""
+        """Return the arm at rest for the solved gravity direction."""
         end, marks, torques = self._walk(gamma[:, None], tip=True)
         pose = np.zeros((gamma.shape[1], 4, 4))
         pose[:, 3, 3] = 1.0
@@ -194,7 +194,7 @@ class Walk:
 
 
 def _stretch(beam: Beam, axis: int) -> Array | None:
-    """1/(kGA, kGA, EA) of a tube in the order of the axes, 1/N; None for other sections.
+    """Return 1/(kGA, kGA, EA) of a tube in the order of the axes, 1/N; None for other sections.
 
     Cowper's shear coefficient of the hollow round (J. Appl. Mech. 33, 1966).
     """

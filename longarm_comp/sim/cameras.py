@@ -40,7 +40,7 @@ def tag_plate(
     dictionary: str = "DICT_4X4_50",
     first_id: int = 0,
 ) -> Plate:
-    """A grid of tags, ids along the rows from the top left, a white margin of 0.2 tags."""
+    """Return a grid of tags, ids along the rows from the top left, a white margin of 0.2 tags."""
     known = _dictionary(dictionary)
     tag_px = 30 * known.markerSize
     gap_px, margin_px = round(gap_m / tag_m * tag_px), round(0.2 * tag_px)
@@ -63,7 +63,7 @@ def tag_plate(
 def charuco_plate(
     square_m: float, tag_m: float, columns: int, rows: int, dictionary: str = "DICT_4X4_50"
 ) -> Plate:
-    """A ChArUco board of `columns` x `rows` squares, drawn by OpenCV, without a margin."""
+    """Return a ChArUco board of `columns` x `rows` squares, drawn by OpenCV, without a margin."""
     board = cv2.aruco.CharucoBoard((columns, rows), square_m, tag_m, _dictionary(dictionary))
     texture = board.generateImage((160 * columns, 160 * rows))
     return Plate(np.asarray(texture, dtype=np.uint8), (columns * square_m, rows * square_m))
@@ -175,7 +175,7 @@ def render(
     rng: np.random.Generator,
     conditions: Conditions | None = None,
 ) -> tuple[Grey, Grey]:
-    """The two raw images (H, W) uint8 of a plate at a pose (4, 4) in the base frame."""
+    """Return the two raw images (H, W) uint8 of a plate at a pose (4, 4) in the base frame."""
     conditions = conditions or Conditions()
     left, right = light(base_T_marker, plate, head, conditions)
     return expose(left, conditions, rng), expose(right, conditions, rng)
@@ -219,7 +219,7 @@ def _light(
 def _window(
     camera_T_marker: Array, plate: Plate, head: CameraPair, conditions: Conditions
 ) -> Window | None:
-    """The part of the image (x0, y0, x1, y1) that the blurred plate may touch."""
+    """Return the part of the image (x0, y0, x1, y1) that the blurred plate may touch."""
     half = np.asarray(plate.size_m) / 2
     outline = np.array([[x, y, 0.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
     points = outline @ camera_T_marker[:3, :3].T + camera_T_marker[:3, 3]
@@ -237,7 +237,7 @@ def _window(
 def _fine_plate(
     window: Window, camera_T_marker: Array, plate: Plate, head: CameraPair, covered: float
 ) -> tuple[Light, Light]:
-    """Light from the plate and its share of every fine pixel of the window."""
+    """Return the light from the plate and its share of every fine pixel of the window."""
     x0, y0, x1, y1 = window
     u = x0 - 0.5 + (np.arange((x1 - x0) * _FINE) + 0.5) / _FINE
     v = y0 - 0.5 + (np.arange((y1 - y0) * _FINE) + 0.5) / _FINE
@@ -267,7 +267,7 @@ def _fine_plate(
 
 
 def _undistort(window: Window, head: CameraPair) -> tuple[Array, Array]:
-    """Rays x/z, y/z of the window's fine pixels: exact at pixel centres, linear between them."""
+    """Compute rays x/z, y/z of fine pixels: exact at pixel centres, linear between them."""
     x0, y0, x1, y1 = window
     u, v = np.arange(x0 - 1.0, x1 + 1.0), np.arange(y0 - 1.0, y1 + 1.0)
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
@@ -280,7 +280,7 @@ def _undistort(window: Window, head: CameraPair) -> tuple[Array, Array]:
 
 
 def _blur(fine: Light, conditions: Conditions) -> Light:
-    """Lens blur, motion and the pixel's own area: fine pixels to image pixels."""
+    """Apply lens blur, motion and the pixel's own area: fine pixels to image pixels."""
     if conditions.blur_px > 0.0:
         fine = cv2.GaussianBlur(fine, (0, 0), conditions.blur_px * _FINE)
     if any(conditions.motion_px):
@@ -300,7 +300,7 @@ def _path_kernel(motion_px: tuple[float, float]) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=8)
 def _background(seed: int, size: tuple[int, int], blur_px: float) -> Light:
-    """A cluttered background: soft patches, boxes with sharp edges, fine grain, lens blur."""
+    """Draw a cluttered background: soft patches, sharp boxes, fine grain, lens blur."""
     rng = np.random.default_rng(seed)
     soft = rng.uniform(60.0, 150.0, (size[1] // 80 + 2, size[0] // 80 + 2)).astype(np.float32)
     wall = cv2.resize(soft, size, interpolation=cv2.INTER_CUBIC)

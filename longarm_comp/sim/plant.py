@@ -43,7 +43,7 @@ _SEATED_M = 5e-5
 def hidden_effects(
     arm: Arm, sizes_mm: Mapping[str, float], rng: np.random.Generator
 ) -> tuple[HiddenEffect, ...]:
-    """Hidden effects by canonical name, each scaled to shift the tip by its size in mm rms."""
+    """Make hidden effects by canonical name, each scaled to shift the tip by so many mm rms."""
     return tuple(draw(name, arm, rng, size_mm) for name, size_mm in sizes_mm.items())
 
 
@@ -136,22 +136,22 @@ class Plant:
         self.emulator.unplug()
 
     def joints(self) -> Array:
-        """(n,) true joint positions, rad and m."""
+        """Return (n,) true joint positions, rad and m."""
         values = self.config.servos.values(self.emulator.positions())
         return np.array([values[name] for name in self.config.arm.joint_names])
 
     def _upwards(self, of: Callable[[Motor], float]) -> Array:
-        """(n,) signed by the joint's direction, from what servos have signed by theirs."""
+        """Return (n,) signed by the joint's direction, from what servos have signed by theirs."""
         turned = self.emulator.each(of)
         return np.array([np.sign(j.travel) * turned[j.servo_id] for j in self._servos])
 
     def temperature_c(self, t_s: float) -> float:
-        """Temperature of the arm, which rises slowly."""
+        """Return the temperature of the arm, which rises slowly."""
         start, rise = self.config.temperature_c
         return float(start - rise * np.expm1(-t_s / 5000.0))
 
     def tip_pose(self, t_s: float) -> Array:
-        """(4, 4) true tip in the base frame. It is published only for evaluation."""
+        """Return (4, 4) true tip in the base frame. It is published only for evaluation."""
         q, side = self.joints(), self._upwards(lambda motor: motor.approach)
         wound = self._upwards(lambda motor: motor.wound)
         ticks = self.emulator.each(lambda motor: motor.way)
@@ -201,7 +201,7 @@ class Plant:
         }
 
     def look(self, t_s: float) -> tuple[Grey, Grey]:
-        """Left and right image (H, W) at this time; an arm at rest differs in the noise only."""
+        """Take a left and a right image (H, W) now; of an arm at rest only the noise differs."""
         config = self.config
         plate = self.tip_pose(t_s) @ config.plate_on_tip
         if self._lit is None or not np.array_equal(plate, self._lit[0]):
@@ -216,7 +216,7 @@ def _servo_spec(
     effects: Sequence[ServoDroop | ServoDeadband],
     number: int,
 ) -> MotorSpec:
-    """The mechanics of a joint's servo: its data sheet, and a controller that gives way."""
+    """Return the mechanics of a joint's servo: its data sheet, and a controller that gives way."""
     spec = replace(spec, **joint.sheet)
     tick = abs(joint.travel)
     for effect in effects:
@@ -229,8 +229,8 @@ def _servo_spec(
     return spec
 
 
-def mounting(turn_rad: Sequence[float]) -> Array:
-    """(4, 4) pose on the tip of a plate centred there, turned by a rotation vector (rad)."""
+def mount_plate(turn_rad: Sequence[float]) -> Array:
+    """Return (4, 4) pose on the tip of a plate centred there, turned by a rotation vector (rad)."""
     matrix = np.eye(4)
     matrix[:3, :3] = cv2.Rodrigues(np.asarray(turn_rad, dtype=float))[0]
     return matrix

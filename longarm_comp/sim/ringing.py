@@ -149,8 +149,8 @@ class _Build:
         self._at = begin + along * abs(size)
 
 
-def vibration(true: TrueArm, q: Array) -> _Vibration:
-    """Modes of the true arm about one posture (n,), its drives held."""
+def compute_vibration(true: TrueArm, q: Array) -> _Vibration:
+    """Return modes of the true arm about one posture (n,), its drives held."""
     built = _Build(true, q)
     points = [*((at, before) for at, _, before in built.masses), built.tip]
     at, before = np.array([p for p, _ in points]), np.array([count for _, count in points])
@@ -203,7 +203,7 @@ class Ringing:
         self._wave = np.zeros(0, complex)
 
     def move_joints(self, t_s: float, q: Array) -> Array:
-        """The joints are at q (n,) at a time: the tip's displacement then, (3,) m."""
+        """Put the joints at q (n,) at a time; return the tip's displacement then, (3,) m."""
         before, came, speed = self._last or (t_s, q, np.zeros_like(q))
         now = self._modes(q, speed)
         if t_s > before:
@@ -216,11 +216,11 @@ class Ringing:
         return np.asarray(now.tip @ self._wave.real)
 
     def tip_ring(self, since_s: Array) -> Array:
-        """(N, 3) m: the tip's displacement some times later, if the joints stay where they are."""
+        """Return the tip's displacement (N, 3), m, some times later, if the joints stay."""
         return self._later(since_s, lambda modes: modes.tip)
 
     def joint_ring(self, since_s: Array) -> Array:
-        """(N, n) rad, m: likewise what encoders at the joints, not at the motors, see of it."""
+        """Return likewise (N, n), rad and m, what encoders at the joints' output see of it."""
         return self._later(since_s, lambda modes: modes.turned)
 
     def _later(self, since_s: Array, part: Callable[[_Vibration], Array]) -> Array:
@@ -230,7 +230,7 @@ class Ringing:
         return np.real(self._wave * turns) @ part(modes).T
 
     def _rate(self, modes: _Vibration) -> Array:
-        """(k,) complex 1/s of the modes' decay and turn."""
+        """Return (k,) complex 1/s of the modes' decay and turn."""
         return modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
 
     def _modes(self, q: Array, speed: Array) -> _Vibration:
@@ -239,7 +239,7 @@ class Ringing:
         # of a joint's range: so far the modes are those of the posture before
         if self._about is not None and (np.abs(q - self._about[0]) <= 0.02 * span).all():
             return self._about[1]
-        new = vibration(self._true, q)
+        new = compute_vibration(self._true, q)
         if self._about is None:
             self._wave = np.zeros(len(new.omega), complex)
         else:

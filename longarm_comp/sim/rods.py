@@ -69,7 +69,7 @@ class Walker:
         return weight if self._pushed is None else weight + v[:, 2 + self._pushed]
 
     def seen(self, index: int) -> Array:
-        """Marked point or direction number `index` from here, (3, B, N)."""
+        """Return marked point or direction number `index` from here, (3, B, N)."""
         return self._v[:, 2 + index]
 
     def mark(self, vector: Sequence[float] | Array, *, point: bool) -> int:
@@ -176,7 +176,7 @@ class Walker:
 
 
 def settle(walk: Callable[[Array], Walker], start: Array, gravity: Array) -> Array:
-    """Gravity in the last frame's axes for which it is `gravity` in the base frame.
+    """Return the gravity in the last frame's axes for which it is `gravity` in the base frame.
 
     Newton's method on the two angles of the direction, for all postures at once. If the full load
     does not converge, it is raised in steps.
@@ -204,7 +204,7 @@ def settle(walk: Callable[[Array], Walker], start: Array, gravity: Array) -> Arr
 def _newton(
     walk: Callable[[Array], Walker], unit: Array, down: Array, size: float
 ) -> tuple[Array, float]:
-    """Directions (3, N) and the largest angle left (rad)."""
+    """Return directions (3, N) and the largest angle left (rad)."""
     first, second = _normals(down[:, None])
     step, left = 1e-6, np.inf
     for _ in range(12):  # Newton steps
@@ -239,7 +239,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def rpy_matrix(rpy: Sequence[float] | Array) -> Array:
-    """Rotation matrix (3, 3) of fixed-axis roll, pitch, yaw (rad)."""
+    """Return the rotation matrix (3, 3) of fixed-axis roll, pitch, yaw (rad)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
@@ -248,7 +248,7 @@ def rpy_matrix(rpy: Sequence[float] | Array) -> Array:
 
 
 def _normals(unit: Array) -> tuple[Array, Array]:
-    """Two unit vectors normal to each unit vector (3, N) and to each other."""
+    """Return two unit vectors normal to each unit vector (3, N) and to each other."""
     pick = np.where(np.abs(unit[0]) < 0.6, 0, 1)
     other = np.stack([pick == 0, pick == 1, np.zeros_like(pick, bool)]).astype(float)
     first = cross(unit, other)
@@ -257,6 +257,6 @@ def _normals(unit: Array) -> tuple[Array, Array]:
 
 
 def _column(vector: Sequence[float] | Array) -> Array:
-    """A vector, or (3, N), or (3, B, N), as (3, B, N)."""
+    """Return a vector, or (3, N), or (3, B, N), as (3, B, N)."""
     v = np.asarray(vector, float)
     return v.reshape(3, *([1] * (3 - v.ndim)), *v.shape[1:])

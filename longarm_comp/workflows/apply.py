@@ -148,7 +148,7 @@ def apply(
         refused, trained = str(trained.gain), None
         note(f"physics only: {refused}")
     seen = rows.take(rows.seen)
-    changed = changes(before, after, seen.q, seen.context())
+    changed = list_changes(before, after, seen.q, seen.context())
     if not model.is_file():
         save_model(model, store(declared_model(arm), version=AS_DECLARED))
     aside = put_to_work(model, made.read_bytes(), target, trained)
@@ -224,7 +224,9 @@ def _before(provenance: dict[str, str | int | float], made: Path, model: Path, a
     return at_work
 
 
-def changes(before: Model, after: Model, q: np.ndarray, context: Context | None) -> list[_Change]:
+def list_changes(
+    before: Model, after: Model, q: np.ndarray, context: Context | None
+) -> list[_Change]:
     """List what changed from one model to another of the same arm, largest at the tip first.
 
     Each change is judged by itself at joints q (N, n), rad and m: the new model against the new

@@ -21,7 +21,7 @@ from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.calibration.undetermined import Place, list_places, list_undetermined
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
-from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.data.measurement import compute_tip_errors, compute_turn_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import effect_class
@@ -224,7 +224,7 @@ def calibrate(
     chosen = [_terms_of(effect, arm, whole, note) for effect in effects]
     kind, origin = kind_from(arm, kind_of) if kind_of else (None, "")
     train, held_out = blocked_split(whole, fraction, rng=seed)
-    steps, tell = 5 + len(chosen), inputs.teller(progress)
+    steps, tell = 5 + len(chosen), inputs.make_teller(progress)
     done = iter(range(steps))
     rungs = fit_ladder(
         arm,
@@ -236,7 +236,9 @@ def calibrate(
         progress=lambda name: tell(name, next(done) / steps),
     )
     last = rungs[-1].model
-    size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
+    size, unit = (
+        (compute_tip_errors, "mm") if held_out.placed.any() else (compute_turn_errors, "mrad")
+    )
     tell("all rows", (steps - 1) / steps)
     if kind is None:
         final = fit_model(last, whole)

@@ -20,7 +20,7 @@ Task = TypeVar("Task", bound=tuple)
 Made = TypeVar("Made")
 
 
-def spread(
+def run_tasks(
     work: Callable[..., Made], tasks: Sequence[Task], address: str, *, workers: int, asked: str
 ) -> Iterator[tuple[Task, Made | JobError]]:
     """Work off tasks on the workers of a cluster; yield each with its result as it is done.

@@ -23,7 +23,7 @@ from longarm_comp.core.compensation.compensate import compensate as compensate_e
 from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Compensation, CompensationOptions, Method, Status
-from longarm_comp.core.compensation.target_frame import Placement, placement
+from longarm_comp.core.compensation.target_frame import Placement, find_placement
 from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -191,7 +191,7 @@ def compensate(
         starts = np.asarray(seed, dtype=float)
         seeds = ik.checked_seed(model, starts, len(goals), "compensate")
     options = CompensationOptions(chosen, locked, run_up, realisable, **settling)
-    to = [placed.carried(goal) for placed, goal in zip(placements, goals, strict=True)]
+    to = [placed.carry_to_model(goal) for placed, goal in zip(placements, goals, strict=True)]
     unknown = History.unknown(model.arm.n)
     if history is None and not (
         any(map(np.any, told.approach)) or history_joints(physics_of(model, chosen))
@@ -201,7 +201,7 @@ def compensate(
         kinds = [(goal.ndim, placed.frame) for goal, placed in zip(goals, placements, strict=True)]
         for kind in dict.fromkeys(kinds):  # positions or poses, of either frame
             ids = [k for k, other in enumerate(kinds) if other == kind]
-            context = after(told.take(np.array(ids)), unknown)
+            context = complete_after_move(told.take(np.array(ids)), unknown)
             outcomes = compensate_each(
                 placements[ids[0]].promising(model),
                 predictor,
@@ -215,7 +215,7 @@ def compensate(
                 move = Move(outcome.command, None, still, still > 0)
                 made[k] = Arrival(outcome, move, here, unknown)
         return Commands(numbers, tuple(made[k] for k in range(len(to))), placements)
-    at, came = (None, unknown) if history is None else last(history, model)
+    at, came = (None, unknown) if history is None else find_last_rest(history, model)
     arrivals: list[Arrival] = []
     for k, target in enumerate(to):
         sides = np.sign(np.broadcast_to(contexts[k].approach or 0.0, model.arm.n)).astype(float)
@@ -225,7 +225,7 @@ def compensate(
             target,
             start=at,
             history=came,
-            context_after=partial(after, contexts[k]),
+            context_after=partial(complete_after_move, contexts[k]),
             sides=sides if sides.any() else None,
             seed=None if seeds is None else seeds[k],
             position_only=position_only or target.ndim == 1,
@@ -254,17 +254,17 @@ def placements_of(
         (name or frame, str(context.labels.get("group", "")))
         for name, context in zip(said, contexts, strict=True)
     ]
-    found = {key: placement(model, *key, where) for key in dict.fromkeys(keys)}
+    found = {key: find_placement(model, *key, where) for key in dict.fromkeys(keys)}
     return tuple(found[key] for key in keys)
 
 
-def after(given: Context, arrived: History) -> Context:
+def complete_after_move(given: Context, arrived: History) -> Context:
     """Complete the given circumstances by the history that the move leaves in the joints."""
     fields = {k: getattr(given, k) or v for k, v in arrived.fields().items()}
     return dataclasses.replace(given, **fields)
 
 
-def last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
+def find_last_rest(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
     """Return the joints (n,) at the end of a session, and their history."""
     session = history if isinstance(history, Session) else read_session(history, model.arm)
     session = with_fitted_run_ups(session, model)
@@ -304,7 +304,7 @@ def goals_of(
             raise InputError("compensate", "context", "given", "None: the targets have their own")
         told = _usable_context(targets.context(model.arm.n), model, targets.source)
         goals = [
-            xyz if np.isnan(turn[0]) else quaternion.pose(xyz, turn)
+            xyz if np.isnan(turn[0]) else quaternion.compute_pose(xyz, turn)
             for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
         ]
         return goals, told, targets.index
@@ -335,6 +335,7 @@ def _line_of(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
     ideal = found.ideal if found.realisable is None else found.realisable.ideal
     sigma = float(np.max(found.sigma))
     joints = joint_names(len(found.command))
+    error = placed.turn_from_model(found.predicted_error)
 
     def cells(
         what: str, names: Sequence[str], values: np.ndarray | None, told: bool
@@ -351,8 +352,8 @@ def _line_of(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
         "status": str(found.status),
         "reason": found.reason,
         **cells("", joints, found.command, found.success),
-        **cells("target_", XYZ, placed.asked(found.position), True),
-        **cells("predicted_error_", XYZ, placed.back(found.predicted_error), found.in_domain),
+        **cells("target_", XYZ, placed.carry_from_model(found.position), True),
+        **cells("predicted_error_", XYZ, error, found.in_domain),
         "sigma_mm": millimetres(sigma),
         "passes": found.passes,
         "expected_mm": millimetres(found.expected_m),

@@ -106,14 +106,16 @@ def compensate_path(
     if times is None and isinstance(path, Targets):
         times = path.columns.get("t_s")
     n = model.arm.n
-    carried = np.array([p.carried(goal) for p, goal in zip(placements, goals, strict=True)])
+    carried = np.array([p.carry_to_model(goal) for p, goal in zip(placements, goals, strict=True)])
     motion = MotionLimits(
         _each(max_velocity, n, "max_velocity"), _each(max_acceleration, n, "max_acceleration")
     )
     limits = PathLimits(
         motion, max_correction_m, max_turn_rad, max_longer=max_longer, position_only=position_only
     )
-    start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
+    start, came = (
+        (None, History.unknown(n)) if history is None else points.find_last_rest(history, model)
+    )
     first = start if seed is None else np.asarray(seed, float)
     model = placements[0].promising(model)
     found = solve_path(
@@ -125,7 +127,7 @@ def compensate_path(
         start=start,
         history=came,
         seed=first,
-        context_at=lambda arrived: points.after(told, arrived),
+        context_at=lambda arrived: points.complete_after_move(told, arrived),
         limits=limits,
         options=CompensationOptions(chosen, locked, **settling),
     )

@@ -214,7 +214,7 @@ def diagnose(
         InputError: the data were refused, or a file cannot be used.
         JobError: a fit diverged.
     """
-    known = None if model is None else inputs.physics(arm, model)
+    known = None if model is None else inputs.choose_physics(arm, model)
     poses = FEW_POSES if kind_of else POSES
     whole = inputs.admit_session(session, arm, known, poses, note)
     held_out = None if test is None else inputs.admit_session(test, arm, known, 1, note)
@@ -235,7 +235,7 @@ def diagnose(
         model=known,
         kind=kind,
         seed=seed,
-        progress=inputs.teller(progress),
+        progress=inputs.make_teller(progress),
         train_network=train_on if network else None,
     )
     facts = {"session": _path(session).name, "arm": arm.hash, "rows": str(len(whole))}
@@ -268,7 +268,7 @@ def diagnose_files(
             raise InputError(path, "file", "missing", "a file or a bag that exists")
     check_writable(folder)  # before the work
     if model is not None:
-        inputs.physics(arm, model)
+        inputs.choose_physics(arm, model)
     try:
         found = diagnose(
             arm, session, test=test, model=model, kind_of=kind_of, progress=progress, **how
@@ -278,7 +278,7 @@ def diagnose_files(
         report = refused_report(error, seed, inputs.file_hash(session))
         write_report(report, Detail(title=session.name), folder)
         raise
-    inputs.teller(progress)("report")
+    inputs.make_teller(progress)("report")
     found.save(folder)
     return found
 

@@ -14,7 +14,11 @@ from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.placed_model import place_as_seen
 from longarm_comp.core.calibration.plausible import describe_offset
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors, spreads, turns
+from longarm_comp.core.data.measurement import (
+    compute_tip_errors,
+    compute_touch_errors,
+    compute_turn_errors,
+)
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -135,12 +139,12 @@ def evaluate(
         InputError: the session cannot be read, or is in other units; the model or the predictor
             is for another arm, or the predictor for another model.
     """
-    calibrated = None if model is None else inputs.physics(arm, model)
+    calibrated = None if model is None else inputs.choose_physics(arm, model)
     session = inputs.admit_session(test, arm, calibrated, min_poses=1, note=note, judge=True)
-    rigid = place_as_seen(inputs.physics(arm, None, False), session)
+    rigid = place_as_seen(inputs.choose_physics(arm, None, False), session)
     models, elsewhere = {"rigid": rigid.model}, rigid.elsewhere and not rigid.placed
     if arm.links:
-        models["deflection"] = place_as_seen(inputs.physics(arm, None), session).model
+        models["deflection"] = place_as_seen(inputs.choose_physics(arm, None), session).model
     if calibrated is not None:
         if far := describe_offset(calibrated, session):
             note(far)
@@ -149,7 +153,7 @@ def evaluate(
     outside, refused, learned = 0, 0, None
     if predictor is not None:
         if isinstance(predictor, Predictor):
-            inputs.check_predictor(predictor, inputs.physics(arm, model), "predictor")
+            inputs.check_predictor(predictor, inputs.choose_physics(arm, model), "predictor")
             learned = predictor
         else:
             learned = inputs.load_predictor(predictor, arm, model)
@@ -159,7 +163,7 @@ def evaluate(
         outside = int(found.outside.sum())
         refused = int((~inside).sum()) - outside
         inside = inside & session.located[session.placed]
-        beneath = inputs.physics(arm, model, beside)
+        beneath = inputs.choose_physics(arm, model, beside)
         models["network"] = beneath if model is not None else place_as_seen(beneath, session).model
         taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)
@@ -168,13 +172,13 @@ def evaluate(
         {
             name: Errors.of(
                 left(each, session) - taken_off[name],
-                turns(each, session),
+                compute_turn_errors(each, session),
                 numbers=numbers,
-                spread=spreads(each, session),
+                spread=compute_touch_errors(each, session),
             )
             for name, each in models.items()
         }
-        for left in (errors, commanded_errors)
+        for left in (compute_tip_errors, commanded_errors)
     )
     # A session that shares only some rows with this one has another hash
     origins = {

@@ -23,7 +23,7 @@ from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import check_regular, write_text
 from longarm_comp.version import __version__
-from longarm_comp.workflows.cluster import spread
+from longarm_comp.workflows.cluster import run_tasks
 from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.evaluate import evaluate
 from longarm_comp.workflows.inputs import file_hash
@@ -107,18 +107,18 @@ class Diagnosed:
 _ROWS = TypeAdapter(tuple[Diagnosed, ...])
 
 
-def members(folder: Path) -> list[_Member]:
+def list_members(folder: Path) -> list[_Member]:
     """List the arms of a folder.
 
     A folder has one arm per subfolder with arm.yaml, or one per session beside a single arm.yaml.
     """
     if (folder / ARM).is_file():
-        found = [_Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
+        found = [_Member(s.stem, folder / ARM, s, None) for s in list_sessions(folder)]
     else:
         found = []
         for each in sorted(folder.iterdir()) if folder.is_dir() else ():
             if (each / ARM).is_file():
-                held = sessions(each)
+                held = list_sessions(each)
                 if not held:
                     raise InputError(str(each), "session", "none", "a CSV or bag that measures")
                 newest = max(held, key=lambda path: (path.stat().st_mtime, path.name))
@@ -136,7 +136,7 @@ def members(folder: Path) -> list[_Member]:
     return found
 
 
-def sessions(folder: Path) -> list[Path]:
+def list_sessions(folder: Path) -> list[Path]:
     """List bags, and tables with joints and something measured."""
     found = [path.parent for path in folder.glob("*/metadata.yaml")]
     for path in folder.glob("*.csv"):
@@ -159,7 +159,7 @@ def fleet(
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> list[Diagnosed]:
-    """Diagnose every arm of a folder (`members`), each into a folder of its own in `output`.
+    """Diagnose every arm of a folder (`list_members`), each into a folder of its own in `output`.
 
     fleet.json is written after each arm. Arms that it holds from the same files and options are not
     diagnosed again. An arm that cannot be diagnosed has the verdict ``failed``.
@@ -173,7 +173,7 @@ def fleet(
     """
     if dask is not None:  # workers may be in another folder
         folder, output = folder.resolve(), output.resolve()
-    found = members(folder)
+    found = list_members(folder)
     tables = [_read_table(member.arm) for member in found]
     options = (__version__, network, seed)
     made: dict[str, Diagnosed] = {}
@@ -237,7 +237,7 @@ def _diagnose_each(
     # Processes must not look for modules in the folder where the program was started
     os.environ.setdefault("PYTHONSAFEPATH", "1")
     if dask is not None:
-        for one, made in spread(look, left, dask, workers=jobs, asked="fleet"):
+        for one, made in run_tasks(look, left, dask, workers=jobs, asked="fleet"):
             yield _failed_arm(*one, made) if isinstance(made, LongarmError) else made
         return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:

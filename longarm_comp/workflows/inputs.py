@@ -51,7 +51,7 @@ Telling = bool | Callable[..., None]
 """True: a line a step on standard error, which notebooks show; a function: called instead."""
 
 
-def teller(progress: Telling) -> Callable[..., None]:
+def make_teller(progress: Telling) -> Callable[..., None]:
     """Make the function that is called with each step, and perhaps with the share that is done."""
     if callable(progress):
         return progress
@@ -127,7 +127,7 @@ def import_table(
     return dataclasses.replace(session, source=", ".join(file.name for file in found.files))
 
 
-def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model:
+def choose_physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model:
     """Return the calibrated model, or the declared arm; without sag if ``deflection`` is False.
 
     Terms that belong to one session only, such as the place of a touched point, are left out.
@@ -188,7 +188,7 @@ def load_predictor(
         model_hash=None if isinstance(model, Model) else str(physics_mark(model)["model_hash"]),
         model=f"the model that it was trained with, not {model or 'none'}",
     )
-    check_predictor(predictor, physics(arm, model), path)
+    check_predictor(predictor, choose_physics(arm, model), path)
     return predictor
 
 

@@ -24,8 +24,13 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
-from longarm_comp.core.planning.optimal_poses import POOL, Measure, Uncertainty, optimal_poses
-from longarm_comp.core.planning.touch_poses import touch_pool
+from longarm_comp.core.planning.optimal_poses import (
+    POOL,
+    Measure,
+    Uncertainty,
+    choose_optimal_poses,
+)
+from longarm_comp.core.planning.touch_poses import draw_touch_poses
 from longarm_comp.sessions.poses import read_next_poses
 from longarm_comp.workflows import inputs
 
@@ -94,17 +99,18 @@ def plan(
             said = read_stored(model).provenance.get(inputs.SESSION)
             session = Path(report) / str(said)
             measured = measured or (session if said and session.exists() else None)
-        known = inputs.physics(arm, model)
+        known = inputs.choose_physics(arm, model)
         rows = None if measured is None else inputs.admit_session(measured, arm, known, note=note)
         pool = None
         if measure == "touch":
-            pool = touch_pool(known, points or {}, max(POOL, 4 * n), np.random.default_rng(seed))
+            rng = np.random.default_rng(seed)
+            pool = draw_touch_poses(known, points or {}, max(POOL, 4 * n), rng)
         uncertain = Uncertainty.of(
             known, rows, measure, known=model is not None, sigma=noise, pool=pool
         )
         fitted = uncertain.model.arm.model_copy(update={"keep_out": within.keep_out})
         where = replace(uncertain.model, arm=fitted)
-        return optimal_poses(
+        return choose_optimal_poses(
             uncertain,
             n,
             criterion=kind,

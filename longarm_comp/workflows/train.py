@@ -13,7 +13,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.plausible import describe_offset
 from longarm_comp.core.compensation.result import Prediction
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.learn import ensemble as networks
@@ -32,7 +32,7 @@ def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarra
     if not len(seen):
         allowed = "rows with all three, to learn from"
         raise InputError(session.source, "x, y, z", "not measured together in any row", allowed)
-    return seen.q, errors(model, seen), seen.context()
+    return seen.q, compute_tip_errors(model, seen), seen.context()
 
 
 def expected_errors(predictor: Predictor, session: Session) -> Prediction:
@@ -108,7 +108,7 @@ def train(
             pose; the model is for another arm; an option is not allowed.
         JobError: the arm does not stand where the model says.
     """
-    base, tell = given.physics(arm, model, deflection), given.teller(progress)
+    base, tell = given.choose_physics(arm, model, deflection), given.make_teller(progress)
     whole = given.admit_session(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
     located = whole.take(whole.located)

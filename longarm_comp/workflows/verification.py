@@ -59,7 +59,7 @@ class Verification:
             save(draw_errors_at_tip(self.runs), path)
 
 
-def verification(
+def compare_runs(
     names: tuple[str, str], without: np.ndarray, compensated: np.ndarray, seed: int = 0
 ) -> Verification:
     """Compare two runs over the same targets, target by target.

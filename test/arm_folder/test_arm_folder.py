@@ -19,7 +19,7 @@ from some_arms import COLUMN, HOBBY, NINE
 from urdf_robots import example
 
 from longarm_comp.arm_folder.check import check_folder
-from longarm_comp.arm_folder.marker_sheet import PAPERS, sheet
+from longarm_comp.arm_folder.marker_sheet import PAPERS, lay_out_sheet
 from longarm_comp.arm_folder.parameter_file import own_parameters, parameters_of, read_parameters
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.typical_loads import reach
@@ -299,7 +299,7 @@ def test_a_printed_arm_has_horns_small_paper_and_cameras_on_the_table(shell: She
     bridge = parameters_of("stereo_bridge", folder / "stereo_bridge.yaml")
     tips = declared_model(arm).tip(np.vstack([arm.lower, arm.mid, arm.upper]))
     assert np.linalg.norm(tips[1] - bridge["hand_eye.xyz"]) < 1.5 * length
-    assert sheet(TagBoard.of(bridge))[0] == "A4"
+    assert lay_out_sheet(TagBoard.of(bridge))[0] == "A4"
     found = check_folder(folder)
     assert not [finding.text for finding in found if finding.blocks]
     replaced(folder / "stereo_bridge.yaml", r"tag_m: .*", "tag_m: 0.006")
@@ -338,7 +338,7 @@ def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path, mine: Pat
     """The page, scanned at 300 dpi, through the real detector."""
     given = own_parameters("stereo_bridge") | read_parameters(hobby / "stereo_bridge.yaml")
     board = TagBoard.of(given)
-    paper, page = sheet(board)
+    paper, page = lay_out_sheet(board)
     scan = io.BytesIO()
     page.savefig(scan, format="png", dpi=300)
     grey = cv2.imdecode(np.frombuffer(scan.getvalue(), np.uint8), cv2.IMREAD_GRAYSCALE)

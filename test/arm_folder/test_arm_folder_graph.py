@@ -24,7 +24,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.jobs.attend import frozen
+from longarm_comp.jobs.attend import freeze_node
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.share import folder
@@ -74,7 +74,7 @@ def test_a_new_folder_runs_faults_are_rehearsed_and_a_second_graph_is_refused(
             client.until(lambda: "did not answer" not in standing(), 300.0, "still a fault")
             said = shell.refused("sim", "freeze", "elbow")
             assert "kinematics" in said and "simulated_arm" in said
-            with frozen(client, "simulated_arm") as pid:
+            with freeze_node(client, "simulated_arm") as pid:
                 client.until(lambda: stopped(pid), 300.0, "it goes on")
             client.until(lambda: not stopped(pid), 300.0, "it stays frozen")
         process.send_signal(signal.SIGINT)

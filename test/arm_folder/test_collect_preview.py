@@ -32,14 +32,14 @@ from longarm_comp.jobs.collect.visits import (
     PlanCheck,
     Visit,
     blocked_visits,
+    list_visits,
     plan_checks,
     refuse_blocked,
     servos_beside,
-    visits,
 )
 from longarm_comp.sessions.poses import read_poses
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
-from longarm_comp.sim.plant import mounting
+from longarm_comp.sim.plant import mount_plate
 
 
 def facing(head: CameraPair, rng: np.random.Generator, turned: float) -> np.ndarray:
@@ -58,13 +58,13 @@ def test_geometry_knows_what_the_detector_finds_in_rendered_pictures() -> None:
     bridge, simulated = own_parameters("stereo_bridge"), own_parameters("simulated_arm")
     head = CameraPair(tuple(simulated["camera.position"]), tuple(simulated["camera.axis"]),
                       simulated["camera.baseline_m"], simulated["camera.focal_px"])  # fmt: skip
-    hand_eye = quaternion.pose(
+    hand_eye = quaternion.compute_pose(
         np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
     )
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
     eye = StereoEye(rig, TagBoard.of(bridge), hand_eye, bridge["tip_in_marker"])
     plate = tag_plate(*(simulated[f"marker.{k}"] for k in ("tag_m", "gap_m", "columns", "rows")))
-    on_tip = np.linalg.inv(mounting(simulated["marker.mounting"]))
+    on_tip = np.linalg.inv(mount_plate(simulated["marker.mounting"]))
     rng = np.random.default_rng(5)
     angles = [*rng.uniform(0.0, 0.9, 30), *rng.uniform(0.9, 1.7, 10)]
     markers = [facing(head, rng, angle) for angle in angles]
@@ -138,7 +138,7 @@ def test_poses_outside_are_counted_with_the_joint(hobby: Path) -> None:
     q = np.array([arm.mid, arm.mid, arm.mid])
     q[1, 2] = arm.upper[2] + 0.1
     servos = ServoConfig.load(hobby / "servo_driver.yaml")
-    todo = visits(Plan(q, np.zeros(3)), arm, shuffle=False)
+    todo = list_visits(Plan(q, np.zeros(3)), arm, shuffle=False)
     found = plan_checks(arm, todo, servos=servos)
     assert [len(c.faults) - c.passed for c in found] == [1, 1]
     assert "joint3 outside" in blocked_visits(found, todo)[1]

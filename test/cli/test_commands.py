@@ -208,11 +208,14 @@ def test_plan_what_a_diagnosis_asks_for(work: Path, shell: Shell) -> None:
     assert "--report" in shell.refused("plan", work / "arm.yaml", "--kind", "next", "-n", 2)
 
 
+ONE_JOINT = (
+    '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
+    '<parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint></robot>'
+)
+
+
 def test_an_arm_alone_of_a_urdf(shell: Shell) -> None:
-    Path("r.urdf").write_text(
-        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
-        '<parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint></robot>'
-    )
+    Path("r.urdf").write_text(ONE_JOINT)
     urdf = ("--urdf", "r.urdf", "--only-arm", "--base", "a", "--tip")
     assert shell("init", "one", *urdf, "b") == 0
     assert Arm.load("one/arm.yaml").joint_names == ("j",)
@@ -221,10 +224,7 @@ def test_an_arm_alone_of_a_urdf(shell: Shell) -> None:
 
 
 def test_import_urdf(shell: Shell) -> None:
-    Path("r.urdf").write_text(
-        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
-        '<parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint></robot>'
-    )
+    Path("r.urdf").write_text(ONE_JOINT)
     assert shell("import-urdf", "r.urdf", "--base", "a", "--tip", "b", "-o", "arm.yaml") == 0
     assert Arm.load("arm.yaml").joint_names == ("j",)
     assert "--force" in shell.refused("import-urdf", "r.urdf", "--base", "a", "--tip", "b")

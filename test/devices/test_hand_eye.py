@@ -26,7 +26,7 @@ from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.jobs.camera_placement import placed_cameras
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
-from longarm_comp.sim.plant import mounting
+from longarm_comp.sim.plant import mount_plate
 
 POSES, FRESH = 18, 5
 
@@ -52,7 +52,7 @@ class Head:
         )
         tags = {k: given[f"marker.{k}"] for k in ("tag_m", "gap_m")}
         self._plate = tag_plate(**tags, columns=2, rows=2)
-        self._on_tip = mounting(given["marker.mounting"])
+        self._on_tip = mount_plate(given["marker.mounting"])
         self._rng = np.random.default_rng(5)
 
     def seen(self, q: np.ndarray) -> np.ndarray:

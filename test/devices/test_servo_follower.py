@@ -9,7 +9,7 @@ import pytest
 from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds
 
 from longarm_comp.core.vibration.modes import Modes
-from longarm_comp.core.vibration.ring import amplitudes
+from longarm_comp.core.vibration.ring import find_amplitudes
 from longarm_comp.devices.joint_path import JointTrajectory
 from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.math.shaper import Shaper
@@ -188,7 +188,7 @@ def ring_of(rig: Rig, since: int) -> float:
     one = np.ones((1, 1))
     mode = Modes(np.array([OMEGA]), np.array([[1.0, 0.0, 0.0]]), one, one[0], np.ones((1, 2)))
     where, times = np.zeros(len(q), int), DT * np.arange(len(q))
-    return abs(amplitudes([mode], where, times, q[..., None], DAMPING, np.ones(1)).item())
+    return abs(find_amplitudes([mode], where, times, q[..., None], DAMPING, np.ones(1)).item())
 
 
 def test_a_shaped_move_takes_one_period_more_and_leaves_no_ring() -> None:

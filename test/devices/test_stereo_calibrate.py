@@ -17,7 +17,7 @@ from cli_shell import Shell
 from stereo_head import HEAD, marker_pose, rigid_rms
 
 from longarm_comp.arm_folder.check import check_record
-from longarm_comp.arm_folder.marker_sheet import sheet
+from longarm_comp.arm_folder.marker_sheet import lay_out_sheet
 from longarm_comp.arm_folder.measured import camera_path, read_measured
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.stereo.camera import StereoRig
@@ -216,7 +216,7 @@ def test_pictures_that_no_shift_mends_are_not_called_shifted(pictures: Path) -> 
 
 def test_the_board_is_printed_in_true_size(shell: Shell) -> None:
     board = CharucoTarget(0.025, 0.018, 7, 5, "DICT_5X5_100")
-    paper, page = sheet(board)
+    paper, page = lay_out_sheet(board)
     scan = io.BytesIO()
     page.savefig(scan, format="png", dpi=150)
     grey = cv2.imdecode(np.frombuffer(scan.getvalue(), np.uint8), cv2.IMREAD_GRAYSCALE)

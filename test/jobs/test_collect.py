@@ -25,12 +25,12 @@ from quick_arm import quick_arm
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.calibration.calibrate import declared_model
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.jobs.collect.run import visits_in_bag
-from longarm_comp.jobs.collect.visits import Visit, visits
+from longarm_comp.jobs.collect.visits import Visit, list_visits
 from longarm_comp.sessions.bag import bag_info, open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types, publisher_quality
@@ -57,11 +57,11 @@ def sides_of(visit: Visit) -> tuple[int, ...]:
 
 def test_visits_are_the_plan_with_repeats_in_random_order(arm: Arm) -> None:
     plan = sobol(arm, 8, 3)
-    made = visits(plan, arm, repeats=2, seed=4)
+    made = list_visits(plan, arm, repeats=2, seed=4)
     assert [visit.index for visit in made] == list(range(8 + 2 * 2))
-    again = visits(plan, arm, repeats=2, seed=4)
+    again = list_visits(plan, arm, repeats=2, seed=4)
     assert all((a.path == b.path).all() for a, b in zip(made, again, strict=True))
-    other = visits(plan, arm, repeats=2, seed=5)
+    other = list_visits(plan, arm, repeats=2, seed=5)
     assert any((a.q != b.q).any() for a, b in zip(made, other, strict=True))
     for q, sides in zip(plan.q, plan.approach, strict=True):
         mine = [visit for visit in made if (visit.q == q).all()]
@@ -69,13 +69,13 @@ def test_visits_are_the_plan_with_repeats_in_random_order(arm: Arm) -> None:
         assert len({visit.repeat_id for visit in mine}) == 1
         assert (mine[0].repeat_id >= 0) == (len(mine) == 3)
         assert {sides_of(visit) for visit in mine} == {tuple(sides.tolist())}
-    in_order = visits(plan, arm, shuffle=False)
+    in_order = list_visits(plan, arm, shuffle=False)
     np.testing.assert_array_equal([visit.q for visit in in_order], plan.q)
 
 
 def test_both_sides_measure_every_pose_twice(arm: Arm) -> None:
     plan = dataclasses.replace(sobol(arm, 6, 3), payload_kg=np.arange(6.0))
-    made = visits(from_both_sides(arm, plan, 1), arm, seed=2)
+    made = list_visits(from_both_sides(arm, plan, 1), arm, seed=2)
     assert len(made) == 12
     for q, sides, payload in zip(plan.q, plan.approach, np.arange(6.0), strict=True):
         first, second = (visit for visit in made if (visit.q == q).all())
@@ -87,31 +87,33 @@ def test_both_sides_measure_every_pose_twice(arm: Arm) -> None:
         assert (one[~room] == two[~room]).all()
         assert tuple(sides.tolist()) in (sides_of(first), sides_of(second))
     blank = Plan(plan.q, np.zeros(6))
-    drawn = np.array([sides_of(visit) for visit in visits(from_both_sides(arm, blank, 1), arm)])
+    drawn = np.array(
+        [sides_of(visit) for visit in list_visits(from_both_sides(arm, blank, 1), arm)]
+    )
     assert (drawn != drawn[:, :1]).any()
 
 
 def test_a_run_up_stays_in_the_box_and_comes_from_the_planned_side(arm: Arm) -> None:
     length = run_up_lengths(arm)
     plan = Plan(np.stack([arm.lower, arm.mid, arm.upper]), np.array([1, -1, 1]))
-    low, middle, high = visits(plan, arm, shuffle=False)
+    low, middle, high = list_visits(plan, arm, shuffle=False)
     np.testing.assert_allclose(middle.path[0] - middle.q, length)
     np.testing.assert_allclose(high.path[0] - high.q, -length)
     np.testing.assert_allclose(low.path[0] - low.q, length)  # no room below
-    straight = visits(Plan(plan.q, np.zeros(3)), arm)
+    straight = list_visits(Plan(plan.q, np.zeros(3)), arm)
     assert all(len(visit.path) == 1 for visit in straight)
 
 
 def test_a_joint_without_a_side_stands_still_in_the_run_up(arm: Arm) -> None:
     sides = np.ones((1, arm.n))
     sides[0, 2] = 0
-    (visit,) = visits(Plan(arm.mid[None], sides), arm)
+    (visit,) = list_visits(Plan(arm.mid[None], sides), arm)
     assert sides_of(visit) == (1, 1, 0, 1, 1, 1, 1)
 
 
 def test_more_repeats_than_poses_are_refused(arm: Arm) -> None:
     with pytest.raises(InputError, match="--repeats"):
-        visits(sobol(arm, 3), arm, repeats=4)
+        list_visits(sobol(arm, 3), arm, repeats=4)
 
 
 # ------------------------------------------------------------------ bags that grow
@@ -273,14 +275,14 @@ def test_a_session_survives_interruptions_and_is_resumed(
         said = third.communicate(timeout=300)[0]
         assert third.returncode == 0, said
     session = read_session(bag, arm)
-    todo: list[Visit] = visits(plan, arm, seed=3)
+    todo: list[Visit] = list_visits(plan, arm, seed=3)
     assert session.index.tolist() == list(range(POSES))
     np.testing.assert_allclose(session.q, [visit.q for visit in todo], atol=1e-9)
     sides = np.array([sides_of(visit) for visit in todo])
     np.testing.assert_array_equal(session.approach, sides)
     assert (sides != sides[:, :1]).any()  # each joint has its own
     assert session.sigma is not None
-    assert np.abs(errors(declared_model(arm), session)).max() < 0.02
+    assert np.abs(compute_tip_errors(declared_model(arm), session)).max() < 0.02
     assert "temperature_c" in session.columns
 
 

@@ -27,7 +27,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.collect.run import Collected, Progress, collect
-from longarm_comp.jobs.collect.visits import visits
+from longarm_comp.jobs.collect.visits import list_visits
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.sessions.read import read_session
 from longarm_interfaces.msg import DriverState
@@ -51,7 +51,7 @@ def run(
 ) -> Collected:
     arm = how.pop("arm", ARM)
     with ArmClient(arm, name="collect") as client:
-        todo = visits(plan, arm, shuffle=False)
+        todo = list_visits(plan, arm, shuffle=False)
         return collect(client, todo, bag, pace=QUICK, progress=show, **how)
 
 
@@ -125,7 +125,7 @@ def test_what_is_recorded_late_is_waited_for(
 ) -> None:
     monkeypatch.setattr(Recorder, "put", held_back(topic, 0.7))
     with ArmClient(ARM, name="collect") as client:
-        todo = visits(sobol(ARM, 2, 1), ARM, shuffle=False)
+        todo = list_visits(sobol(ARM, 2, 1), ARM, shuffle=False)
         done = collect(client, todo, tmp_path / "bag", pace=replace(QUICK, sightings=4))
     session = read_session(tmp_path / "bag", ARM)
     assert (done.made, done.unseen) == (2, {}) and session.index.tolist() == [0, 1]
@@ -141,7 +141,7 @@ def test_what_is_never_recorded_is_told_and_a_blank_row(
     shown: list[Progress] = []
     pace = replace(QUICK, look_s=0.2)
     with ArmClient(ARM, name="collect") as client:
-        todo = visits(sobol(ARM, 4, 1), ARM, shuffle=False)
+        todo = list_visits(sobol(ARM, 4, 1), ARM, shuffle=False)
         collect(client, todo[:1], tmp_path / "bag", pace=pace)  # nothing at all is no session
         monkeypatch.undo()
         collect(client, todo[:2], tmp_path / "bag", pace=QUICK, resume=True)

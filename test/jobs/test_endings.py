@@ -45,7 +45,7 @@ def raising(error: BaseException) -> Callable[..., None]:
 def keys(monkeypatch: pytest.MonkeyPatch) -> Keys:
     """A graph whose arm rests, and somebody at its keys: lines, or something that happens."""
     monkeypatch.setattr("longarm_comp.jobs.client.ArmClient", Client)
-    monkeypatch.setattr(touch_job, "resting", lambda client: ARM.mid)
+    monkeypatch.setattr(touch_job, "wait_for_rest", lambda client: ARM.mid)
     monkeypatch.setattr(touch_job, "_is_seated", lambda client: True)
 
     def press(*lines: str | Callable[[], None]) -> None:
@@ -118,7 +118,7 @@ def test_an_arm_that_does_not_rest_is_told_and_waited_for(
     keys: Keys, shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def shaky() -> None:
-        monkeypatch.setattr(touch_job, "resting", raising(JobError("the arm did not rest")))
+        monkeypatch.setattr(touch_job, "wait_for_rest", raising(JobError("the arm did not rest")))
 
     keys("", shaky, "end")
     code, said = touched(shell)

@@ -31,7 +31,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.jobs.apply import apply_on_graph, files_at_work, reload
 from longarm_comp.jobs.client import ArmClient, Pace
-from longarm_comp.jobs.targets import TargetRunner, choose
+from longarm_comp.jobs.targets import TargetRunner, choose_targets
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import JointGain as TrueGain
 
@@ -122,7 +122,7 @@ def test_verify_says_whether_compensation_helps(
     assert "1 targets refused" in shell.err
     assert "[9.0, 0.0, 0.0] was left out: none: " in shell.err
     with pytest.raises(JobError, match="fewer than two targets"):
-        choose(runner, lambda n: np.array([[9.0, 0.0, 0.0]]), 1, (Method.NONE,))
+        choose_targets(runner, lambda n: np.array([[9.0, 0.0, 0.0]]), 1, (Method.NONE,))
 
 
 def test_a_move_that_is_over_before_the_wait_has_arrived(files: Path) -> None:

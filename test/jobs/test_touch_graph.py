@@ -18,7 +18,7 @@ import longarm_comp as la
 from longarm_comp.cli import collect
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.touch import READINGS, TouchLog, resting
+from longarm_comp.jobs.touch import READINGS, TouchLog, wait_for_rest
 from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
 from longarm_comp.nodes.simulated_arm import numbers
 from longarm_comp.share import folder
@@ -80,7 +80,7 @@ def test_a_row_is_what_the_joints_read_after_they_came_to_rest() -> None:
     with quick_arm(ARM, lambda q: False) as arm, ArmClient(ARM, "", None, "touch") as client:
         ways = ARM.mid + np.linspace(0.0, 0.4, 12)[:, None] * np.ones(ARM.n)
         arm.move(ways)  # it moves while it is asked
-        found = resting(client)
+        found = wait_for_rest(client)
     np.testing.assert_allclose(found, ways[-1], atol=1e-9)
     assert READINGS > 1
 
@@ -91,7 +91,7 @@ def test_readings_that_waited_to_be_heard_are_passed_over(monkeypatch: pytest.Mo
     queued: list[object] = []
     full = threading.Event()
     with quick_arm(ARM, lambda q: False) as arm, ArmClient(ARM, "", None, "touch") as client:
-        resting(client)
+        wait_for_rest(client)
         publish = arm._joints.publish
 
         def counted(message: object) -> None:
@@ -103,7 +103,7 @@ def test_readings_that_waited_to_be_heard_are_passed_over(monkeypatch: pytest.Mo
         monkeypatch.setattr(arm._joints, "publish", counted)
         assert full.wait(300.0)
         arm.stand(ARM.mid + 0.3)
-        found = resting(client)
+        found = wait_for_rest(client)
     np.testing.assert_allclose(found, ARM.mid + 0.3, atol=1e-9)
 
 

@@ -133,7 +133,7 @@ def test_a_target_is_carried_over_at_its_stamp(scene: Scene) -> None:
     for seconds, x in ((-1.0, 0.3), (0.0, 0.5)):
         cell = Placed("cell", BASE, np.array([x, 1.0, 0.2]), turn)
         scene.teller.tell([cell], Time(nanoseconds=now + round(1e9 * seconds)).to_msg())
-    base_then = quaternion.pose(np.array([0.4, 1.0, 0.2]), turn)
+    base_then = quaternion.compute_pose(np.array([0.4, 1.0, 0.2]), turn)
     stamp = Time(nanoseconds=now - 500_000_000)
     answer = scene.ask("cell", base_then @ target, stamp)
     while "is unknown" in answer.message:  # what was told is still on its way

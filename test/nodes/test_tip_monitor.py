@@ -57,7 +57,7 @@ def watched(
         q = ARM.mid + 0.2 * (ARM.upper - ARM.lower) * (rng.random(ARM.n) - 0.5)
         noise = 3e-4 * rng.standard_normal(3)
         seen = model.measured(q) + np.array([0.0, 0.0, off_prediction]) + noise
-        monitor.aim_at(q, stands.asked(model.tip(q)) - [0.0, 0.0, off_target])
+        monitor.aim_at(q, stands.carry_from_model(model.tip(q)) - [0.0, 0.0, off_target])
         rest = RestPose(q, History.unknown(ARM.n), seen, np.full(3, 1e-8))
         monitor.judge(rest, model, Context())
     assert monitor.sighted is not None

@@ -20,7 +20,7 @@ from drawn_reports import drawn, in_doubt, justin, panda_3, panda_7, real
 from report_pages import Page
 
 from longarm_comp.core.calibration.fit import fit_model
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.identify import diagnosis
 from longarm_comp.core.identify.gains import compute_gains, measure_tip_shift
 from longarm_comp.core.identify.proof import WITH_FUNCTIONS
@@ -55,7 +55,7 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     for kept, rows in fullest:
         bare = dataclasses.replace(kept.model, biases=())
         again = fit_model(bare, kept.session, **kept.noise_arguments)
-        left.append(np.linalg.norm(errors(again.model, rows), axis=1))
+        left.append(np.linalg.norm(compute_tip_errors(again.model, rows), axis=1))
     left = np.concatenate(left).mean()
     assert seen.before == pytest.approx(left, rel=0.02)
     assert seen.after == pytest.approx(found.proof.rows["with_effects"].mean)

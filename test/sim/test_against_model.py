@@ -54,8 +54,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State
 from longarm_comp.sim.hidden.catalogue import typical_context
-from studies.random_arms import Mix
-from studies.true_camera import TrueCamera, draw
+from studies.true_camera import draw, make_truth
 
 SIZE_MM = 3.0
 TURNING, SLIDING = (1, 2, 4, 5, 6), (3, 7)
@@ -152,19 +151,18 @@ def test_truth_and_model_agree_on(arm: Arm, name: str) -> None:
     q = rng.uniform(arm.lower, arm.upper, (40, arm.n))
     context = typical_context(len(q), arm, rng)
     effect = draw(name, arm, rng, SIZE_MM, q)
-    mix, state = Mix.of(effect), State.of(arm, q, context)
-    truth = TrueArm(arm, mix.arm_side).tip(q, context)
-    seen = TrueCamera.of(arm, mix.camera_side).seen(truth, state.t_s)
+    (true, eye), state = make_truth(arm, [effect]), State.of(arm, q, context)
+    seen = eye.seen(true.tip(q, context), state.t_s)
 
     terms, allowed = SAME[name]
     columns = {"temperature_c": state.temperature_c, "t_s": state.t_s}
-    for one in mix.arm_side:
+    for one in true.hidden:
         columns |= one.readings(state)
     recorded = ModelContext(
         approach=tuple(state.approach.T), columns=columns, last_way=tuple(state.way.T)
     )
     made = terms(effect)
-    if mix.camera_side:
+    if eye.effects:
         model = Model(arm, (LinkDeflection(),), tuple(made))
     else:
         model = Model(arm, (LinkDeflection(), *made))

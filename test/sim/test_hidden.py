@@ -14,8 +14,8 @@ from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden import drives, geometry, loads
 from longarm_comp.sim.hidden.catalogue import OUTSIDE_EVERY_LIBRARY, typical_context
 from studies import true_camera as camera
-from studies.random_arms import Mix, paper_mix, random_arm
-from studies.true_camera import HIDDEN, CameraEffect, draw, hidden, seen_tip
+from studies.random_arms import paper_mix, random_arm
+from studies.true_camera import HIDDEN, CameraEffect, draw, hidden, make_truth, seen_tip
 
 G = 9.81
 LIBRARY = (
@@ -111,7 +111,8 @@ def test_unknown_name_lists_the_known_ones(twin: Arm, rng: np.random.Generator) 
 
 def test_sides_are_not_mixed_up(twin: Arm, rng: np.random.Generator) -> None:
     one, two = (hidden(n, twin, 1.0, rng) for n in ("camera_scale", "joint_zero"))
-    assert Mix.of(one, two) == Mix((two,), (one,))  # type: ignore[arg-type]
+    true, eye = make_truth(twin, (one, two))
+    assert (list(true.hidden), eye.effects) == ([two], (one,))
     with pytest.raises(InputError, match="CameraScale"):
         TrueArm(twin, [one])  # type: ignore[list-item]
 
@@ -288,9 +289,9 @@ def test_paper_mix_errs_as_the_paper_did(twin: Arm) -> None:
     rng = np.random.default_rng(2)
     arm = random_arm(rng, twin)
     assert arm.hash != twin.hash
-    mix = paper_mix(rng, arm)
+    true, _ = make_truth(arm, paper_mix(rng, arm))
     poses = rng.uniform(arm.lower, arm.upper, (150, arm.n))
-    tip = TrueArm(arm, mix.arm_side).tip(poses, typical_context(len(poses), arm, rng))
+    tip = true.tip(poses, typical_context(len(poses), arm, rng))
     left = 1e3 * np.abs((tip - TrueArm(arm).tip(poses))[:, 2]).mean()
     raw = 1e3 * np.abs((tip - _rigid(arm, poses))[:, 2]).mean()
     assert left == pytest.approx(15.4, rel=0.15)

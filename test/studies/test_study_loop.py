@@ -13,10 +13,11 @@ from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
 from longarm_comp.workflows import cluster
 from studies import loop
+from studies.interval import wilson
 from studies.loop_cases import GROUPS, NAMES, SPOILED, Case, Design
 from studies.loop_score import told_apart, true_fit
 from studies.loop_setting import set_up
-from studies.loop_table import by_effect, failures, reliability, share, summary, wilson
+from studies.loop_table import by_effect, failures, reliability, share, summary
 from studies.loop_truth import at_one_place, places, values
 from studies.true_camera import hidden
 
@@ -85,10 +86,9 @@ def test_geometry_errors_are_not_visible_effects(arm):
     """A joint zero is taken up by the refit whole."""
     from longarm_comp.core.data.plan import grid
     from studies.loop_setting import _Gauge
-    from studies.true_camera import TrueCamera
 
     rng = np.random.default_rng(5)
-    gauge = _Gauge(arm, TrueCamera.of(arm), grid(arm, 60, rng).q, np.full(3, 3e-4), rng)
+    gauge = _Gauge(arm, grid(arm, 60, rng).q, np.full(3, 3e-4), rng)
     assert gauge.visibility(hidden("joint_zero", arm, 1.0, rng)) < 0.3
     assert gauge.visibility(hidden("backlash", arm, 1.0, rng)) > 1.0
 
@@ -131,8 +131,8 @@ def test_a_wrong_name_counts_where_the_rows_tell_it_from_the_right_one(arm, name
 
 def test_wilson_interval():
     """Against the closed form's known values (Newcombe 1998, table I: 81/263 and 0/20)."""
-    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
-    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
+    assert wilson(81 / 263, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+    assert wilson(0.0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
     assert share("x", "y", [None]) is None
     assert share("x", "y", [True, None, False])["share"] == 0.5
 

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from few_effects import few_effects
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.errors import InputError
@@ -195,7 +195,9 @@ def test_the_rigid_fit_by_scipy_agrees_with_calibration(data_dir: Path) -> None:
     """Two codes that share nothing leave the same at rows that neither saw."""
     (wam,) = every_robot(data_dir)["wam"]
     own = OwnRigid.fit(wam.arm, wam.train).left(wam.held_out).mean()
-    ours = np.linalg.norm(errors(calibrate(wam.arm, wam.train).model, wam.held_out), axis=1).mean()
+    ours = np.linalg.norm(
+        compute_tip_errors(calibrate(wam.arm, wam.train).model, wam.held_out), axis=1
+    ).mean()
     assert own == pytest.approx(ours, rel=0.1)
 
 

@@ -13,7 +13,7 @@ from touching import ARM, EXAMPLE, SOCKETS, errors_of_the_drawing, touching
 
 import longarm_comp as la
 from longarm_comp.core.calibration.calibrate import fit_stages
-from longarm_comp.core.data.measurement import spreads
+from longarm_comp.core.data.measurement import compute_touch_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
@@ -59,7 +59,7 @@ def test_real_arms_are_calibrated_by_touch(name: str) -> None:
         held = session.labels["location"] == place
         fits = dict(fit_stages(declared_model(arm), session.take(~held)))
         for rung, found in left.items():
-            found.append(spreads(fits[rung].model, session.take(held)))
+            found.append(compute_touch_errors(fits[rung].model, session.take(held)))
     nominal, rigid = (1e3 * np.concatenate(found).mean() for found in left.values())
     assert rigid < RIGID_MM[name]
     assert nominal > 2.0

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, Slot
 
@@ -18,5 +18,5 @@ def numeric_columns(
     for k, slot in enumerate(model.slots):
         step = step_of(slot) * np.eye(len(model.values))[k]
         ends = [model.with_values(model.values + sign * step) for sign in (1.0, -1.0)]
-        up, down = (equations(m, session, posture(m, session), ()).residual for m in ends)
+        up, down = (make_equations(m, session, ()).residual for m in ends)
         yield k, slot, (down - up) / (2 * step[k])

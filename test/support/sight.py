@@ -19,7 +19,7 @@ from longarm_comp.devices.stereo.eye import StereoEye
 from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
-from longarm_comp.sim.plant import mounting
+from longarm_comp.sim.plant import mount_plate
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ def seen_from(
         (simulated["camera.width"], simulated["camera.height"]),
     )  # fmt: skip
     marker = {k: simulated[f"marker.{k}"] for k in ("tag_m", "gap_m", "columns", "rows")}
-    plate, on_tip = tag_plate(**marker), mounting(simulated["marker.mounting"])
-    hand_eye = quaternion.pose(
+    plate, on_tip = tag_plate(**marker), mount_plate(simulated["marker.mounting"])
+    hand_eye = quaternion.compute_pose(
         np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
     )
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)

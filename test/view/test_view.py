@@ -240,7 +240,7 @@ def shows_the_arm_and_its_errors(stand: Stand) -> None:
     page.keyboard.press("Enter")
     stand.shows("The blue arm's deflection is drawn to scale, error arrows 100 times longer")
     stand.shows("After the last move: not known, because the driver does not say when it ends.")
-    driver.own.parts[RING_SAID] = lambda: Report(OK, RING.said())
+    driver.own.parts[RING_SAID] = lambda: Report(OK, RING.describe())
     rings = "After the last move: the tip swings by 2.1 mm at most, 4.8 Hz; within 0.1 mm after"
 
     def told() -> bool:

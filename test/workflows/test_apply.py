@@ -23,7 +23,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.report import record
-from longarm_comp.workflows.apply import apply, changes, undo
+from longarm_comp.workflows.apply import apply, list_changes, undo
 from longarm_comp.workflows.inputs import file_hash, load_predictor
 from longarm_comp.workflows.train import TrainedPredictor, train
 
@@ -204,23 +204,23 @@ def test_other_arms_sessions_and_folders_are_refused(
 def test_the_changes_are_those_of_the_values(rng: np.random.Generator) -> None:
     q = ARM.lower + rng.random((30, ARM.n)) * (ARM.upper - ARM.lower)
     context = Context(approach=tuple(rng.choice([-1.0, 1.0], (ARM.n, 30))))
-    assert changes(FOUND, FOUND, q, context) == []
+    assert list_changes(FOUND, FOUND, q, context) == []
     terms = list(FOUND.effects)
     terms[-1] = FrictionHysteresis(1, width=0.006)
     grown = dataclasses.replace(FOUND, effects=tuple(terms))
-    (change,) = changes(FOUND, grown, q, context)
+    (change,) = list_changes(FOUND, grown, q, context)
     assert (change.what, change.where, change.kind) == ("friction_hysteresis", "joint 1", "changed")
     assert change.values == (("width", "rad", 0.004, 0.006),)
     moved = np.linalg.norm(grown.tip(q, context) - FOUND.tip(q, context), axis=1)
     assert change.tip_mm == pytest.approx(1e3 * np.sqrt((moved**2).mean()))
 
     bare = Model(ARM, tuple(terms[:-1]))
-    (added,) = changes(bare, grown, q, context)
-    (removed,) = changes(grown, bare, q, context)
+    (added,) = list_changes(bare, grown, q, context)
+    (removed,) = list_changes(grown, bare, q, context)
     assert (added.kind, removed.kind) == ("added", "removed")
     assert "width none -> 0.3438 °" in str(added)
     zeros = FOUND.with_values(FOUND.values + np.r_[1e-3, np.zeros(len(FOUND.values) - 1)])
-    (geometry,) = changes(FOUND, zeros, q, context)
+    (geometry,) = list_changes(FOUND, zeros, q, context)
     assert (geometry.what, geometry.where) == ("geometry", "")
     moved = np.linalg.norm(zeros.tip(q, context) - FOUND.tip(q, context), axis=1)
     assert geometry.tip_mm == pytest.approx(1e3 * np.sqrt((moved**2).mean()))

@@ -21,6 +21,13 @@ from longarm_comp.sim.hidden.geometry import JointZero
 QUICK = {"hidden": 3, "ensemble": 1}
 
 
+def words_of(folder: Path, arm: la.Arm, rows: la.Session) -> tuple[str | Path, ...]:
+    """The command that evaluates an arm on rows, with both written to a folder."""
+    (folder / "arm.yaml").write_text(arm.model_dump_json(exclude_defaults=True))
+    write_csv(rows, folder / "test.csv")
+    return "evaluate", folder / "arm.yaml", "--test", folder / "test.csv"
+
+
 def test_an_outlier_shows_in_the_worst_rows_and_not_in_the_median(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -29,10 +36,7 @@ def test_an_outlier_shows_in_the_worst_rows_and_not_in_the_median(
     xyz[7, 2] += 0.06
     numbers = np.arange(100, 140)
     spoiled = la.Session.record(rows.q, xyz, index=numbers)
-    (tmp_path / "arm.yaml").write_text(ARM.model_dump_json(exclude_defaults=True))
-    write_csv(spoiled, tmp_path / "test.csv")
-    shell = Shell(tmp_path, capsys)
-    words = ("evaluate", tmp_path / "arm.yaml", "--test", tmp_path / "test.csv")
+    shell, words = Shell(tmp_path, capsys), words_of(tmp_path, ARM, spoiled)
     made = shell.json(*words)
     (row,) = made["rows"]
     error = np.linalg.norm(xyz - la.Model(ARM).tip(rows.q), axis=1)
@@ -90,10 +94,7 @@ def test_rows_that_hardly_tell_more_than_a_place_judge_nothing(
     q, xyz, spots = np.tile(q, (repeats, 1)), np.tile(xyz, (repeats, 1)), spots * repeats
     xyz += 1e-5 * rng.standard_normal(xyz.shape)
     rows = la.Session.record(q, xyz, labels={"marker": np.array(spots)} if named else {})
-    (tmp_path / "arm.yaml").write_text(arm.model_dump_json(exclude_defaults=True))
-    write_csv(rows, tmp_path / "test.csv")
-    shell = Shell(tmp_path, capsys)
-    words = ("evaluate", tmp_path / "arm.yaml", "--test", tmp_path / "test.csv")
+    shell, words = Shell(tmp_path, capsys), words_of(tmp_path, arm, rows)
     assert shell.json(*words)["rows"][0]["mean_mm"] == pytest.approx(500.0 * 3**0.5, rel=0.1)
     assert shell(*words) == 0 and "it is judged where it is declared" in shell.err
 

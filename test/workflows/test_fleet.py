@@ -20,7 +20,7 @@ from longarm_comp.cli.diagnose import fleet as command
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.report.pages import fleet_page
 from longarm_comp.sessions.csv import write_csv
-from longarm_comp.workflows.fleet import Diagnosed, FleetFinding, compare_arms, fleet, members
+from longarm_comp.workflows.fleet import Diagnosed, FleetFinding, compare_arms, fleet, list_members
 from studies.fleet import command as study
 
 
@@ -54,7 +54,7 @@ def told(folders: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
 
 
 def test_the_arm_that_was_knocked_is_told(folders: Path, told: tuple[Path, str]) -> None:
-    found = {m.name: m.session.name for m in members(folders)}
+    found = {m.name: m.session.name for m in list_members(folders)}
     assert found == {"broken": "rows.csv", "knocked": "later.csv", "sound": "later.csv"}
     out, printed = told
     arms = {row["name"]: row for row in json.loads(printed)["arms"]}
@@ -95,7 +95,7 @@ def test_one_arm_yaml_stands_for_arms_of_a_kind(folders: Path, tmp_path: Path) -
     arm_yaml(tmp_path)
     shutil.copy(folders / "sound" / "first.csv", tmp_path / "one.csv")
     shutil.copy(folders / "sound" / "later.csv", tmp_path / "two.csv")
-    assert [(m.name, m.arm.parent) for m in members(tmp_path)] == [
+    assert [(m.name, m.arm.parent) for m in list_members(tmp_path)] == [
         ("one", tmp_path), ("two", tmp_path),
     ]  # fmt: skip
 
@@ -125,10 +125,10 @@ def test_what_most_arms_of_a_kind_have_is_the_kinds() -> None:
 
 def test_folders_without_arms_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="fleet: 'no arm'"):
-        members(tmp_path)
+        list_members(tmp_path)
     arm_yaml(tmp_path / "bare")
     with pytest.raises(InputError, match="bare: session: 'none'"):
-        members(tmp_path)
+        list_members(tmp_path)
     (tmp_path / "bare" / "rows.csv").write_text("q1,x\n1,2\n", encoding="utf-8")
     done = CliRunner().invoke(command, [str(tmp_path), "-o", str(tmp_path / "out")])
     assert isinstance(done.exception, JobError)

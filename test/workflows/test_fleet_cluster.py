@@ -89,7 +89,7 @@ def test_a_task_that_ends_its_workers_is_one_failure(
     monkeypatch.setattr(two.scheduler, "allowed_failures", 0)  # a new worker takes seconds
     tasks = [(n,) for n in range(8)]
     told = dict(
-        cluster.spread(
+        cluster.run_tasks(
             ends_its_worker, tasks, two.scheduler_address, workers=1, asked="longarm fleet"
         )
     )
@@ -100,7 +100,7 @@ def test_a_task_that_ends_its_workers_is_one_failure(
 
 def test_a_scheduler_that_goes_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     made = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0")
-    told = cluster.spread(
+    told = cluster.run_tasks(
         time.sleep, [(0.0,), (60.0,)], made.scheduler_address, workers=1, asked="fleet"
     )
     assert next(told) == ((0.0,), None)
@@ -140,7 +140,7 @@ def process_of(seconds: float) -> int:
 
 
 def test_local_is_so_many_processes() -> None:
-    told = list(cluster.spread(process_of, [(0.5,)] * 6, "local", workers=2, asked="fleet"))
+    told = list(cluster.run_tasks(process_of, [(0.5,)] * 6, "local", workers=2, asked="fleet"))
     assert len(told) == 6
     processes = {made for _, made in told}
     assert len(processes) == 2 and os.getpid() not in processes

@@ -27,7 +27,7 @@ from longarm_comp.report.style import save
 from longarm_comp.sessions import table
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.workflows.apply import apply, take_back, undo
-from longarm_comp.workflows.fleet import fleet, members
+from longarm_comp.workflows.fleet import fleet, list_members
 from longarm_comp.workflows.inputs import file_hash
 
 
@@ -197,7 +197,7 @@ def test_two_sessions_of_one_name(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "metadata.yaml").write_text("")
     with pytest.raises(InputError, match=r"name of an arm: 'a'; allowed: .* no other arm's"):
-        members(tmp_path)
+        list_members(tmp_path)
 
 
 def test_a_fleet_does_not_write_over_an_arm(tmp_path: Path) -> None:
@@ -212,10 +212,10 @@ def test_a_fleet_reads_no_pipe_and_no_endless_header(tmp_path: Path) -> None:
     _fleet(tmp_path, "a.csv")
     (tmp_path / "b.csv").write_text("x" * 131_073 + ",q1,x\n" + "1,1,1\n")
     (tmp_path / "c.csv").write_text('"q1,x\n' + "1,1\n" * 9)
-    assert [member.name for member in members(tmp_path)] == ["a"]
+    assert [member.name for member in list_members(tmp_path)] == ["a"]
     os.mkfifo(tmp_path / "d.csv")
     with pytest.raises(InputError, match=r"d\.csv: file: 'a pipe"):
-        members(tmp_path)
+        list_members(tmp_path)
     (tmp_path / "d.csv").unlink()
     (tmp_path / "a.csv").write_text("q1,q2,q3,q4,x,y,z\n0,0,0,0,0,0," + "1" * 131_073 + "\n")
     (one,) = fleet(tmp_path, tmp_path / "out")

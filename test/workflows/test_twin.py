@@ -12,7 +12,7 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import declared_model, fit_ladder, geometry_terms
 from longarm_comp.core.calibration.fit import fit_model
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraRadial
 from longarm_comp.core.effects.compliances import JointCompliance
@@ -76,7 +76,9 @@ class Twin:
         The first row is left out: from which side its joints came is not known.
         """
         seen = self.samples.take(self.samples.seen)
-        predictor = train(seen.q, errors(model, seen), seen.context(), ensemble=ensemble)
+        predictor = train(
+            seen.q, compute_tip_errors(model, seen), seen.context(), ensemble=ensemble
+        )
         found = predictor.predict(self.test.q, self.test.context())
         known = self.test.approach.all(axis=1)
         assert known.sum() >= len(known) - 1

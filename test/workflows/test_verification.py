@@ -14,7 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.loop import NEAR_NOISE, Journal, LoopSettings, another_round
 from longarm_comp.jobs.targets import Trial, one_by_one
-from longarm_comp.workflows.verification import verification
+from longarm_comp.workflows.verification import compare_runs
 
 NAMES = ("without", "with")
 
@@ -29,7 +29,7 @@ def test_the_error_is_tip_minus_target(rng: np.random.Generator, tmp_path: Path)
     low = np.tile([0.001, 0.002, -0.02], (12, 1))
     run = trial(target, low)
     np.testing.assert_allclose(run.off, low)
-    result = verification(NAMES, run.off, 0.1 * run.off)
+    result = compare_runs(NAMES, run.off, 0.1 * run.off)
     without, compensated = result.rows
     assert [without[f"mean_{axis}_mm"] for axis in "xyz"] == pytest.approx([1.0, 2.0, -20.0])
     assert compensated["mean_mm"] == pytest.approx(0.1 * without["mean_mm"])
@@ -39,18 +39,18 @@ def test_the_error_is_tip_minus_target(rng: np.random.Generator, tmp_path: Path)
 
 def test_it_helps_only_beyond_chance(rng: np.random.Generator) -> None:
     worse = rng.normal(size=(20, 3))
-    clearly = verification(NAMES, worse, 0.1 * worse)
+    clearly = compare_runs(NAMES, worse, 0.1 * worse)
     assert clearly.helps and clearly.gain_m > 0
     low, high = clearly.gain_ci95_m
     assert 0 < low < clearly.gain_m < high
-    harmed = verification(NAMES, 0.1 * worse, worse)
+    harmed = compare_runs(NAMES, 0.1 * worse, worse)
     assert not harmed.helps and harmed.gain_m == pytest.approx(-clearly.gain_m)
     assert "does not help" in harmed.summary
     along = np.array([[0.0, 0.0, 1.0]])
     mixed = along * np.tile([0.5, 1.45], 10)[:, None]  # as often farther as nearer
-    alike = verification(NAMES, np.repeat(along, 20, axis=0), mixed)
+    alike = compare_runs(NAMES, np.repeat(along, 20, axis=0), mixed)
     assert alike.gain_m > 0 and not alike.helps
-    assert verification(NAMES, worse, 0.1 * worse).gain_ci95_m == clearly.gain_ci95_m
+    assert compare_runs(NAMES, worse, 0.1 * worse).gain_ci95_m == clearly.gain_ci95_m
 
 
 def test_runs_are_paired_where_the_marker_was_seen_in_both(rng: np.random.Generator) -> None:
@@ -58,14 +58,14 @@ def test_runs_are_paired_where_the_marker_was_seen_in_both(rng: np.random.Genera
     before[1] = np.nan
     after[4, 2] = np.nan
     both = [0, 2, 3, 5, 6, 7]
-    result = verification(NAMES, before, after)
+    result = compare_runs(NAMES, before, after)
     np.testing.assert_array_equal(result.runs[NAMES[0]], before[both])
     np.testing.assert_array_equal(result.runs[NAMES[1]], after[both])
     lengths = np.linalg.norm(before[both], axis=1) - np.linalg.norm(after[both], axis=1)
     assert result.gain_m == pytest.approx(lengths.mean())
     before[both[1:]] = np.nan
     with pytest.raises(JobError, match="seen=1"):
-        verification(NAMES, before, after)
+        compare_runs(NAMES, before, after)
 
 
 def test_refused_targets_are_counted(rng: np.random.Generator) -> None:

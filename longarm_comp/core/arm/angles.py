@@ -37,12 +37,12 @@ _COSINE = (
 
 
 def sine(x: Scalar) -> Scalar:
-    """sin x."""
+    """Compute sin x."""
     return _quadrant(x, 0.0)
 
 
 def cosine(x: Scalar) -> Scalar:
-    """cos x = sin(x + pi / 2)."""
+    """Compute cos x = sin(x + pi / 2)."""
     return _quadrant(x, 1.0)
 
 
@@ -88,7 +88,7 @@ _LOW = 6.123233995736765886130e-17  # of pi / 2
 
 
 def arc_tangent2(y: Scalar, x: Scalar) -> Scalar:
-    """Angle of the point (x, y), -pi to pi; 0 at the origin."""
+    """Return the angle of the point (x, y), -pi to pi; 0 at the origin."""
     a, b = absolute(y), absolute(x)
     t = minimum(a, b) / (maximum(a, b) + 1e-300)
     steep = t > 0.66

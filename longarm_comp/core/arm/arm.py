@@ -203,6 +203,11 @@ class Arm(Declared):
         return np.array([self.joints[i - 1].limits[1] for i in self.commanded])
 
     @cached_property
+    def slides(self) -> np.ndarray:
+        """Tell (n,) which joints slide; the others turn."""
+        return np.array([self.joints[i - 1].type == "prismatic" for i in self.commanded])
+
+    @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest joints (n,) that the arm can be at, rad or m; infinite if endless."""
         endless = np.array([self.joints[i - 1].endless for i in self.commanded])

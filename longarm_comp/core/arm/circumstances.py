@@ -21,7 +21,7 @@ weight: no robot is known that carries more than that."""
 
 
 def allowed_range(arm: Arm, name: str) -> tuple[float, float]:
-    """Lowest and highest value of a circumstance, in the unit of its name; infinite without one.
+    """Return the range of a circumstance, in the unit of its name; infinite without one.
 
     `temperature_c`: within `MOST_K` of the arm's reference. `payload_kg`: up to `payload.most_kg`
     of arm.yaml; without it, what `MOST_PAYLOADS` says. Tilts (`incl_...`): a turn.

@@ -95,17 +95,17 @@ class Context:
         return self.column("payload_kg", declared)
 
     def of_joint(self, name: str, joint: int) -> tuple[Scalar, ...]:
-        """Scalars of a per-joint field at commanded joint number `joint` (0-based); 0: unknown."""
+        """Return scalars of a per-joint field at commanded joint `joint` (0-based); 0: unknown."""
         width = WIDTH[name]
         values: tuple[Scalar, ...] = getattr(self, name)
         return values[width * joint : width * (joint + 1)] if values else (0.0,) * width
 
     def of_all(self, name: str, n: int) -> tuple[Scalar, ...]:
-        """All scalars of a per-joint field of an arm of n joints; 0: unknown."""
+        """Return all scalars of a per-joint field of an arm of n joints; 0: unknown."""
         return getattr(self, name) or (0.0,) * (n * WIDTH[name])
 
     def is_label(self, name: str, value: str) -> Scalar:
-        """1.0 where a text column holds `value`, else 0.0; 1.0 when there is no such column."""
+        """Tell where a text column holds `value`: 1.0, else 0.0; 1.0 if there is no such column."""
         if name not in self.labels:
             return 1.0
         held = self.labels[name]
@@ -212,7 +212,7 @@ class Layout:
         return Context(**fields, columns=columns, labels=dict(self.labels))
 
     def pack(self, context: Context, count: int) -> np.ndarray:
-        """Context of N targets as rows, (N, `count`)."""
+        """Return the context of N targets as rows, (N, `count`)."""
         values = [value for name in PER_JOINT for value in getattr(context, name)]
         values += [context.columns[name] for name in self.columns]
         rows = np.empty((count, len(values)))

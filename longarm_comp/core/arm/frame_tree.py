@@ -45,7 +45,7 @@ class _Child:
     def at(self, name: str, t_ns: int) -> np.ndarray:
         """Return the pose (4, 4) in the parent at a time (ns)."""
         if self.static:
-            return quaternion.pose(*self.places[0])
+            return quaternion.compute_pose(*self.places[0])
         if t_ns > self.times[-1]:
             late = 1e-9 * (t_ns - self.times[-1])
             raise NotYet(f"frame {name!r} was last published {late:.2f} s before")
@@ -54,10 +54,11 @@ class _Child:
             raise UnknownPlace(f"frame {name!r} is known only from {early:.2f} s later on")
         k = bisect_left(self.times, t_ns)
         if self.times[k] == t_ns:
-            return quaternion.pose(*self.places[k])
+            return quaternion.compute_pose(*self.places[k])
         (p, turn), (p_next, turn_next) = self.places[k - 1 : k + 1]
         share = (t_ns - self.times[k - 1]) / (self.times[k] - self.times[k - 1])
-        return quaternion.pose(p + share * (p_next - p), quaternion.between(turn, turn_next, share))
+        place = p + share * (p_next - p)
+        return quaternion.compute_pose(place, quaternion.interpolate(turn, turn_next, share))
 
 
 class FrameTree:

@@ -24,7 +24,7 @@ SLIDE = 0.1
 """Metres of a slide that count as a radian of a turning joint."""
 
 
-def onward(legs: Sequence[float], way: float) -> list[float]:
+def add_way(legs: Sequence[float], way: float) -> list[float]:
     """Return the legs of a joint after a further signed way (rad, m).
 
     Legs have the latest first and hold no zero. A way that is as long as the leg before it cancels
@@ -44,7 +44,7 @@ def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[f
     for way in ways:
         if abs(way) >= SAME_POSE:
             side = 1.0 if way > 0 else -1.0
-            legs = onward(legs, way)
+            legs = add_way(legs, way)
     return side, legs
 
 
@@ -59,7 +59,7 @@ def last_way(ways: Sequence[float]) -> float:
 
 
 def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Side (k,) and legs (k, LEGS) of a joint after each of k ways: `move_joint`, run by run."""
+    """Return side (k,) and legs (k, LEGS) of a joint after each of k ways, as `move_joint`."""
     moves = np.abs(ways) >= SAME_POSE
     done = ways[moves]
     sides = np.append(np.sign(done), side)  # the last: before the first move
@@ -69,7 +69,7 @@ def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray,
     for begin, end in zip([0, *cuts], [*cuts, len(done)], strict=True):
         gone, at = np.cumsum(done[begin:end]), 0
         while at < len(gone):
-            now = onward(held, float(gone[at]))
+            now = add_way(held, float(gone[at]))
             first = now[0] + gone[at:] - gone[at]
             inside = len(first)
             if len(now) > 1:  # until it swallows the loop before it
@@ -78,13 +78,13 @@ def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray,
             part[:, : len(now)] = now
             part[:, 0] = first[:inside]
             at += inside
-        held = onward(held, float(gone[-1])) if len(gone) else held
+        held = add_way(held, float(gone[-1])) if len(gone) else held
     row = np.cumsum(moves) - 1
     return sides[row], made[row]
 
 
-def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
-    """Least and largest state that a play operator can have after some legs; equal where known.
+def compute_play_range(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
+    """Compute least and largest state of a play operator after some legs; equal where known.
 
     The state follows the joint within +-radius.  Before the first leg it is anything in between.
     Legs are signed ways, the latest first (rad, m as the radius); 0 counts for nothing.
@@ -105,7 +105,7 @@ class History:
     Attributes:
         approach: (n,) or (N, n) of -1, 0 (unknown), +1: the side each joint arrived from.
         legs: (n, LEGS) or (N, n, LEGS) signed ways from turn to turn (rad, m), the latest first,
-            as `onward` keeps them; 0 where there is none or nobody knows.
+            as `add_way` keeps them; 0 where there is none or nobody knows.
         last_way: (n,) or (N, n) signed way (rad, m) since the joint last stood or turned; 0 where
             it did not move, or nobody knows.
     """
@@ -183,7 +183,7 @@ def recorded_history(
     run_up: np.ndarray | None = None,
     length: np.ndarray | None = None,
 ) -> History:
-    """History of every row of a recording, (N, n).
+    """Return the history of every row of a recording, (N, n).
 
     A joint came by its run-up, else from the side that was told, else straight from the row
     before.  After a gap of the index, and in the first row, nothing is known of before; a joint
@@ -197,7 +197,7 @@ def recorded_history(
         length: (n,) of run-ups of which only the side was recorded; unknown where not given.
     """
     begun = np.full(q.shape, np.nan) if run_up is None else run_up
-    told = sides_told(q, approach, begun)
+    told = read_sides(q, approach, begun)
     if length is not None:
         begun = np.where(told != 0, q - told * length, begun)
         told = np.zeros_like(told)
@@ -219,7 +219,7 @@ def recorded_history(
 
 
 def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """(N, n) ways from the row before, rad and m; NaN in the first row and after a gap."""
+    """Return (N, n) ways from the row before, rad and m; NaN in the first row and after a gap."""
     ways = np.full(q.shape, np.nan)
     known = np.isin(np.diff(index), (0, 1))
     ways[1:][known] = np.diff(q, axis=0)[known]
@@ -227,13 +227,13 @@ def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
 
 
 def first_of_stand(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """(N,) number of the first row of each row's stand: of one index, at one posture."""
+    """Return (N,) number of the first row of each row's stand: of one index, at one posture."""
     moved = np.ones(len(q), dtype=bool)
     moved[1:] = (np.diff(index) != 0) | (np.abs(np.diff(q, axis=0)) >= SAME_POSE).any(axis=1)
     return np.maximum.accumulate(np.where(moved, np.arange(len(q)), 0))
 
 
-def sides_told(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
+def read_sides(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
     """Return the recorded side of arrival, (N, n) of -1, 0, +1.
 
     It is 0 after a run-up, or if no side was recorded.

@@ -34,7 +34,7 @@ class Move:
 
 
 def run_up_lengths(arm: Arm) -> np.ndarray:
-    """(n,) length of a run-up of every joint (rad, m)."""
+    """Return (n,) length of a run-up of every joint (rad, m)."""
     # Way of a run-up, as a share of each joint's range: longer than the play of most joints
     return 0.06 * (arm.upper - arm.lower)
 

@@ -106,7 +106,7 @@ class Tube(Declared):
         return self
 
     def second_moments(self) -> tuple[float, float, float]:
-        """(I about the first, I about the second transverse axis, torsion constant), m^4."""
+        """Return (I about the first, I about the second transverse axis, torsion constant), m^4."""
         i = math.pi / 64 * (self.od_m**4 - self.id_m**4)
         return i, i, 2 * i
 
@@ -126,7 +126,7 @@ class Rect(Declared):
         return self
 
     def second_moments(self) -> tuple[float, float, float]:
-        """(I about the first, I about the second transverse axis, torsion constant), m^4.
+        """Return (I about the first, I about the second transverse axis, torsion constant), m^4.
 
         Torsion: Roark's formula for the solid rectangle, Bredt's for the thin-walled box.
         """
@@ -248,12 +248,12 @@ class Box(Declared):
         return min(high - low for low, high in zip(self.min_m, self.max_m, strict=True))
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """(...) bool: which of points (..., 3), m, are in the box."""
+        """Return (...) bool: which of points (..., 3), m, are in the box."""
         inside = (points >= np.array(self.min_m)) & (points <= np.array(self.max_m))
         return np.asarray(inside.all(axis=-1))
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """(...) m: how far points (..., 3) in the box are from its nearest side."""
+        """Return (...) m: how far points (..., 3) in the box are from its nearest side."""
         inside = np.minimum(points - np.array(self.min_m), np.array(self.max_m) - points)
         return np.asarray(inside.min(axis=-1))
 

@@ -92,11 +92,11 @@ class Chain:
         self.mixing, self.offset = arm.mixing
 
     def frame_station(self, row: int) -> int:
-        """Station of row `row`'s frame; row 0 is the base."""
+        """Return the station of row `row`'s frame; row 0 is the base."""
         return BASE if row == 0 else self.rows[row - 1].frame
 
     def values(self, q: Sequence[Scalar]) -> list[Scalar]:
-        """Joint value of every row (rad or m) from the commanded q (passive joints follow)."""
+        """Compute the joint value of every row (rad or m) from q (passive joints follow)."""
         values: list[Scalar] = []
         for weights, offset in zip(self.mixing, self.offset, strict=True):
             value: Scalar = float(offset)
@@ -107,7 +107,7 @@ class Chain:
         return values
 
     def coupled_rows(self, joint: int) -> tuple[tuple[int, float], ...]:
-        """(row, how far it moves per unit of a joint's row), that row first."""
+        """Return (row, how far it moves per unit of a joint's row), that row first."""
         return self._coupled.get(joint, ((joint, 1.0),))
 
     @cached_property
@@ -150,7 +150,7 @@ class Chain:
         return tuple(along if abs(along) > length else 0.0 for along in off[:-1])
 
     def place(self, q: Sequence[Scalar], twists: Twists) -> tuple[list[Frame], list[Scalar]]:
-        """Every station's frame in the base frame, and every element's length by station.
+        """Return every station's frame in the base frame, and every element's length by station.
 
         The twists are composed inside the chain (the paper's Eq. 1-2, exactly):
         ``T_1 exp(x_1) T_2 exp(x_2) ...``.
@@ -244,7 +244,7 @@ class Posture:
         return self.chain.values(self.q)
 
     def station_masses(self) -> list[Lumped]:
-        """All masses at points of stations, without `line_loads`."""
+        """Return all masses at points of stations, without `line_loads`."""
         made: list[Lumped] = []
         for m in self.arm.point_masses:
             at: Vec = m.position_m
@@ -296,7 +296,7 @@ class Posture:
                     yield Lumped(station, density * behind, (at[0], at[1], at[2]))
 
     def _beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
-        """Length from element k's far end (-1: from the row's begin) to the far end of `beam`."""
+        """Sum lengths from element k's far end (-1: the row's begin) to the end of `beam`."""
         last = max(j for j, e in enumerate(elements) if e.beam is beam)
         beyond: Scalar = 0.0
         for e in elements[k + 1 : last + 1]:
@@ -340,37 +340,39 @@ class Posture:
         return cast(_Made, self._made[key])
 
     def gravity_in(self, station: int) -> Vec:
-        """Gravity seen in a station's axes (m/s^2)."""
+        """Return the gravity seen in a station's axes (m/s^2)."""
         return self.once(("gravity", station), lambda: self.frames[station].unrotate(self.gravity))
 
     def force(self, station: int) -> Vec:
-        """Weight of all that is carried at a station, in its axes (N)."""
+        """Return the weight of all that is carried at a station, in its axes (N)."""
         return self._loads(station)[1]
 
     def moment(self, station: int) -> Vec:
-        """Moment of all that is carried at a station, about its origin, in its axes (N m)."""
+        """Return the moment of all carried at a station, about its origin, in its axes (N m)."""
         return self._loads(station)[2]
 
     def _loads(self, station: int) -> tuple[Vec, Vec, Vec]:
         mass, first = self.carried
         return self.once(
             ("loads", station),
-            lambda: loads(self.frames[station], mass[station], first[station], self.gravity),
+            lambda: compute_loads(
+                self.frames[station], mass[station], first[station], self.gravity
+            ),
         )
 
     def bearing(self, row: int) -> int:
         return self.chain.rows[row - 1].bearing
 
     def frame(self, row: int) -> int:
-        """Station of a row's frame; row 0 is the base."""
+        """Return the station of a row's frame; row 0 is the base."""
         return self.chain.frame_station(row)
 
     def spot(self, marker: str = "") -> int:
-        """Station of the tip, or of a marker, on the frame that carries it; no mass hangs there."""
+        """Return the station of the tip, or of a marker, on its frame; no mass hangs there."""
         return self.chain.spots[marker]
 
 
-def loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Vec, Vec]:
+def compute_loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Vec, Vec]:
     """Gravity, and weight and moment about the origin of what a frame carries, in its axes.
 
     Args:

@@ -20,8 +20,8 @@ def is_unit(quaternion: np.ndarray) -> bool:
     return math.isfinite(length) and abs(length - 1.0) <= LENGTH_TOLERANCE
 
 
-def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix (3, 3) of x, y, z, w; the length is taken out first."""
+def compute_rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Return the rotation matrix (3, 3) of x, y, z, w; the length is taken out first."""
     q = np.asarray(quaternion, dtype=float)
     x, y, z, w = q / np.linalg.norm(q)
     return np.array(
@@ -34,7 +34,7 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def from_rotation(matrix: np.ndarray) -> np.ndarray:
-    """x, y, z, w with w >= 0 of a rotation matrix (3, 3)."""
+    """Return x, y, z, w with w >= 0 of a rotation matrix (3, 3)."""
     m = np.asarray(matrix, dtype=float)
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     squares = np.array([m[0, 0], m[1, 1], m[2, 2], trace])
@@ -52,20 +52,20 @@ def from_rotation(matrix: np.ndarray) -> np.ndarray:
 
 
 def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
-    """Axis times angle (3,), rad, of x, y, z, w with w >= 0."""
+    """Return the axis times angle (3,), rad, of x, y, z, w with w >= 0."""
     x, y, z, w = (float(v) for v in quaternion)
     sine = math.hypot(x, y, z)
     return np.array([x, y, z]) * (2 * math.atan2(sine, w) / sine if sine else 2.0)
 
 
-def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+def compute_pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     """Return the homogeneous matrix (4, 4) of a position (m) and a unit quaternion (x, y, z, w)."""
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation(quaternion), position
+    matrix[:3, :3], matrix[:3, 3] = compute_rotation(quaternion), position
     return matrix
 
 
-def between(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
+def interpolate(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
     """Return x, y, z, w at a share of the shortest way from one to the other (slerp).
 
     Source: Shoemake, Animating Rotation with Quaternion Curves (1985).
@@ -80,8 +80,8 @@ def between(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
     return np.asarray(mixed / np.linalg.norm(mixed))
 
 
-def tilt(quaternion: np.ndarray) -> tuple[float, float]:
-    """Roll and pitch (rad) about the fixed x and y axes: what an inclinometer reads."""
+def compute_tilt(quaternion: np.ndarray) -> tuple[float, float]:
+    """Return roll and pitch (rad) about the fixed x and y axes: what an inclinometer reads."""
     x, y, z, w = (float(v) for v in quaternion)
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     return roll, math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))

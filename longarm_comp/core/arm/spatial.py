@@ -45,7 +45,7 @@ minimum, maximum = _of_two(min, np.minimum), _of_two(max, np.maximum)
 
 
 def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
-    """`yes` where the condition holds, else `no` (both sides are evaluated)."""
+    """Return `yes` where the condition holds, else `no` (both sides are evaluated)."""
     if isinstance(condition, (float, int, np.generic)):
         return yes if condition else no
     if isinstance(condition, np.ndarray):
@@ -82,7 +82,7 @@ class Frame(NamedTuple):
     p: Vec
 
     def rotate(self, v: Vec) -> Vec:
-        """Direction `v` of this frame, seen in the parent."""
+        """Return the direction `v` of this frame, seen in the parent."""
         n, o, a = self.n, self.o, self.a
         return (
             n[0] * v[0] + o[0] * v[1] + a[0] * v[2],
@@ -91,11 +91,11 @@ class Frame(NamedTuple):
         )
 
     def unrotate(self, v: Vec) -> Vec:
-        """Direction `v` of the parent, seen in this frame."""
+        """Return the direction `v` of the parent, seen in this frame."""
         return (dot(self.n, v), dot(self.o, v), dot(self.a, v))
 
     def transform(self, v: Vec) -> Vec:
-        """Point `v` (m) of this frame, seen in the parent."""
+        """Return the point `v` (m) of this frame, seen in the parent."""
         return add(self.rotate(v), self.p)
 
     def along(self, axis: int, length: Scalar) -> Frame:
@@ -119,12 +119,12 @@ class Frame(NamedTuple):
         return self._replace(n=n, o=sub(scale(c, self.o), scale(s, self.n)))
 
     def __matmul__(self, other: Frame) -> Frame:
-        """Composition: `other` is given in this frame."""
+        """Compose two motions: `other` is given in this frame."""
         n, o, a = self.rotate(other.n), self.rotate(other.o), self.rotate(other.a)
         return Frame(n, o, a, self.transform(other.p))
 
     def matrix(self) -> np.ndarray:
-        """Homogeneous matrix, (..., 4, 4)."""
+        """Return the homogeneous matrix, (..., 4, 4)."""
         columns = [np.stack(np.broadcast_arrays(*v), axis=-1) for v in self]
         top = np.stack(np.broadcast_arrays(*columns), axis=-1)
         bottom = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*top.shape[:-2], 1, 4))
@@ -135,7 +135,7 @@ IDENTITY = Frame((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO)
 
 
 def _exact_cos_sin(angle: float) -> tuple[float, float]:
-    """cos and sin that are exact at multiples of a right angle (so that zeros stay zeros)."""
+    """Compute cos and sin, exact at multiples of a right angle (so that zeros stay zeros)."""
     quarter = angle / (math.pi / 2)
     if abs(quarter - round(quarter)) < 1e-14:
         return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
@@ -220,7 +220,7 @@ def tangent(twist: Twist, at: Vec, large: bool = False) -> tuple[list[Vec], list
 
 
 def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
-    """Rodrigues: R = 1 + a w^ + b w^w^, p = (1 + b w^ + c w^w^) d, with w^w^ = w w' - t."""
+    """Apply Rodrigues: R = 1 + a w^ + b w^w^, p = (1 + b w^ + c w^w^) d, with w^w^ = w w' - t."""
     x, y, z = w
     diag = 1.0 - b * t
     bx, by, bz = b * x, b * y, b * z
@@ -236,7 +236,7 @@ def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
 
 
 def small_rotation(a: Frame, b: Frame) -> Vec:
-    """Small rotation (rad) from the axes of b to those of a, in their parent; to second order.
+    """Compute the small rotation (rad) from axes of b to those of a, in their parent; to order 2.
 
     With ``a = (1 + w^) b`` the cross products of the axes, b's with a's, sum up to ``2 w``.
     """
@@ -258,7 +258,7 @@ def sum_twists(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
 
 
 def _plus(x: Scalar, y: Scalar) -> Scalar:
-    """x + y; an array is not copied for nothing."""
+    """Return x + y; an array is not copied for nothing."""
     if type(y) is float and y == 0.0:
         return x
     return y if type(x) is float and x == 0.0 else x + y
@@ -276,7 +276,7 @@ def rpy_frame(xyz: Vec, rpy: Vec) -> Frame:
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Fixed-axis angles (rad) of ``Rz(yaw) Ry(pitch) Rx(roll)``, exact at pitch +-90 deg too."""
+    """Return angles (rad) of ``Rz(yaw) Ry(pitch) Rx(roll)``, exact at pitch +-90 deg too."""
     yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)
     level = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation

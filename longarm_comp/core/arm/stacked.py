@@ -10,7 +10,7 @@ import numpy as np
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, exp
 
 
-def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], tuple]]:
+def stack_alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], tuple]]:
     """Yield items of the same kind, stacked, so that one computation serves all of them.
 
     Items of arrays (N,) come together where the same scalars are 0: every scalar is then (k, N),
@@ -25,10 +25,10 @@ def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], 
             yield [key], item
     for keys in kinds.values():
         for some in parts(keys, max(np.size(x) for x in items[keys[0]])):
-            yield some, together([items[key] for key in some])
+            yield some, stack_all([items[key] for key in some])
 
 
-def together(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
+def stack_all(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
     """Stack the scalars of some items: each to (k, N), (k, 1), or 0 where all of them are 0."""
     return tuple(
         [
@@ -61,7 +61,7 @@ def _stack_scalars(scalars: Sequence[Scalar]) -> np.ndarray:
 
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
-    """Return the scalars of one of the items that `alike` stacked, or of one that came alone."""
+    """Return the scalars of one of the items that `stack_alike` yields."""
     return tuple(
         [
             (x[row] if x.shape[1] > 1 else float(x[row, 0]))
@@ -75,7 +75,7 @@ def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
 def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
     """Return `exp` of every twist by station, those of the same kind at once."""
     made = {}
-    for keys, twist in alike(twists):
+    for keys, twist in stack_alike(twists):
         n, o, a, p = exp(twist)
         for row, key in enumerate(keys):
             x = one_of((*n, *o, *a, *p), row)

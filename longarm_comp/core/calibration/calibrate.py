@@ -25,7 +25,11 @@ from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.placed_model import place_as_seen, place_frames, placement_terms
 from longarm_comp.core.calibration.undetermined import is_size_determined
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors, spreads, turns
+from longarm_comp.core.data.measurement import (
+    compute_tip_errors,
+    compute_touch_errors,
+    compute_turn_errors,
+)
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -256,7 +260,11 @@ def fit_ladder(
 
     def rung(name: str, model: Model, fitted: ModelFit | None) -> Rung:
         fit_to, left_out = (
-            Errors.of(errors(model, rows), turns(model, rows), spread=spreads(model, rows))
+            Errors.of(
+                compute_tip_errors(model, rows),
+                compute_turn_errors(model, rows),
+                spread=compute_touch_errors(model, rows),
+            )
             for rows in (train, held_out)
         )
         commanded = Errors.of(commanded_errors(model, held_out))

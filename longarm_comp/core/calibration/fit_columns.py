@@ -9,7 +9,7 @@ import numpy as np
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
-from longarm_comp.core.data.measurement import equations, shifts
+from longarm_comp.core.data.measurement import compute_shifts, make_equations
 from longarm_comp.core.model.model import slots_of
 
 
@@ -38,7 +38,8 @@ class FitColumns:
         new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
         if new:
             session, at, slots = self._fitted.session, self._fitted.posture, tuple(new.values())
-            columns = equations(self.model, session, at, slots).columns * prior_widths(slots)
+            columns = make_equations(self.model, session, slots, at=at).columns
+            columns = columns * prior_widths(slots)
             self._known.update(zip(new, np.moveaxis(columns, -1, 0), strict=True))
         if not keys:
             return np.zeros((*self._fitted.residual.shape, 0))
@@ -52,7 +53,7 @@ class FitColumns:
         new = {t.variant: t for t in whole if t.variant not in self._shifts}
         if new:
             session, at = self._fitted.session, self._fitted.posture
-            found = shifts(self.model, session, at, list(new.values()))
+            found = compute_shifts(self.model, session, at, list(new.values()))
             self._shifts.update(zip(new, np.moveaxis(found, -1, 0), strict=True))
         fixed = sum(self._shifts[t.variant] for t in whole)
         return np.asarray(self.prior_columns(terms) @ values + fixed)

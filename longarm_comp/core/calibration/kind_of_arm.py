@@ -16,7 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import compute_posture, make_equations
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import KindDirection
 from longarm_comp.core.errors import InputError
@@ -111,12 +111,12 @@ def fold_directions(fit: ModelFit) -> ModelFit:
             ways[place[slot.identity], k] = 1.0
     model = model.with_values(ways @ fit.model.values)
     covariance = ways @ fit.covariance @ ways.T
-    at = posture(model, fit.session)
+    at = compute_posture(model, fit.session)
     return dataclasses.replace(
         fit,
         model=model,
         posture=at,
-        columns=equations(model, fit.session, at).columns,
+        columns=make_equations(model, fit.session, at=at).columns,
         covariance=covariance,
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.calibration.linear import whiten_rows
-from longarm_comp.core.data.measurement import metres
+from longarm_comp.core.data.measurement import compute_unit_lengths
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, Slot
 
@@ -112,7 +112,7 @@ class ModelFit:
     def metres(self) -> np.ndarray:
         """The (d,) length (m) that a unit of each channel stands for; 0 where it stands for
         none."""
-        return metres(self.model, self.session)
+        return compute_unit_lengths(self.model, self.session)
 
     @cached_property
     def noise_m(self) -> np.ndarray:

@@ -20,7 +20,7 @@ from longarm_comp.core.calibration.linear import (
 )
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.kinds import KINDS
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model
 
@@ -91,7 +91,7 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
     if seen.plain:
         values = seen.xyz
     else:
-        residual = equations(model, seen, posture(model, seen), ()).residual
+        residual = make_equations(model, seen, ()).residual
         # Where the reading is that the joints stand so, the same joints again are no second
         # reading; nor is one of an encoder, which repeats its own error
         again = np.ones(len(seen), dtype=bool)

@@ -14,7 +14,12 @@ from longarm_comp.core.calibration.placement import (
     place_sensors,
     sensor_terms,
 )
-from longarm_comp.core.data.measurement import equations, errors, posture, turns
+from longarm_comp.core.data.measurement import (
+    compute_posture,
+    compute_tip_errors,
+    compute_turn_errors,
+    make_equations,
+)
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -31,7 +36,7 @@ def placement_terms(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     """Return the placement terms of any measurement: bases, markers and what sensors leave open."""
     groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
-    placed = bases if session.framed(arm) else ()
+    placed = bases if session.has_own_frame(arm) else ()
     return (*placed, *TipOffset.for_arm(arm), *sensor_terms(arm, session))
 
 
@@ -70,7 +75,7 @@ def place_as_seen(model: Model, session: Session) -> SeenModel:
     moved, seen = place_frames(model, session), session.take(session.seen)
     rows = seen.take(np.unique(number_sightings(seen), axis=0, return_index=True)[1])
     slots = [slot for slot in moved.slots if slot.parameter.unknown]
-    found = equations(moved, rows, posture(moved, rows), slots)
+    found = make_equations(moved, rows, slots)
     columns = (found.columns * [slot.parameter.width for slot in slots]).reshape(-1, len(slots))
     passing = columns[:, [slot.owner.passing for slot in slots]]
     placing, points = (int(np.linalg.matrix_rank(each, rtol=1e-6)) for each in (columns, passing))
@@ -85,9 +90,12 @@ def is_misplaced(model: Model, session: Session) -> bool:
     that touches a point does not travel; the arm behind it does.
     """
     if not session.placed.any():
-        return bool(session.turned.any()) and median_distance(turns(model, session)) > ELSEWHERE
+        return (
+            bool(session.turned.any())
+            and median_distance(compute_turn_errors(model, session)) > ELSEWHERE
+        )
     rows = session.take(session.placed)
-    at = posture(model, rows)
+    at = compute_posture(model, rows)
     frames = [stack(frame.p) for frame in (*at.frames, model.tip_frame(at))]
     travel = max(median_spread(p) for p in frames if p.ndim == 2)
-    return median_distance(errors(model, rows)) > ELSEWHERE * travel
+    return median_distance(compute_tip_errors(model, rows)) > ELSEWHERE * travel

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data import touched
-from longarm_comp.core.data.kinds import KINDS, matrices
+from longarm_comp.core.data.kinds import KINDS, compute_rotations
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterate
-from longarm_comp.core.data.measurement import errors, posture
+from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors
 from longarm_comp.core.data.registration import Sightings, median_distance, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -118,9 +118,11 @@ def _median_misfit(model: Model, rows: Session) -> float:
     the tip differs from its mean.
     """
     if rows.placed.any():
-        return median_distance(errors(model, rows))
+        return median_distance(compute_tip_errors(model, rows))
     axes = model.pose(rows.q, rows.context())[:, :3, :3]
-    body = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ matrices(rows.readings["orientation"]))
+    body = Rotation.from_matrix(
+        np.swapaxes(axes, 1, 2) @ compute_rotations(rows.readings["orientation"])
+    )
     return float(np.median((body * body.mean().inv()).magnitude()))
 
 
@@ -218,8 +220,8 @@ def _turn_axes(term: TipOrientation, model: Model, session: Session) -> TipOrien
             mine &= session.labels[label] == value
     rows = session.take(mine)
     bare = model.with_terms([t for t in model.terms if not isinstance(t, TipOrientation)])
-    axes = bare.motion(posture(bare, rows), (), turns=True).axes()[0]
-    seen = matrices(rows.readings["orientation"])
+    axes = bare.motion(compute_posture(bare, rows), (), turns=True).axes()[0]
+    seen = compute_rotations(rows.readings["orientation"])
     between = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ seen)
     weights = np.ones(len(rows))
     for _ in range(ROUNDS):

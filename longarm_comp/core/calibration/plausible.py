@@ -13,7 +13,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.moved_parts import refuse_moved_parts
 from longarm_comp.core.calibration.noise import ENOUGH_REPEATS
 from longarm_comp.core.calibration.placed_model import is_misplaced
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
@@ -146,7 +146,7 @@ def measure_offset(model: Model, session: Session) -> float:
     rows = session.take(session.placed)
     if len(rows) < ENOUGH_REPEATS or not is_misplaced(model, rows):
         return 0.0
-    return median_distance(errors(model, rows))
+    return median_distance(compute_tip_errors(model, rows))
 
 
 def describe_offset(model: Model, session: Session) -> str:

@@ -18,7 +18,7 @@ from longarm_comp.core.calibration.linear import (
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.commanded import with_frame_shift
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import compute_posture, make_equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
@@ -68,20 +68,20 @@ class SessionProblem:
             self.residual, self.columns = begun.residual, begun.columns
             self.posture = self.near = begun.posture
         else:
-            at = posture(model, seen) if near is None else model.posture_near(near.posture)
+            at = compute_posture(model, seen) if near is None else model.posture_near(near.posture)
             self._predict_rows(at)
             self.update_design()
 
     def _predict_rows(self, at: Posture) -> None:
         """Compute the residual of the model as it is now, with the arm at a posture."""
         self.posture = at
-        self.residual = equations(self.model, self.seen, at, ()).residual
+        self.residual = make_equations(self.model, self.seen, (), at=at).residual
         self._check_finite(self.residual)
 
     def update_design(self) -> None:
         """Compute the design of the model as it is now; later postures are computed from this
         one."""
-        self.columns = equations(self.model, self.seen, self.posture).columns
+        self.columns = make_equations(self.model, self.seen, at=self.posture).columns
         self._check_finite(self.columns)
         self.near = self.posture
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm.spatial import ZERO, Frame, exp_large, roll_pitch_yaw, scale, tangent
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.effects.placements import BasePose, RigidMotion
 from longarm_comp.core.model.model import Model
 
@@ -96,7 +96,7 @@ def is_size_determined(fit: ModelFit) -> bool:
     solved anew, and that of the drawing, the sum of (length / tolerance)^2.
     """
     larger = _enlarge_arm(fit.model, 1.0 + STEP)
-    seen = equations(larger, fit.session, posture(larger, fit.session), ()).residual
+    seen = make_equations(larger, fit.session, ()).residual
     change = fit.whiten_columns((seen - fit.residual)[..., None] / STEP)[:, 0]
     passing = fit.design[:, [slot.owner.passing for slot in fit.slots]]
     gram = np.eye(passing.shape[1]) + passing.T @ passing

@@ -74,7 +74,7 @@ def expected_miss(
         learned: (3,) or (M, 3) m, sigma of the learned error, if a predictor is used.
     """
     known = model.uncertainty
-    declared = tolerances(model) if known is None and learned is None else None
+    declared = list_tolerances(model) if known is None and learned is None else None
     if known is None and declared is None:  # the tip alone, which is quicker than a posture
         tip = tip_poses(model, np.atleast_2d(q), context)[:, :3, 3]
         variance = np.full(pseudo.shape, np.nan) if learned is None else learned**2
@@ -101,7 +101,7 @@ def expected_miss(
     return ExpectedMiss(mean, np.maximum(seen, least)[..., None] * np.eye(3))
 
 
-def tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
+def list_tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
     """Return k unknown parameters of a declared arm, and (k,) how large each may be.
 
     They are its geometry, to the tolerances that arm.yaml gives or that are usual (joint zeros
@@ -143,7 +143,7 @@ class TipByReadings:
     tip: np.ndarray
     doubt: ExpectedMiss
 
-    def said(self, target: np.ndarray | None = None) -> str:
+    def describe(self, target: np.ndarray | None = None) -> str:
         """Say in one sentence where the tip stands, or how far from a target (3,), m."""
         p90_m = float(self.doubt.sizes[1])
         within = f", within {1e3 * p90_m:.2f} mm" if p90_m > 0 else ""

@@ -21,7 +21,7 @@ from longarm_comp.core.compensation.compensate import judge, physics_of
 from longarm_comp.core.compensation.planned_path import (
     PathLimits,
     PlannedPath,
-    fastest,
+    find_fastest_way,
     retime,
     smooth,
 )
@@ -292,7 +292,7 @@ class _Way:
                 return commands(times)
             limited = np.isfinite([motion.velocity, motion.acceleration]).all()
             if plan.times is None and limited and len(way) > 1:
-                return fastest(commands(times).joints, motion)
+                return find_fastest_way(commands(times).joints, motion)
             return retime(commands(times), motion)
         except JobError as error:
             raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None

@@ -140,7 +140,7 @@ def retime(path: CubicPath, limits: MotionLimits) -> CubicPath:
     return replace(made, times=made.times + begins)
 
 
-def fastest(joints: np.ndarray, limits: MotionLimits) -> CubicPath:
+def find_fastest_way(joints: np.ndarray, limits: MotionLimits) -> CubicPath:
     """Find the fastest way through way-points (k, n) from rest to rest."""
     ways = (np.abs(np.diff(joints, axis=0)) / limits.velocity).max(axis=1)  # s at full speed
     times = np.concatenate([[0.0], np.cumsum(np.maximum(ways, _ROUNDING * ways.sum()))])

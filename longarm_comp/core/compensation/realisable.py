@@ -170,8 +170,7 @@ class _Problem:
         self.predict, self.target, self.search = predict, target, search
         self.lower, self.upper = arm.box_about(ideal)
         self.ideal = np.clip(ideal, self.lower, self.upper)
-        slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
-        self.price = search.price_m / np.where(slides, search.length_m, 1.0)
+        self.price = search.price_m / np.where(arm.slides, search.length_m, 1.0)
         is_locked = np.isin(np.arange(arm.n), locked)
         # Lowest and highest k inside the limits; of a continuous joint, of no use
         step = np.where(lattice.step > 0, lattice.step, 1.0)

@@ -35,7 +35,7 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
 @dataclass(frozen=True, eq=False)
 class TakeUp:
-    """How play is taken up along a path of a model's arm.
+    """The way in which play is taken up along a path of a model's arm.
 
     Attributes:
         model: the physics that commands are solved with.
@@ -54,8 +54,7 @@ class TakeUp:
     def near(self) -> np.ndarray:
         """Joint motion that moves the tip by the tolerance, (n,) rad or m."""
         arm = self.model.arm
-        slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
-        return np.where(slides, 1.0, 1.0 / reach(arm)) * self.tolerance_m
+        return np.where(arm.slides, 1.0, 1.0 / reach(arm)) * self.tolerance_m
 
     def lag(self, q: np.ndarray, context: Context) -> np.ndarray:
         """Compute how far commands (k, n) are beyond where their joints stand, (k, n)."""
@@ -73,7 +72,7 @@ class TakeUp:
             for joint in joints:
                 row = arm.commanded[joint]
                 if twist := twists.get(posture.bearing(row)):
-                    behind[:, joint] -= twist[2 if arm.joints[row - 1].type == "prismatic" else 5]
+                    behind[:, joint] -= twist[2 if arm.slides[joint] else 5]
         return behind
 
     def follow(

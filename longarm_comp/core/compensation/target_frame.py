@@ -72,20 +72,20 @@ class Placement:
         made: Model = model.memo["promising_from_base"]
         return made
 
-    def carried(self, target: np.ndarray) -> np.ndarray:
+    def carry_to_model(self, target: np.ndarray) -> np.ndarray:
         """Carry targets (..., 3) or (..., 4, 4) to the frame of the model."""
         return carry_place(self.motion, target)
 
-    def asked(self, place: np.ndarray) -> np.ndarray:
+    def carry_from_model(self, place: np.ndarray) -> np.ndarray:
         """Carry places (..., 3) or (..., 4, 4) of the model to the frame of the target, m."""
         return carry_place(np.linalg.inv(self.motion), place)
 
     @property
     def measurements(self) -> np.ndarray:
         """The frame of the measurements in the frame of the target, (4, 4)."""
-        return self.asked(self.seen)
+        return self.carry_from_model(self.seen)
 
-    def back(self, vector: np.ndarray) -> np.ndarray:
+    def turn_from_model(self, vector: np.ndarray) -> np.ndarray:
         """Turn a vector (3,) of the model into the frame of the target."""
         return np.asarray(self.motion[:3, :3].T @ vector)
 
@@ -93,13 +93,15 @@ class Placement:
         """Carry the places of a target's outcome to the frame of the target."""
         return replace(
             outcome,
-            target=self.asked(outcome.target),
-            predicted_error=self.back(outcome.predicted_error),
-            pseudo_target=self.asked(outcome.pseudo_target),
+            target=self.carry_from_model(outcome.target),
+            predicted_error=self.turn_from_model(outcome.predicted_error),
+            pseudo_target=self.carry_from_model(outcome.pseudo_target),
         )
 
 
-def placement(model: Model, frame: str = "", group: str = "", where: str = "targets") -> Placement:
+def find_placement(
+    model: Model, frame: str = "", group: str = "", where: str = "targets"
+) -> Placement:
     """Find where targets of one frame and group lie for a model.
 
     Args:

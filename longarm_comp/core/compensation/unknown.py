@@ -152,7 +152,7 @@ def uncertain_payload(
 
 @dataclass(frozen=True)
 class _Past:
-    """What is told of a joint's history at M commands (`History`).
+    """The record of what is known of a joint's history at M commands (`History`).
 
     Attributes:
         approach, last_way: (M, 1).

@@ -17,7 +17,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
-from longarm_comp.core.data.belonging import believe, mistakes
+from longarm_comp.core.data.belonging import find_mistake, undo_mistakes
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import check_touches
@@ -172,8 +172,7 @@ def _check_groups(session: Session) -> None:
 
 
 def _check_order(session: Session) -> None:
-    groups = session.labels.get("group", np.full(len(session), ""))
-    markers = session.labels.get("marker", np.full(len(session), ""))
+    groups, markers = session.texts("group"), session.texts("marker")
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
         name, values = "index", session.index
@@ -199,10 +198,9 @@ def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
     endless = np.isinf(arm.bounds[1])
     # half a range; an endless joint may stand turns away, and so far it is another unit
     most = np.where(endless, 5.0 * np.pi, 0.5 * reach)
-    turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
     for kind, factor, hint in (
-        (turning, np.pi / 180, "radians (this looks like degrees)"),
-        (~turning, 1e-3, "metres (this looks like millimetres)"),
+        (~arm.slides, np.pi / 180, "radians (this looks like degrees)"),
+        (arm.slides, 1e-3, "metres (this looks like millimetres)"),
     ):
         far = (beyond > most) & kind
         if not far.any():
@@ -230,7 +228,7 @@ def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
 def _find_exchange(arm: Arm, session: Session) -> str:
     """Find the sign or order of joints that brings all of them within their limits; else empty."""
     slack = 0.05 * (arm.upper - arm.lower)
-    for what, undone in mistakes(arm, session):
+    for what, undone in undo_mistakes(arm, session):
         inside = (undone.q > arm.lower - slack) & (undone.q < arm.upper + slack)
         if what.endswith(("negated", "swapped")) and inside.all():
             return what
@@ -268,7 +266,7 @@ def _check_copies(session: Session) -> Iterator[AdmissionFinding]:
     seen = session.take(session.located)
     _, first, which = np.unique(seen.xyz, axis=0, return_index=True, return_inverse=True)
     before = first[which.reshape(-1)]
-    marker = seen.labels.get("marker", np.full(len(seen), ""))
+    marker = seen.texts("marker")
     again = (before < np.arange(len(seen))) & (marker[before] == marker)
     same_pose = seen.pose_id[before] == seen.pose_id
     copies, frozen = int((again & same_pose).sum()), int((again & ~same_pose).sum())
@@ -351,7 +349,7 @@ def _check_frame(
 
 def _check_belonging(session: Session, model: Model, judge: bool) -> Iterator[AdmissionFinding]:
     """Refuse rows that the arm does not make, wherever it stands, with the likely mistake."""
-    belief = believe(model, session)
+    belief = find_mistake(model, session)
     if belief is None:
         return
     for j, moved in belief.signs:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.kinds import matrices
+from longarm_comp.core.data.kinds import compute_rotations
 from longarm_comp.core.data.registration import Registration, Sightings, median_spread, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
@@ -72,7 +72,7 @@ class _Belief:
         return self.strays.share >= MOST_STRAYS and not self.strays.shared_by
 
 
-def believe(model: Model, session: Session) -> _Belief | None:
+def find_mistake(model: Model, session: Session) -> _Belief | None:
     """Hold the rows against the arm and, where they fit badly, against it under each mistake.
 
     None for fewer than `MIN_POSES` rows with a position.
@@ -122,7 +122,7 @@ def _find_mistakes(
     names: list[str] = []
     own = misfit(session)
     while own > _SUSPECT_SHARE * spread and len(names) < session.n:
-        every = (*mistakes(model.arm, session), *(() if names else (parts,)))
+        every = (*undo_mistakes(model.arm, session), *(() if names else (parts,)))
         tried = [(misfit(undone), what, undone) for what, undone in every]
         best = min(left for left, *_ in tried)
         if best > _TELLING_SHARE * own:
@@ -148,9 +148,8 @@ def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session
     first = seen[cut]
     while first and session.pose_id[first] == session.pose_id[first - 1]:
         first -= 1
-    old = session.labels.get("group", np.full(len(session), ""))
     late = np.where(np.arange(len(session)) >= first, "moved", "")
-    group = np.char.add(old, late)
+    group = np.char.add(session.texts("group"), late)
     parts = dataclasses.replace(session, labels={**session.labels, "group": group})
     return f"row {first + 1} on looks measured from another base, or of another arm", parts
 
@@ -163,7 +162,7 @@ def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
     axes = placed @ model.pose(rows.q, rows.context())[:, :3, :3]
 
     def error(values: np.ndarray) -> float:
-        body = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ matrices(values))
+        body = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ compute_rotations(values))
         return float((body * body.mean().inv()).magnitude().mean())
 
     return error
@@ -210,7 +209,7 @@ def _find_unknown_signs(
     return tuple(unknown)
 
 
-def mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
+def undo_mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
     """Yield each common mistake, and the session with it undone."""
     q, xyz = session.q, session.xyz
 
@@ -226,10 +225,10 @@ def mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
         yield f"x, y, z look written {times} {where} than their joints", moved
     mirrored = dataclasses.replace(session, xyz=xyz * (1.0, 1.0, -1.0))
     yield "x, y, z look mirrored: two of them are swapped or one is negated", mirrored
-    for j, row in enumerate(arm.commanded):
+    for j, slides in enumerate(arm.slides):
         name = f"q{j + 1} looks"
         yield f"{name} negated", joint(j, -q[:, j])
-        if arm.joints[row - 1].type != "revolute":
+        if slides:
             continue
         for text, angle in (("half a turn", np.pi), ("a quarter turn", np.pi / 2)):
             yield f"{name} offset by {text}", joint(j, q[:, j] - angle)
@@ -241,9 +240,8 @@ def mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
         order[[j, k]] = k, j
         swapped = dataclasses.replace(session, q=q[:, order])
         yield f"q{j + 1} and q{k + 1} look swapped", swapped
-    kinds = [arm.joints[row - 1].type for row in arm.commanded]
     for j, k in permutations(range(session.n), 2):
-        if kinds[j] != kinds[k] or not near(j, k):
+        if arm.slides[j] != arm.slides[k] or not near(j, k):
             continue
         for own, factor in product((1.0, -1.0), repeat=2):
             text = f"{'-' * (own < 0)}q{j + 1} {'-' if factor < 0 else '+'} q{k + 1}"

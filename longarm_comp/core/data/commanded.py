@@ -1,6 +1,6 @@
 """Errors as a command would have them: what the tip would miss a target by, with this model.
 
-A measurement holds more than a command can use, and `errors` of a model uses all of it: causes on
+A measurement holds more than a command can use, and `compute_tip_errors` uses all of it: causes on
 the measuring side, moves before the last that only a side was recorded of, circumstances that no
 command is told (docs/report.md, "As seen and as commanded").
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import CLOCK, NEVER_TOLD, ORDER
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.data.measurement import errors, posture
+from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.model.model import Model
@@ -22,14 +22,14 @@ MEASURING_SIDE = "(measuring side)"
 
 
 def commanded_errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
-    """(M, 3) measured - predicted of the rows that `errors` has, with what a command knows, m.
+    """Compute measured - predicted, (M, 3) m, with what a command knows; by `compute_tip_errors`.
 
     What the measuring side moves the fitted rows by alike is a choice of frame (`frame_shift`), in
     which targets are taken too (`core/compensation/target_frame.py`).
-    `near` is a similar model's posture at these rows, as in `errors`.
+    `near` is a similar model's posture at these rows, as there.
     """
     told = as_commanded(model)
-    missed = errors(told, own_way(session), near)
+    missed = compute_tip_errors(told, own_way(session), near)
     return missed if told.biases == model.biases else missed - model.frame_shift
 
 
@@ -77,8 +77,8 @@ def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
         return np.zeros((0, 3))
     rows = own_way(session)
     placed = rows.take(rows.placed)
-    at = posture(less, placed)
-    return np.asarray(errors(less, placed, at) - errors(more, placed, at))
+    at = compute_posture(less, placed)
+    return np.asarray(compute_tip_errors(less, placed, at) - compute_tip_errors(more, placed, at))
 
 
 def as_commanded(model: Model) -> Model:

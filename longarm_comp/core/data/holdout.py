@@ -36,10 +36,10 @@ def blocked_split(
 
 
 _RUN = 50
-"""Rows in a run of `spread`: short beside a session, long beside the memory of its noise."""
+"""Rows in a run of `take_spread_rows`: short beside a session, long beside its noise's memory."""
 
 
-def spread(session: Session, most: int) -> Session:
+def take_spread_rows(session: Session, most: int) -> Session:
     """Take at most so many rows: runs of neighbours, evenly over the session."""
     runs = most // _RUN
     if len(session) <= most:
@@ -92,7 +92,7 @@ def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray
     return np.asarray(fold)
 
 
-def resample(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
+def draw_row_counts(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
     """Draw (count, N) how often each row counts where whole blocks are drawn with replacement."""
     block = blocks_of(session)
     names, inverse = np.unique(block, return_inverse=True)
@@ -102,7 +102,7 @@ def resample(session: Session, count: int, rng: np.random.Generator | int = 0) -
 
 
 def split_in_half(session: Session, rng: np.random.Generator | int = 0) -> tuple[np.ndarray, ...]:
-    """(N,) masks of two random halves of the rows; rows of one pose stay together."""
+    """Return (N,) masks of two random halves of the rows; rows of one pose stay together."""
     rng = np.random.default_rng(rng)
     poses = np.unique(session.pose_id)
     drawn = rng.permutation(poses)[: len(poses) // 2]

@@ -49,7 +49,7 @@ class Kind(ABC):
     of_joint: ClassVar[bool] = False  # whether it measures a joint and not the tip
     number: int = 0  # of that joint, from 1
 
-    def measured(self, values: np.ndarray) -> np.ndarray:
+    def find_measured(self, values: np.ndarray) -> np.ndarray:
         """Tell (N, k) which equations readings (N, c) hold; NaN is not measured."""
         whole = np.isfinite(values).all(axis=1, keepdims=True)
         return np.repeat(whole, len(self.scalars), axis=1)
@@ -58,7 +58,7 @@ class Kind(ABC):
         """Tell (N,) which readings cannot be, and what is allowed instead."""
         return np.zeros(len(values), dtype=bool), ""
 
-    def framed(self, arm: Arm) -> bool:
+    def has_own_frame(self, arm: Arm) -> bool:
         """Tell whether it measures in a frame of its own, in which the base is to be placed."""
         return self.outside
 
@@ -74,7 +74,7 @@ class _Position(Kind):
     cells = ("x", "y", "z")
     scalars = cells
 
-    def measured(self, values: np.ndarray) -> np.ndarray:
+    def find_measured(self, values: np.ndarray) -> np.ndarray:
         return np.isfinite(values)
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
@@ -99,7 +99,7 @@ class _Orientation(Kind):
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         axes, columns = tip.axes()
-        residual = rotation_vector(matrices(values) @ np.swapaxes(axes, -1, -2))
+        residual = rotation_vector(compute_rotations(values) @ np.swapaxes(axes, -1, -2))
         return Equations(residual, columns, np.zeros((*residual.shape, 3)))
 
 
@@ -115,8 +115,8 @@ class _Distance(Kind):
     def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
         return values[:, 0] <= 0, "above 0 (m)"
 
-    def framed(self, arm: Arm) -> bool:
-        """Not if all anchors are to be solved: their frame is the base itself."""
+    def has_own_frame(self, arm: Arm) -> bool:
+        """Tell whether an anchor's place is declared; else their frame is the base itself."""
         return any(anchor.xyz_m is not None for anchor in arm.anchors.values())
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
@@ -150,7 +150,7 @@ class _Ray(Kind):
         local = np.einsum("nji,nj->ni", frames[:, :, :3], point - frames[:, :, 3])
         length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-9)
         seen = local / length
-        sideways = across(values)
+        sideways = compute_axes_across(values)
         flat = np.eye(3) - seen[:, :, None] * seen[:, None, :]
         turned = sideways @ flat / length[..., None]
         pull = np.einsum("nki,nji->nkj", turned, frames[:, :, :3])
@@ -221,7 +221,7 @@ KINDS: Mapping[str, Kind] = _Kinds(
 """Every kind by name; positions come first in the channels of a session, joints last."""
 
 
-def across(directions: np.ndarray) -> np.ndarray:
+def compute_axes_across(directions: np.ndarray) -> np.ndarray:
     """Return two unit axes (N, 2, 3) across directions (N, 3), which NaN may stand for."""
     known = np.where(np.isfinite(directions), directions, 1.0)
     along = known / np.linalg.norm(known, axis=1, keepdims=True)
@@ -231,7 +231,7 @@ def across(directions: np.ndarray) -> np.ndarray:
     return np.stack([first, np.cross(along, first)], axis=1)
 
 
-def matrices(quaternions: np.ndarray) -> np.ndarray:
+def compute_rotations(quaternions: np.ndarray) -> np.ndarray:
     """Return rotation matrices (N, 3, 3) of x, y, z, w (N, 4); the identity where one is NaN."""
     from scipy.spatial.transform import Rotation  # not for a control program
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.kinds import across, by_name, matrices
+from longarm_comp.core.data.kinds import by_name, compute_axes_across, compute_rotations
 from longarm_comp.core.data.session import Session
 from longarm_comp.math.points import ROUNDS, nearest_rotation, robust_kabsch, robust_weights
 
@@ -104,7 +104,7 @@ def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_
         some = np.isfinite(rows.readings["ray"]).all(axis=1)
         frames = by_name(arm.camera_frame, rows.labels["sensor"][some])
         for k in range(2):
-            local = across(rows.readings["ray"][some])[:, k]
+            local = compute_axes_across(rows.readings["ray"][some])[:, k]
             directions = np.einsum("nij,nj->ni", frames[:, :, :3], local)
             value = (directions * frames[:, :, 3]).sum(axis=1)
             yield _LinearEquations(directions, points[some], value)
@@ -120,13 +120,12 @@ def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_
 
 
 def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
-    """R from axes ``A = R B X`` of any body X: turns between rows, ``A_i A_j' = R B_i B_j' R'``."""
+    """Solve R from axes ``A = R B X`` of any body X: between rows ``A_i A_j' = R B_i B_j' R'``."""
     turned = rows.take(rows.turned)
     if len(turned) < _MIN_EQUATIONS:
         return None
-    blank = np.full(len(turned), "")
-    body = np.char.add(turned.labels.get("marker", blank), turned.labels.get("sensor", blank))
-    seen, mine = matrices(turned.readings["orientation"]), axes[rows.turned]
+    body = np.char.add(turned.texts("marker"), turned.texts("sensor"))
+    seen, mine = compute_rotations(turned.readings["orientation"]), axes[rows.turned]
     pairs = (np.roll(a, 1, axis=0) @ np.swapaxes(a, 1, 2) for a in (seen, mine))
     to, of = (Rotation.from_matrix(pair).as_rotvec() for pair in pairs)
     angle = np.linalg.norm(of, axis=1)
@@ -138,7 +137,7 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
 
 
 def _solve_rotation(found: _LinearEquations) -> np.ndarray:
-    """R of the lifted problem, brought back to a rotation."""
+    """Return R of the lifted problem, brought back to a rotation."""
     middle = found.point.mean(axis=0)
     local = found.point - middle
     design = np.column_stack(
@@ -165,7 +164,7 @@ def _solve_rotation(found: _LinearEquations) -> np.ndarray:
 
 
 def _robust(design: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Least squares of smallest norm, the farther half of the equations counted less."""
+    """Solve by least squares of smallest norm, the farther half of the equations counted less."""
     weights = np.ones(len(right))
     for _ in range(ROUNDS):
         root = np.sqrt(weights)

@@ -44,6 +44,10 @@ class MeasuredRows:
         """Return the error that the rows say something wrong."""
         return InputError(self.source, field, value, allowed)
 
+    def texts(self, label: str) -> np.ndarray:
+        """Return (N,) texts of a column, empty where it was not recorded."""
+        return self.labels.get(label, np.full(len(self.xyz), ""))
+
     @cached_property
     def seen(self) -> np.ndarray:
         """(N,) whether anything was measured of the tip."""
@@ -77,9 +81,9 @@ class MeasuredRows:
     def kinds(self) -> tuple[Kind, ...]:
         return tuple(KINDS[name] for name in dict.fromkeys(b.kind for b in self.blocks))
 
-    def framed(self, arm: Arm) -> bool:
+    def has_own_frame(self, arm: Arm) -> bool:
         """Tell whether the rows measure in a frame of their own, so that the base is placed."""
-        return any(kind.framed(arm) for kind in self.kinds)
+        return any(kind.has_own_frame(arm) for kind in self.kinds)
 
     @property
     def turns(self) -> bool:
@@ -107,7 +111,7 @@ class MeasuredRows:
         """(N, d) which channels each row measured."""
         made = []
         for block in self.blocks:
-            rows = KINDS[block.kind].measured(self.reading(KINDS[block.kind]))
+            rows = KINDS[block.kind].find_measured(self.reading(KINDS[block.kind]))
             if block.sensor is not None:
                 rows = rows & (self.labels["sensor"] == block.sensor)[:, None]
             made.append(rows)
@@ -116,7 +120,7 @@ class MeasuredRows:
     @cached_property
     def frames(self) -> np.ndarray:
         """(N,) name of the frame that each row is measured in: its group, and sensor of several."""
-        group = self.labels.get("group", np.full(len(self.xyz), ""))
+        group = self.texts("group")
         if len({block.sensor for block in self.blocks}) < 2:
             return group
         pairs = zip(group, self.labels["sensor"], strict=True)
@@ -139,7 +143,7 @@ class MeasuredRows:
         """Return the texts beside its readings of one kind, each once: anchors, touched points."""
         if kind.label not in self.labels:
             return ()
-        rows = kind.measured(self.reading(kind)).any(axis=1)
+        rows = kind.find_measured(self.reading(kind)).any(axis=1)
         return tuple(str(name) for name in np.unique(self.labels[kind.label][rows]))
 
     @cached_property
@@ -177,7 +181,7 @@ class MeasuredRows:
         made = {}
         for kind in KINDS.values():
             if not kind.cells:
-                texts = self.labels.get(kind.label, np.full(len(self.xyz), ""))
+                texts = self.texts(kind.label)
                 _, which, count = np.unique(texts, return_inverse=True, return_counts=True)
                 known = [d[:2] for d in self.touch_distances if kind.label == "touch"]
                 tied = {n for pair in known if np.isin(pair, texts).all() for n in pair}
@@ -204,10 +208,9 @@ class MeasuredRows:
                 field = f"row {row + 1}, {', '.join(kind.cells)}"
                 said = ", ".join(f"{v:g}" for v in values[row])
                 raise self.error(field, said, allowed or "numbers, or all blank")
-            rows = kind.measured(values).any(axis=1)
+            rows = kind.find_measured(values).any(axis=1)
             if kind.label and rows.any():
-                texts = self.labels.get(kind.label, np.full(n_rows, ""))
-                for row in np.flatnonzero(rows & (texts == "")):
+                for row in np.flatnonzero(rows & (self.texts(kind.label) == "")):
                     field = f"row {row + 1}, {kind.label}"
                     raise self.error(field, "blank", f"a name beside {kind.name}")
             if rows.any():
@@ -221,8 +224,8 @@ class MeasuredRows:
 
     def _blocks(self) -> tuple[ChannelBlock, ...]:
         """Return a block a kind, or a kind and sensor where several sensors measured."""
-        names = np.unique(self.labels.get("sensor", np.array([""])))
-        rows = {k: v.measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
+        names = np.unique(self.texts("sensor"))
+        rows = {k: v.find_measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
         kinds = [k for k in KINDS if rows[k].any()] or ["position"]
         joints = (KINDS[name] for name in self.readings if KINDS[name].of_joint)
         read = tuple(ChannelBlock(k.name) for k in sorted(joints, key=lambda k: k.number))

@@ -22,30 +22,43 @@ from longarm_comp.core.model.model import Model, Slot
 from longarm_comp.core.model.tip_motion import TipMotion
 
 
-def posture(model: Model, session: Session) -> Posture:
-    """Return the arm's posture at the rows of a session."""
+def compute_posture(model: Model, session: Session) -> Posture:
+    """Compute the arm's posture at the rows of a session."""
     return model.posture([session.q[:, j] for j in range(session.n)], session.context())
 
 
-def equations(
-    model: Model, session: Session, at: Posture, slots: Sequence[Slot] | None = None
+def make_equations(
+    model: Model,
+    session: Session,
+    slots: Sequence[Slot] | None = None,
+    *,
+    at: Posture | None = None,
 ) -> Equations:
-    """Return a session's equations, all channels, by some parameters; by default the model's."""
+    """Make the equations of a session, all channels.
+
+    Args:
+        slots: p parameters that the columns are of; by default the model's.
+        at: posture of the arm at the rows, where it is known already.
+
+    Returns:
+        Residuals (N, d) in m and rad, columns (N, d, p) and pulls (N, d, 3).
+    """
     slots = model.slots if slots is None else slots
+    at = compute_posture(model, session) if at is None else at
     model = with_touched(model, session, at)
     return _stack(model.motion(at, slots, session.turns), session)
 
 
-def shifts(
+def compute_shifts(
     model: Model, session: Session, at: Posture, terms: Sequence[Effect | Bias]
 ) -> np.ndarray:
-    """Return the (N, d, k) change of the prediction by each of k terms outside the model."""
+    """Compute the change (N, d, k) of the prediction by each of k terms outside the model."""
     model = with_touched(model, session, at)
     return _stack(model.motion_with(at, terms, session.turns), session).columns
 
 
-def metres(model: Model, session: Session) -> np.ndarray:
-    """Return (d,) length at the tip (m) that a unit of each channel means: 0 of an orientation.
+def compute_unit_lengths(model: Model, session: Session) -> np.ndarray:
+    """Compute (d,) lengths at the tip, m, that a unit of each channel means: 0 of an orientation.
 
     A ray's is the median distance of the tip from its camera, an encoder's the median lever of the
     tip about its joint.
@@ -55,20 +68,20 @@ def metres(model: Model, session: Session) -> np.ndarray:
     rows = [model.arm.commanded[k] for k in session.read_joints]
     if rows:
         zeros = [JointZero(row, offset=1.0) for row in rows]
-        moved = model.motion_with(posture(model, session), zeros).point()[1]
+        moved = model.motion_with(compute_posture(model, session), zeros).point()[1]
         levers = np.median(np.linalg.norm(moved, axis=1), axis=0)
         made[[session.channels.index(f"read_q{k + 1}") for k in session.read_joints]] = levers
     if "ray" not in session.readings:
         return made
-    pull = np.linalg.norm(equations(model, session, posture(model, session), ()).pull, axis=2)
+    pull = np.linalg.norm(make_equations(model, session, ()).pull, axis=2)
     for k in np.flatnonzero((units == "rad") & (made == 0.0)):
         some = pull[:, k][pull[:, k] > 0]
         made[k] = 1.0 / float(np.median(some)) if len(some) else 0.0
     return made
 
 
-def errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
-    """Return (M, 3) measured - predicted of the M rows that say where the tip is, m.
+def compute_tip_errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
+    """Compute measured - predicted, (M, 3) m, of the M rows that say where the tip is.
 
     Where fewer than three coordinates were measured it is the smallest displacement of the tip
     that explains the row.  A similar model's posture at the M rows (`near`) saves time.
@@ -76,17 +89,17 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
     placed = session.take(session.placed)
     if not len(placed):
         return np.zeros((0, 3))
-    at = posture(model, placed) if near is None else model.posture_near(near)
+    at = compute_posture(model, placed) if near is None else model.posture_near(near)
     positions = np.asarray(placed.xyz - model.measured_at(at))
     if placed.plain:
         return positions
-    found = equations(model, placed, at, ())
+    found = make_equations(model, placed, (), at=at)
     moved = np.linalg.pinv(found.pull, rcond=1e-6) @ found.residual[..., None]
     return np.where(placed.located[:, None], positions, moved[..., 0])
 
 
-def spreads(model: Model, session: Session) -> np.ndarray:
-    """Return (M,) distances of predicted tip and touched point, m, of the M rows of a touch.
+def compute_touch_errors(model: Model, session: Session) -> np.ndarray:
+    """Compute distances of predicted tip and touched point, (M,) m, of the M rows of a touch.
 
     The points are solved from these rows alone.
     """
@@ -97,15 +110,15 @@ def spreads(model: Model, session: Session) -> np.ndarray:
     labels = {k: v for k, v in rows.labels.items() if k not in ("plane", "sensor")}
     blank = np.full(rows.xyz.shape, np.nan)
     alone = dataclasses.replace(rows, xyz=blank, labels=labels, touch_distances=(), **nothing)
-    return np.asarray(np.linalg.norm(errors(model.lasting(), alone), axis=1))
+    return np.asarray(np.linalg.norm(compute_tip_errors(model.lasting(), alone), axis=1))
 
 
-def turns(model: Model, session: Session) -> np.ndarray:
-    """Return (M, 3) rotations from predicted to measured tip, rad, of the M rows that tell it."""
+def compute_turn_errors(model: Model, session: Session) -> np.ndarray:
+    """Compute rotations from predicted to measured tip, (M, 3) rad, of the M rows that tell it."""
     turned = session.take(session.turned)
     if not len(turned):
         return np.zeros((0, 3))
-    motion = model.motion(posture(model, turned), (), turns=True)
+    motion = model.motion(compute_posture(model, turned), (), turns=True)
     kind = KINDS["orientation"]
     return kind.equations(motion, turned.readings[kind.name], turned.labels).residual
 

@@ -61,17 +61,16 @@ def paper_grid(arm: Arm) -> np.ndarray:
     them takes three levels each like a revolute joint.  (The paper puts -25 deg for joint 5
     where its middle is -22.5 deg.)  The paper's arm gives 3^5 * 6 = 1458 poses.
     """
-    sliding = [k for k, row in enumerate(arm.commanded) if arm.joints[row - 1].type == "prismatic"]
-    pairs = _PAPER_STROKES if len(sliding) == 2 else _levels(len(sliding))
-    turning = [k for k in range(arm.n) if k not in sliding]
-    count = 3 ** len(turning) * len(pairs)
+    sliding = int(arm.slides.sum())
+    pairs = _PAPER_STROKES if sliding == 2 else _levels(sliding)
+    count = 3 ** (arm.n - sliding) * len(pairs)
     if count > 1_000_000:
         allowed = f"sobol: a grid of {arm.n} joints is {count} poses"
         raise InputError("plan", "kind", "grid", allowed)
-    levels = _levels(len(turning))
+    levels = _levels(arm.n - sliding)
     shares = np.empty((len(levels), len(pairs), arm.n))
-    shares[:, :, turning] = levels[:, None, :]
-    shares[:, :, sliding] = pairs[None, :, :]
+    shares[:, :, ~arm.slides] = levels[:, None, :]
+    shares[:, :, arm.slides] = pairs[None, :, :]
     return _in_box(arm, shares.reshape(-1, arm.n))
 
 
@@ -123,7 +122,7 @@ def random_targets(model: Model, n: int, rng: np.random.Generator | int = 0) -> 
 
 
 def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
-    """Shares 0..1 of the joint box as joints; the limits are hit exactly."""
+    """Return shares 0..1 of the joint box as joints; the limits are hit exactly."""
     return np.where(shares == 1.0, arm.upper, arm.lower + shares * (arm.upper - arm.lower))
 
 
@@ -153,7 +152,7 @@ def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) ->
 
 
 def _with_sides(arm: Arm, q: np.ndarray, rng: np.random.Generator) -> Plan:
-    """A side for every joint; what the caller draws next does not depend on how many there are."""
+    """Draw a side for every joint; what the caller draws next does not depend on their number."""
     common = Plan(q, rng.choice(np.array([-1, 1]), size=len(q)))
     return with_random_sides(arm, common, rng.spawn(1)[0])
 

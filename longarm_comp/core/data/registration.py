@@ -49,19 +49,18 @@ class Sightings:
         groups: Sequence[str] | None = None,
         markers: Sequence[str] | None = None,
     ) -> Sightings:
-        """The seen rows against a model that places nothing itself.
+        """Return the seen rows against a model that places nothing itself.
 
         Args:
             groups: names of the base placements; by default one per frame of the session.
             markers: names of the markers, empty for the tip; all of the arm's by default.
         """
         seen, arm = session.take(session.located), model.arm
-        blank = np.full(len(seen), "")
         marked = "marker" in seen.labels and arm.markers
         markers = markers or (list(arm.markers) if marked else [""])
-        group = seen.frames if groups is None else seen.labels.get("group", blank)
+        group = seen.frames if groups is None else seen.texts("group")
         groups = groups or sorted(set(group)) or [""]
-        marker = _numbers(seen.labels.get("marker", blank), markers)
+        marker = _numbers(seen.texts("marker"), markers)
         posture = model.posture(unstack(seen.q), seen.context())
         axes, point = np.empty((len(seen), 3, 3)), np.empty((len(seen), 3))
         for k, name in enumerate(markers):
@@ -74,7 +73,7 @@ class Sightings:
 
 
 def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """(N,) number of each label among the names; 0 for one that is not there."""
+    """Return (N,) number of each label among the names; 0 for one that is not there."""
     known = {name: k for k, name in enumerate(names)}
     return np.array([known.get(str(label), 0) for label in labels], dtype=int)
 
@@ -98,7 +97,7 @@ class Registration:
 
 
 def register(rows: Sightings, tips: bool = True) -> Registration:
-    """Bases and markers that bring the arm's points closest to the sightings, outliers apart.
+    """Find bases and markers that bring the arm's points closest to the sightings, robustly.
 
     The better of two starts is refined by Gauss-Newton on the distances: the marker where it is
     declared, and (with `tips`, where markers are unknown as well) the linear solution.  Directions
@@ -171,7 +170,7 @@ def _step(rows: Sightings, now: Registration) -> Registration:
 
 
 def _linear_tips(rows: Sightings, weights: np.ndarray) -> np.ndarray | None:
-    """(K, 3) marker places from the linear problem; None where the rows do not determine it.
+    """Return (K, 3) marker places from the linear problem; None where the rows do not determine it.
 
     With X = R and Y_j = R t_j as free numbers, a sighting is linear: ``X o + sum_j Y_j B_j + p``.
     Only the largest group is used, and only its markers move.

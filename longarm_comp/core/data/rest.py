@@ -209,7 +209,7 @@ def joints_at_rest(times: np.ndarray, joints: np.ndarray, begin: float) -> np.nd
 
 
 def _end_of_motion(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple[float, float]:
-    """Times (s) of the last reading off the final joints, and of the first one at them."""
+    """Return times (s) of the last reading off the final joints, and of the first one at them."""
     moving = np.flatnonzero((np.abs(joints - joints[-1]) > JOINT_REST).any(axis=1))
     if not len(moving):
         return begin, begin

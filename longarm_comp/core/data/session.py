@@ -21,8 +21,8 @@ from longarm_comp.core.arm.history import (
     SAME_POSE,
     History,
     first_of_stand,
+    read_sides,
     recorded_history,
-    sides_told,
     straight_ways,
 )
 from longarm_comp.core.arm.measuring import KnownDistance
@@ -164,7 +164,7 @@ class Session(MeasuredRows):
             source=source,
             legs=history.legs,
             last_way=history.last_way,
-            told=sides_told(q, approach, begun),
+            told=read_sides(q, approach, begun),
             touch_distances=tuple(touch_distances),
             **{name: value for name, value in further.items() if value is not None},
         )
@@ -185,7 +185,7 @@ class Session(MeasuredRows):
         return f"Session({self.source}: {len(self)} rows of {self.n} joints, {what} in {seen})"
 
     def _repr_html_(self) -> str:
-        """The first rows; repr says how many there are."""
+        """Return the first rows; repr says how many there are."""
         names = ("index", *(f"q{j}" for j in range(1, self.n + 1)), "x", "y", "z")
         numbers = zip(self.index.tolist(), self.q.tolist(), self.xyz.tolist(), strict=True)
         rows = [dict(zip(names, (k, *q, *xyz), strict=True)) for k, q, xyz in islice(numbers, 8)]

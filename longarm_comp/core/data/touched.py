@@ -87,13 +87,12 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
     if not kinds:
         return
     touched_terms(arm, session)
-    groups = session.labels.get("group", np.array([""]))
-    if len(np.unique(groups)) > 1 and not session.framed(arm):
+    if len(np.unique(session.texts("group"))) > 1 and not session.has_own_frame(arm):
         allowed = "one base placement if all rows are touches: "
         allowed += "touches do not show where the bases stand"
         raise session.error("group", "several", allowed)
     tips = Model(arm).tip(session.q, session.context())
-    touched = session.labels.get("touch", np.zeros(0, dtype=str))
+    touched = session.texts("touch")
     for one, other, length, _ in (*known_distances(arm.touch_distances), *session.touch_distances):
         ends = [tips[touched == name] for name in (one, other)]
         if not all(map(len, ends)):

@@ -9,7 +9,7 @@ from typing import ClassVar
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import PER_JOINT
-from longarm_comp.core.arm.history import play
+from longarm_comp.core.arm.history import compute_play_range
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Drive, Effect, Sites, form, place
@@ -103,7 +103,7 @@ class JointTerm(Effect):
         """
 
         def found() -> Scalar:
-            low, high = play(self._history(posture, "legs"), radius)
+            low, high = compute_play_range(self._history(posture, "legs"), radius)
             return (low + high) * (0.5 / radius)
 
         return posture.once(("wound", self.joint, radius), found)

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from longarm_comp.core.arm import stacked
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Element, Posture, Twists, loads
+from longarm_comp.core.arm.posture import Element, Posture, Twists, compute_loads
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec, absolute
 from longarm_comp.core.effects.effect import Effect, Sites
 
@@ -85,9 +85,9 @@ def _cantilevers(posture: Posture) -> dict[int, Twist]:
         kinds.setdefault(kind, {})[at, e.axis] = item
     made = {}
     for (sign, whole), items in kinds.items():
-        for stations, x in stacked.alike(items):
+        for stations, x in stacked.stack_alike(items):
             frame = Frame(x[4:7], x[7:10], x[10:13], x[13:16])
-            felt = loads(frame, x[16], x[17:20], posture.gravity)
+            felt = compute_loads(frame, x[16], x[17:20], posture.gravity)
             along = list(zip(x[20::2], x[21::2], whole, strict=True))
             twist = _cantilever(sign, x[0], x[1:4], felt, along)
             for row, (station, axis) in enumerate(stations):

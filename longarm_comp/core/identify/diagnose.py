@@ -19,7 +19,7 @@ from longarm_comp.core.calibration.plausible import (
     mark_believed_rows,
     refuse_implausible,
 )
-from longarm_comp.core.data.holdout import spread
+from longarm_comp.core.data.holdout import take_spread_rows
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import through_others
@@ -49,7 +49,7 @@ from longarm_comp.core.identify.structure import (
     with_scatter,
 )
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.planning.splitting_poses import splitting_poses
+from longarm_comp.core.planning.splitting_poses import choose_splitting_poses
 
 POSES = 12
 """Poses proposed for each question: an hour's work."""
@@ -129,7 +129,7 @@ def diagnose(
     unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")
     split_by = tuple(
-        splitting_poses(found.fit, f.candidate, f.alternatives[0].candidate, POSES, seed)
+        choose_splitting_poses(found.fit, f.candidate, f.alternatives[0].candidate, POSES, seed)
         for f in named
         if f.alternatives
     )
@@ -207,4 +207,4 @@ def _split_test_rows(session: Session, test: Session | None) -> tuple[Session, S
     roles = session.labels.get("role", np.array([]))
     if test is None and (roles == "test").any() and (roles != "test").any():
         session, test = session.take(roles != "test"), session.take(roles == "test")
-    return spread(session, MOST_ROWS), test
+    return take_spread_rows(session, MOST_ROWS), test

@@ -12,7 +12,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.commanded import in_frame_of_start
-from longarm_comp.core.data.measurement import posture
+from longarm_comp.core.data.measurement import compute_posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.effect import Bias
@@ -111,7 +111,7 @@ class Diagnosis:
         model = in_frame_of_start(fitted.model, fitted.session)
         if model is fitted.model:
             return fitted
-        return replace(fitted, model=model, posture=posture(model, fitted.session))
+        return replace(fitted, model=model, posture=compute_posture(model, fitted.session))
 
     @property
     def model(self) -> Model:

@@ -21,7 +21,7 @@ from longarm_comp.core.data.commanded import (
     own_way,
     with_frame_shift,
 )
-from longarm_comp.core.data.measurement import errors, posture
+from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.intervals import BLOCKS
 from longarm_comp.core.model.model import Model
@@ -104,8 +104,8 @@ def _errors_without_each(
         none = np.zeros((0, 3))
         return [((none, none), (none, none)) for _ in each]
     model, own = fitted.model, own_way(rows)
-    at = posture(model, rows), posture(as_commanded(model), own)
-    after = errors(model, rows, at[0]), commanded_errors(model, own, at[1])
+    at = compute_posture(model, rows), compute_posture(as_commanded(model), own)
+    after = compute_tip_errors(model, rows, at[0]), commanded_errors(model, own, at[1])
     held, made = {t.key for t in model.terms}, []
     for places in each:
         before = after
@@ -113,10 +113,10 @@ def _errors_without_each(
             # A first-order fit may overshoot; what is left without any fit is then nearer
             less = min(
                 (refit_without(fitted, places), model.without(places)),
-                key=lambda left: float(np.linalg.norm(errors(left, rows, at[0]))),
+                key=lambda left: float(np.linalg.norm(compute_tip_errors(left, rows, at[0]))),
             )
             less = with_frame_shift(less, fitted.session)
-            before = errors(less, rows, at[0]), commanded_errors(less, own, at[1])
+            before = compute_tip_errors(less, rows, at[0]), commanded_errors(less, own, at[1])
         made.append(((before[0], after[0]), (before[1], after[1])))
     return made
 

@@ -16,7 +16,7 @@ from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.plausible import WORST
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.data.measurement import compute_tip_errors, compute_turn_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.identify.gains import Gain
@@ -123,17 +123,17 @@ def prove_models(
         placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.turned))
         at, turns_at = fold.numbers[fold.rows.placed], fold.numbers[fold.rows.turned]
         for name, model in fold.models.items():
-            seen.store_rows(name, at, errors(model, placed))
+            seen.store_rows(name, at, compute_tip_errors(model, placed))
             told.store_rows(name, at, commanded_errors(model, placed))
-            turned.store_rows(name, turns_at, turns(model, bent))
+            turned.store_rows(name, turns_at, compute_turn_errors(model, bent))
         if learned is not None:
             model, network = learned(fold)
             expected = network.predict(placed.q, placed.context())
             known = (expected.in_domain & placed.located)[:, None]
             error = np.where(known, expected.error, 0.0)
-            seen.store_rows(NETWORK, at, errors(model, placed) - error)
+            seen.store_rows(NETWORK, at, compute_tip_errors(model, placed) - error)
             told.store_rows(NETWORK, at, commanded_errors(model, placed) - error)
-            turned.store_rows(NETWORK, turns_at, turns(model, bent))
+            turned.store_rows(NETWORK, turns_at, compute_turn_errors(model, bent))
     rows_at = np.sort(np.concatenate([f.numbers[f.rows.placed] for f in made]))
     return Proof(seen.in_order, told.in_order, turned.in_order, rows_at, len(made))
 

@@ -20,7 +20,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal, marginalise_first
 from longarm_comp.core.calibration.model_fit import prior_widths
 from longarm_comp.core.calibration.noise import noise_from_residual
-from longarm_comp.core.data.measurement import equations
+from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.posterior.found import NONE
@@ -98,7 +98,7 @@ def find_run_up(
         session = rows(length)
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context())
-        found = equations(fitted.model, seen, at, slots).columns * prior_widths(slots)
+        found = make_equations(fitted.model, seen, slots, at=at).columns * prior_widths(slots)
         products = marginal.project_products(fitted.whiten_columns(found))
         return marginalise_first(*products, np.ones(len(slots)))[0]
 

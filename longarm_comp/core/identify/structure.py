@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import bdtrc, fdtrc, gammaincinv
 
-from longarm_comp.core.arm.history import play
+from longarm_comp.core.arm.history import compute_play_range
 from longarm_comp.core.calibration.linear import (
     Marginal,
     mark_inliers,
@@ -27,7 +27,7 @@ from longarm_comp.core.calibration.linear import (
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import rows_as_one, share_of_sensor
 from longarm_comp.core.calibration.reading_steps import mark_exact_readings
-from longarm_comp.core.data.measurement import equations, metres, posture
+from longarm_comp.core.data.measurement import compute_unit_lengths, make_equations
 from longarm_comp.core.data.registration import median_spread
 from longarm_comp.core.data.session import Session
 
@@ -202,7 +202,7 @@ def _tip_features(session: Session, curves: list[np.ndarray]) -> Features:
         bent = np.concatenate([side, side * curve[:, :2]], axis=1)
         yield ("approach", f"q{j + 1}"), _standardise(bent)
         radius = _MEMORY * max(float(np.ptp(session.q[:, j])), 1e-9)
-        low, high = play(tuple(session.legs[:, j].T), radius)
+        low, high = compute_play_range(tuple(session.legs[:, j].T), radius)
         yield ("order", f"q{j + 1}"), _standardise((low + high)[:, None] / radius)
     for name, values in session.columns.items():
         yield (name,), smooth_functions(values)[:, :3]
@@ -283,7 +283,7 @@ def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.nd
         (M,) size of what the fit leaves over the median of noise, and (M,) the square of the noise,
         m^2.
     """
-    found = equations(fit.model, rows, posture(fit.model, rows))
+    found = make_equations(fit.model, rows)
     known = dict(zip(fit.session.channels, fit.sigma, strict=True))
     sigma = np.array([known.get(name, np.inf) for name in rows.channels])
     held = rows.measured & np.isfinite(sigma)
@@ -296,7 +296,7 @@ def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.nd
     a = (moved * (held / noise)[..., None])[some]
     left = _sizes_left(a, (found.residual * held / noise)[some], held[some])
     ratio = left / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
-    return ratio, ((noise * metres(fit.model, rows)) ** 2 * held).sum(1)[some]
+    return ratio, ((noise * compute_unit_lengths(fit.model, rows)) ** 2 * held).sum(1)[some]
 
 
 def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
@@ -320,7 +320,8 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
     squared = count * white.mean(0) @ np.linalg.solve(scatter, white.mean(0))
     ratio = (count - width) / (width * (count - 1)) * squared
     p = float(fdtrc(width, count - width, ratio))
-    size = float(np.linalg.norm(left.mean(0) * metres(fit.model, fit.session)[held]))
+    lengths = compute_unit_lengths(fit.model, fit.session)
+    size = float(np.linalg.norm(left.mean(0) * lengths[held]))
     sign = f"is shared by the {count} rows that no fit explains"
     return structure.add_test(p, size, smallest_that_matters(fit), "rows left out", sign)
 

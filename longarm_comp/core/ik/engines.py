@@ -160,7 +160,7 @@ class _Search:
                 self.state[name] = whole
 
     def rows(self, name: str, count: int) -> np.ndarray:
-        """(count, k): a quantity of the state."""
+        """Return (count, k): a quantity of the state."""
         return np.stack([np.broadcast_to(v, count) for v in self.state[name]], axis=1)
 
 

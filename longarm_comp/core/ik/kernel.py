@@ -161,7 +161,7 @@ class Kernel:
         return 1 + max(r[-1] for r in self.place.values() if r)
 
     def slice(self, name: str) -> slice:
-        """Slice of a quantity in the state."""
+        """Return the slice of a quantity in the state."""
         return slice(self.place[name].start, self.place[name].stop)
 
     @property
@@ -205,7 +205,7 @@ class Kernel:
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
-    """Tip, its axes n, o, a, and the Jacobian row after row, 12 + 6 n."""
+    """Return the tip, its axes n, o, a, and the Jacobian row after row, 12 + 6 n."""
     tip = model.tip_frame(posture)
     columns = geometric(posture, tip.p)
     axes = [*tip.p, *tip.n, *tip.o, *tip.a]
@@ -213,7 +213,7 @@ def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
 
 
 def characteristic_length(model: Model) -> float:
-    """Weight of a radian of tool angle in metres: a quarter of the stretched arm."""
+    """Return the weight of a radian of tool angle in metres: a quarter of the stretched arm."""
     size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
     return max(0.25 * size, 0.01)
 

@@ -99,7 +99,7 @@ class _Tree:
 
 
 def _reduce(R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """LLL-reduced R (n, n + 1), still triangular, and the integer U with new columns = R U."""
+    """Reduce R (n, n + 1), triangular, by LLL; also return the integer U: new columns = R U."""
     n = len(R)
     R, U = R.copy(), np.eye(n)
     b = 1

@@ -142,7 +142,7 @@ LEVELS = (
 
 
 def rows(n: int, context: int, twists: int) -> dict[str, range]:
-    """Layout of a search's state for n joints and given numbers of context and twists.
+    """Return the layout of a search's state for n joints and given numbers of context and twists.
 
     It holds inputs, then results, then work.  `live` is 0 in an unused column.
     """
@@ -299,7 +299,7 @@ def judge(s: State, span: Sequence[float], m: int, level: Level) -> Outcome:
 
 
 def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
-    """One round of the damped least-squares step that stays in the box.
+    """Return one round of the damped least-squares step that stays in the box.
 
     The joint that would leave the box farthest is put on its limit and the others are solved again
     (`more`), at most n times.  All joints are free again at the next iteration.
@@ -343,7 +343,7 @@ Flow = tuple["str | Repeat", ...]
 
 
 def flow(passes: int, m: int) -> Flow:
-    """Programs of the search from q in their order; q becomes the answer."""
+    """Return programs of the search from q in their order; q becomes the answer."""
     steps: list[str | Repeat] = ["begin"]
     step = f"round{m}", Repeat("more", (f"round{m}",))
     for level in LEVELS:
@@ -354,7 +354,7 @@ def flow(passes: int, m: int) -> Flow:
 
 
 def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
-    """Programs that evaluate the trial; `anew`: no twists are carried yet."""
+    """Return programs that evaluate the trial; `anew`: no twists are carried yet."""
     if level.evaluate == "full":
         return ("first", *["again"] * (passes - 1), "tip") if passes else ("tip",)
     if anew:

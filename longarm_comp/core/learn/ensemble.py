@@ -140,7 +140,7 @@ class _Fit:
     root: Array  # (D, D) R of the covariance R'R of the weights
 
     def pad(self, shape: NetworkShape, weights: Array) -> Array:
-        """Weights (..., own D) padded with idle hidden units to a larger network's (..., D)."""
+        """Pad weights (..., own D) with idle hidden units to a larger network's (..., D)."""
         if not self.units:
             return weights
         padded = np.zeros((*weights.shape[:-1], shape.size))
@@ -150,7 +150,7 @@ class _Fit:
 
 @dataclass(frozen=True)
 class _Learner:
-    """What networks are trained on, and how."""
+    """The rows that networks are trained on, and the settings of the training."""
 
     x: Array  # x, target: (N, d) inputs and (N, 3) residual, standardised
     target: Array
@@ -161,7 +161,7 @@ class _Learner:
     device: str
 
     def fits(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
-        """Networks of so many hidden units, each trained on its rows (M, N), as one batch."""
+        """Train networks of so many hidden units, each on its rows (M, N), as one batch."""
         import torch
 
         from longarm_comp.core.learn.sparrow import SparrowSearch
@@ -208,7 +208,7 @@ class _Learner:
     def likeliest(
         self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
     ) -> list[_Fit]:
-        """Networks of rising size until the evidence falls, the likeliest first."""
+        """Train networks of rising size until the evidence falls, and sort them by it."""
         fits = list[_Fit]()
         for units in sizes:
             if fits and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * len(self.x):
@@ -222,7 +222,7 @@ class _Learner:
 
 
 def _draw_folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """(F, N) masks of the rows left out together; repeats of a pose stay together."""
+    """Return (F, N) masks of the rows left out together; repeats of a pose stay together."""
     _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
     pose = pose.ravel()
     fold = (rng.permutation(pose.max() + 1) % _FOLDS)[pose]
@@ -230,7 +230,7 @@ def _draw_folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
 
 
 def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) -> Predictor:
-    """With what rows left out of the training say: gain, conformal factors; the variance limit."""
+    """Calibrate by rows left out of the training: gain, conformal factors, variance limit."""
     _, epistemic = draft.mean_and_variance(x)
     score = np.abs(left) / np.sqrt(epistemic + draft.noise**2)
     level = min(1.0, np.ceil(LEVEL * (len(score) + 1)) / len(score))
@@ -246,7 +246,7 @@ def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) 
 
 
 def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
-    """Inputs (2000, d) over the training region: random joints, and some sample's context."""
+    """Draw inputs (2000, d) in the training region: random joints, some sample's context."""
     joints = int(encoding.moved.sum())
     probe = x[rng.integers(0, len(x), 2000)]
     low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)

@@ -95,7 +95,7 @@ def _of_context(name: str, context: Context, shape: tuple[int, ...]) -> Array:
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
-    """The encoding of training rows; ``q`` and ``context`` as `check_rows` returns them."""
+    """Return the encoding of training rows; ``q`` and ``context`` as `check_rows` returns them."""
     if kind not in INPUT_KINDS:
         raise InputError("train", "inputs", kind, f"one of {sorted(INPUT_KINDS)}")
     used = tuple(name for name in INPUT_KINDS[kind] if context.has(name))
@@ -111,7 +111,7 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
 
 
 def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Context]:
-    """Checked joints, a finite (N, n) array, and circumstances of matching shape."""
+    """Return checked joints, a finite (N, n) array, and circumstances of matching shape."""
     q = np.asarray(q, float)
     if q.ndim != 2 or q.shape[1] == 0:
         raise InputError(where, "q", f"shape {q.shape}", "(N, n) joint values")

@@ -31,7 +31,7 @@ class NetworkShape:
         return (self.inputs + 1) * self.hidden + (self.hidden + 1) * self.outputs
 
     def split(self, weights: Any) -> tuple[Any, Any]:
-        """Views ``V (..., d+1, H)`` and ``W (..., H+1, k)`` of weights (..., D)."""
+        """Return views ``V (..., d+1, H)`` and ``W (..., H+1, k)`` of weights (..., D)."""
         lead, first = weights.shape[:-1], (self.inputs + 1) * self.hidden
         return (
             weights[..., :first].reshape(*lead, self.inputs + 1, self.hidden),
@@ -39,7 +39,7 @@ class NetworkShape:
         )
 
     def within(self, larger: NetworkShape) -> NDArray[np.intp]:
-        """(D,) places of these weights among those of a network with more hidden units."""
+        """Return (D,) places of these weights among those of a network with more hidden units."""
         v, w = larger.split(np.arange(larger.size))
         kept = np.r_[: self.hidden, larger.hidden]  # the last row of W belongs to no unit
         return np.concatenate((v[:, : self.hidden].ravel(), w[kept].ravel()))
@@ -59,13 +59,13 @@ class TanhMembers:
         return np.concatenate(v, axis=1), np.concatenate(w[:, :-1]) / len(w)
 
     def outputs(self, x: Array) -> Array:
-        """(M, N, k) of inputs (N, d)."""
+        """Return outputs (M, N, k) of inputs (N, d)."""
         v, w = self.shape.split(self.weights)
         made: Array = np.tanh(_with_ones(x) @ v) @ w[:, :-1] + w[:, -1:]
         return made
 
     def jacobian(self, x: Array) -> Array:
-        """(N, k, D): of the first member's outputs by its weights."""
+        """Return slopes (N, k, D) of the first member's outputs by its weights."""
         v, w = self.shape.split(self.weights[0])
         x1, k = _with_ones(x), self.shape.outputs
         z = np.tanh(x1 @ v)
@@ -89,5 +89,5 @@ class TanhMembers:
 
 
 def _with_ones(x: Array) -> Array:
-    """(N, d) -> (N, d+1), the bias input last."""
+    """Add the bias input last: (N, d) -> (N, d+1)."""
     return np.concatenate((x, np.ones((len(x), 1))), axis=1)

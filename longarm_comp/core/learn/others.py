@@ -42,7 +42,7 @@ class NetworkKind:
         return Stack(self._module(inputs, outputs).to(device))
 
     def starts(self, inputs: int, outputs: int, many: int, seed: int) -> torch.Tensor:
-        """(M, D) initial numbers of so many modules."""
+        """Return (M, D) initial numbers of so many modules."""
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             modules = [self._module(inputs, outputs) for _ in range(many)]
@@ -102,7 +102,7 @@ def load_file(path: str | Path) -> NetworkKind:
 
 
 def choose_network(given: str | Path) -> NetworkKind:
-    """The network of a package by its name, or of a file."""
+    """Return the network of a package by its name, or of a file."""
     if found := _of_packages().get(str(given)):
         return found
     if Path(given).suffix != ".py":
@@ -112,7 +112,7 @@ def choose_network(given: str | Path) -> NetworkKind:
 
 
 def load_saved(name: str, origin: str, where: object) -> NetworkKind:
-    """The network that a file of a predictor names."""
+    """Return the network that a file of a predictor names."""
     found = _loaded.get(name) or _of_packages().get(name)
     if found is None or found.origin != origin:
         is_now = "not known" if found is None else f"now of another {found.origin.split()[0]}"

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LearnedGain:
-    """What a network brought on rows that were left out of its training, lengths in m."""
+    """The gain by a network on rows that were left out of its training, lengths in m."""
 
     without: float = math.inf  # mean error that the physics alone leaves
     left: float = 0.0  # with the network
@@ -47,7 +47,7 @@ class LearnedGain:
 
     @classmethod
     def of(cls, residual: Array, left: Array) -> LearnedGain:
-        """From the residual (N, 3) and what the network leaves of it, row by row."""
+        """Estimate it from the residual (N, 3) and what the network leaves of it, row by row."""
         before, after = (np.linalg.norm(e, axis=1) for e in (residual, left))
         gained = before - after
         chance = 1.6449 * gained.std(ddof=1) / math.sqrt(len(gained))
@@ -55,7 +55,7 @@ class LearnedGain:
 
     @property
     def helps(self) -> bool:
-        """Whether the error falls beyond chance."""
+        """True if the error falls beyond chance."""
         return self.low > 0.0
 
     def __str__(self) -> str:
@@ -76,7 +76,7 @@ class Provenance:
 
     @property
     def beside_deflection(self) -> bool:
-        """Whether it learned the residual of the physics with link deflection."""
+        """True if it learned the residual of the physics with link deflection."""
         return bool(self.settings.get("deflection", True))
 
 
@@ -106,7 +106,7 @@ class Predictor:
         return TanhMembers(NetworkShape(inputs, self.hidden, outputs), self.weights)
 
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
-        """Expected residual at joints (N, n), rad and m.
+        """Predict the residual at joints (N, n), rad and m.
 
         Context that is absent or NaN is replaced by its training mean, and ``sigma`` is widened by
         its influence.
@@ -130,7 +130,7 @@ class Predictor:
         return Prediction(error, sigma, inside, reason, largest / self.variance_limit, away)
 
     def mean_and_variance(self, x: Array) -> tuple[Array, Array]:
-        """Mean (N, 3) and epistemic variance (N, 3) in m, m^2 for standardised inputs (N, d)."""
+        """Return mean and epistemic variance, (N, 3) m and m^2, at standardised inputs (N, d)."""
         outputs = self.members.outputs(x)
         mean = outputs.mean(axis=0)
         variance = ((outputs - mean) ** 2).sum(axis=0) / max(1, len(outputs) - 1)
@@ -157,7 +157,7 @@ class Predictor:
         return variance
 
     def _reason(self, raw: Array, outside: NDArray[np.bool_], variance: float, sigma: Array) -> str:
-        """Why one row is refused."""
+        """Return why one row is refused."""
         encoding = self.encoding
         parts = [
             f"{encoding.columns[c]} = {raw[c]:.4g} outside the training range "

@@ -49,7 +49,7 @@ class _Network(Declared):
 
 
 class _Header(Declared):
-    """What a file says in JSON beside its arrays."""
+    """The part of a file that is JSON, beside its arrays."""
 
     format: Literal["longarm/predictor"]
     version: Literal[1]
@@ -183,7 +183,7 @@ def load(
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
-    """Checked header, and all arrays of the file, of any shape."""
+    """Return checked header, and all arrays of the file, of any shape."""
     try:
         said, arrays = (_read_packed if Path(path).suffix == _OTHERS else _read_zipped)(path)
         header = json.loads(said)
@@ -222,7 +222,7 @@ def _read_packed(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray
 
 
 def _digest(header: str, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """SHA-256 of what a file holds: safetensors has no checksum."""
+    """Return SHA-256 of what a file holds: safetensors has no checksum."""
     digest = hashlib.sha256(header.encode())
     for name in sorted(arrays):
         array = arrays[name]

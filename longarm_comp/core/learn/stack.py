@@ -16,7 +16,7 @@ from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 
 
 def _numbers_at_once(device: torch.device) -> int:
-    """Numbers held at once: within the cache of a CPU, the memory of a GPU."""
+    """Return numbers held at once: within the cache of a CPU, the memory of a GPU."""
     return 2**18 if device.type == "cpu" else 2**27
 
 
@@ -33,14 +33,14 @@ class Stack:
         """(D,) index of the prior of each weight: one a parameter."""
 
     def _at(self, weights: Tensor, x: Tensor) -> Tensor:
-        """(..., N, k) of networks (..., D) at inputs (..., N, d)."""
+        """Return outputs (..., N, k) of networks (..., D) at inputs (..., N, d)."""
         named = zip(self._shapes.items(), weights.split(self._sizes, dim=-1), strict=True)
         parts = {name: part.reshape(*part.shape[:-1], *shape) for (name, shape), part in named}
         made: Tensor = functional_call(self._module, parts, (x,))
         return made
 
     def outputs(self, weights: Tensor, x: Tensor) -> Tensor:
-        """(M, N, k) of networks (M, D)."""
+        """Return outputs (M, N, k) of networks (M, D)."""
         return vmap(self._at)(weights, x)
 
     def jacobian(self, weights: Tensor, x: Tensor) -> Tensor:
@@ -51,7 +51,7 @@ class Stack:
     def normal_equations(
         self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Gauss-Newton matrix ``J'UJ`` (M, D, D), its lower triangle, and ``J'U r`` (M, D).
+        """Return Gauss-Newton matrix ``J'UJ`` (M, D, D), its lower triangle, and ``J'U r`` (M, D).
 
         ``row`` (M, N) are the weights ``U`` of the rows, ``r`` (M, N, k) their residual.
         """
@@ -62,7 +62,7 @@ class Stack:
         return self._of_gram(weights, gram)
 
     def _basis(self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor) -> Tensor:
-        """Jacobian (M, N k, D+1), the residual as the last column: its products are ``J'U r``."""
+        """Return the Jacobian (M, N k, D+1), the residual last: its products are ``J'U r``."""
         basis = torch.cat((self.jacobian(weights, x), residual[..., None]), dim=3)
         return (basis * row[..., None, None].sqrt()).flatten(1, 2)
 
@@ -71,7 +71,7 @@ class Stack:
 
 
 def _gram(basis: Tensor) -> Tensor:
-    """``B'B`` (M, C, C) of (M, N, C), its lower triangle: strips as far as the diagonal."""
+    """Return ``B'B`` (M, C, C) of (M, N, C), its lower triangle: strips as far as the diagonal."""
     gram = basis.new_zeros(len(basis), basis.shape[2], basis.shape[2])
     for a in range(0, basis.shape[2], 64):
         gram[:, a : a + 64, : a + 64] = basis[..., a : a + 64].mT @ basis[..., : a + 64]
@@ -87,7 +87,7 @@ class TanhNetwork(torch.nn.Module):
         self.w = torch.nn.Parameter(torch.zeros(shape.hidden + 1, shape.outputs))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, d) -> (N, k), also of stacked parameters and inputs."""
+        """Map (N, d) to (N, k), also of stacked parameters and inputs."""
         return _with_ones(_units(self.v, _with_ones(x))) @ self.w
 
 
@@ -108,7 +108,7 @@ class TanhStack(Stack):
         return self._at(weights, x)  # no `vmap`, which takes longer than the network
 
     def _basis(self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor) -> Tensor:
-        """``B`` (M, N, C+k), the residual last, each row times the root of its weight."""
+        """Return ``B`` (M, N, C+k), the residual last, each row times the root of its weight."""
         x1, root = _with_ones(x), row[..., None].sqrt()
         z = _units(self.shape.split(weights)[0], x1)
         slope = (x1[..., None] * ((1.0 - z * z) * root)[:, :, None]).flatten(2)
@@ -151,7 +151,7 @@ class TanhStack(Stack):
     def sparrow_starts(
         self, fitness: Fitness, many: int, rng: torch.Generator, search: SparrowSearch
     ) -> Tensor:
-        """Initial weights (M, D) by sparrow search, with hidden units that differ."""
+        """Return initial weights (M, D) by sparrow search, with hidden units that differ."""
         xavier = self.xavier_starts(many, rng)
         bound = torch.ones_like(xavier, dtype=torch.float32)
         found = search.minimise(fitness, -bound, bound, rng)[0].double()
@@ -162,7 +162,7 @@ class TanhStack(Stack):
         return found
 
     def xavier_starts(self, many: int, rng: torch.Generator) -> Tensor:
-        """Initial weights (M, D) of Glorot and Bengio (2010): the control to the sparrow search."""
+        """Draw weights (M, D) by Glorot and Bengio (2010): the control to the sparrow search."""
         shape, device = self.shape, self.groups.device
         weights = torch.randn(many, shape.size, generator=rng, dtype=torch.float64, device=device)
         v, w = shape.split(weights)
@@ -191,5 +191,5 @@ def _units(v: Tensor, x1: Tensor) -> Tensor:
 
 
 def _with_ones(x: Tensor) -> Tensor:
-    """(..., N, d) -> (..., N, d+1), the bias input last."""
+    """Add the bias input last: (..., N, d) -> (..., N, d+1)."""
     return torch.nn.functional.pad(x, (0, 1), value=1.0)

@@ -48,7 +48,7 @@ class Networks:
     gradient: Tensor
 
     def square(self) -> Tensor:
-        """``beta |r|^2`` (M, N)."""
+        """Return ``beta |r|^2`` (M, N)."""
         return self.beta[:, None] * self.residual.square().sum(2)
 
 
@@ -141,7 +141,7 @@ def _weigh_rows(at: Networks) -> None:
 
 
 def _student_log(square: Tensor, nu: Tensor, used: Tensor, k: int) -> Tensor:
-    """Log likelihood (M, T) of squared residuals (M, N) in units of the noise, by tails (M, T)."""
+    """Return log likelihoods (M, T) of squared residuals (M, N), per noise, by tails (M, T)."""
     half = 0.5 * (nu + k)
     constant = torch.lgamma(half) - torch.lgamma(nu / 2) - 0.5 * k * (nu * math.pi).log()
     logs = torch.log1p(square[:, None] / nu[..., None]) @ used[..., None]
@@ -149,7 +149,7 @@ def _student_log(square: Tensor, nu: Tensor, used: Tensor, k: int) -> Tensor:
 
 
 def _factor(stack: Stack, at: Networks) -> Tensor:
-    """Lower triangle L of the posterior's precision ``A = L L'``."""
+    """Return the lower triangle L of the posterior's precision ``A = L L'``."""
     precision = at.beta[:, None, None] * at.matrix
     precision.diagonal(dim1=1, dim2=2).add_(at.alpha[:, stack.groups])
     return torch.linalg.cholesky(precision)

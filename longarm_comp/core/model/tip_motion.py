@@ -222,7 +222,7 @@ def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, n
     for some in stacked.parts(set(stations) - made.keys(), 18 * size):
         twists = [posture.twists.get(station, spatial.ZERO_TWIST) for station in some]
         frames = [posture.frames[station] for station in some]
-        x = stacked.together(
+        x = stacked.stack_all(
             [(*t, *f.n, *f.o, *f.a, *f.p) for t, f in zip(twists, frames, strict=True)]
         )
         frame = Frame(x[6:9], x[9:12], x[12:15], x[15:])

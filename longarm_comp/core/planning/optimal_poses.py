@@ -19,7 +19,7 @@ from longarm_comp.core.calibration.calibrate import geometry_terms
 from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.placement import place_sensors
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import compute_posture, make_equations
 from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -94,7 +94,9 @@ class Uncertainty:
         sigma: tuple[float, float],
         pool: Plan | None = None,
     ) -> Uncertainty:
-        """Before any measurement, or after a session; errors as of `fit_model`.
+        """Find what is unknown before any measurement, or after a session.
+
+        It raises what `fit_model` raises.
 
         Effects of circumstances that no plan tells, as of a recorded column, count as known.
 
@@ -127,37 +129,37 @@ class Uncertainty:
         whole = whole.told_by(asked[0].context())
         if not known:
             both = np.tile(model.arm.mid, (2, 1))
-            at = Session.record(both, np.zeros((2, 3)), approach=sides(2))
+            at = Session.record(both, np.zeros((2, 3)), approach=alternate_sides(2))
             tried = list_candidates(model.arm, at.context(), None, whole.terms).testable
             whole = whole.with_missing(term for each in tried for term in each.terms)
         scale = np.array([min(s.parameter.width, WIDEST) for s in whole.slots])
         information = np.eye(len(scale))
         if fitted is not None:
             seen = fitted.session
-            columns = equations(whole, seen, posture(whole, seen)).columns * scale
+            columns = make_equations(whole, seen).columns * scale
             white = fitted.whiten_columns(columns)
             information = information + white.T @ white
-        framed = any(rows.framed(model.arm) for rows in (*asked, measured) if rows)
+        framed = any(rows.has_own_frame(model.arm) for rows in (*asked, measured) if rows)
         return cls(whole, scale, information, sigma, framed, read)
 
     def measures(self, plan: Plan, measure: Measure) -> np.ndarray:
-        """(M, d, p) what the poses measure, in units of the noise, by every parameter."""
+        """Return (M, d, p) what the poses measure, in units of the noise, by every parameter."""
         made = []
         for rows in _rows(self.model.arm, plan, measure, self.read):
-            found = equations(self.model, rows, posture(self.model, rows)).columns
+            found = make_equations(self.model, rows).columns
             known = zip(rows.channels, rows.units, strict=True)
             noise = np.array([self.read.get(c, self.sigma[unit == "rad"]) for c, unit in known])
             made.append(found * self.scale / noise[:, None])
         return np.concatenate(made, axis=1)
 
     def tips(self, q: np.ndarray) -> np.ndarray:
-        """(p, p) mean square of the error of the seen tip (m^2), per parameter, over poses.
+        """Return (p, p) mean square of the error of the seen tip (m^2), per parameter, over poses.
 
         Where nothing shows how the base stands, errors that move all tips as one body count for
         nothing.
         """
-        rows = Session.record(q, np.zeros((len(q), 3)), approach=sides(len(q)))
-        seen, columns = self.model.columns(posture(self.model, rows))
+        rows = Session.record(q, np.zeros((len(q), 3)), approach=alternate_sides(len(q)))
+        seen, columns = self.model.columns(compute_posture(self.model, rows))
         columns = columns * self.scale
         if not self.framed:
             local = seen - seen.mean(axis=0)
@@ -170,7 +172,7 @@ class Uncertainty:
         return np.asarray(np.einsum("nip,niq->pq", columns, columns) / len(q))
 
 
-def optimal_poses(
+def choose_optimal_poses(
     uncertain: Uncertainty,
     n: int,
     *,
@@ -324,7 +326,7 @@ def _transpose(blocks: np.ndarray) -> np.ndarray:
 
 
 def _times(blocks: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """(M, d, p) by (p, k), as one product."""
+    """Multiply (M, d, p) by (p, k), as one product."""
     return (blocks.reshape(-1, len(right)) @ right).reshape(*blocks.shape[:2], -1)
 
 
@@ -352,6 +354,6 @@ def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> l
     return [record(np.nan, anchor=np.full(n, name)) for name in places]
 
 
-def sides(n: int) -> np.ndarray:
+def alternate_sides(n: int) -> np.ndarray:
     """Return (n,) sides: from below and from above in turn."""
     return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)

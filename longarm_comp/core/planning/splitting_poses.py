@@ -10,10 +10,10 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
-from longarm_comp.core.data.measurement import equations
+from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.model.model import Slot, unstack
-from longarm_comp.core.planning.optimal_poses import POOL, Choice, sides
+from longarm_comp.core.planning.optimal_poses import POOL, Choice, alternate_sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class SplittingPoses(Plan):
     log_bayes_factor: float = 0.0
 
 
-def splitting_poses(
+def choose_splitting_poses(
     fit: ModelFit, found: Candidate, other: Candidate, count: int, seed: int = 0
 ) -> SplittingPoses:
     """Choose, one by one, the poses that tell best how much of the found effect there is.
@@ -48,7 +48,7 @@ def splitting_poses(
 
     unit = qmc.Sobol(arm.n, seed=seed).random(POOL)
     q = arm.lower + (arm.upper - arm.lower) * unit
-    side = sides(POOL)
+    side = alternate_sides(POOL)
     recorded = fit.session.context().columns
     typical = {k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()}
     declared = arm.payload.mass_kg if arm.payload is not None else 0.0
@@ -59,7 +59,7 @@ def splitting_poses(
     at = fit.model.posture(unstack(q), pool)
 
     def measured(slots: Sequence[Slot]) -> np.ndarray:
-        return equations(fit.model, fit.session, fit.posture, slots).columns
+        return make_equations(fit.model, fit.session, slots, at=fit.posture).columns
 
     theirs, mine = map(fit.whiten_columns, _designs(fit, found, other, measured))
     far, shift = _designs(fit, found, other, lambda slots: fit.model.columns(at, slots)[1])

@@ -14,10 +14,10 @@ from longarm_comp.core.ik.solver import solve_many
 from longarm_comp.core.model.model import Model
 
 
-def touch_pool(
+def draw_touch_poses(
     model: Model, points: Mapping[str, Vec3], count: int, rng: np.random.Generator
 ) -> Plan:
-    """Poses whose tip is at points, by the model, from starts all over the joint box.
+    """Return poses whose tip is at points, by the model, from starts all over the joint box.
 
     Args:
         points: by name, about where each is, m, base frame.

@@ -54,18 +54,18 @@ class Modes:
         return np.asarray(-(self.shape * self.mass) @ self.carried)
 
 
-def modes(model: Model, q: np.ndarray, context: Context | None = None) -> Modes:
-    """Modes of a model's arm at joints (n,) (rad, m); none of an arm that does not bend.
+def find_modes(model: Model, q: np.ndarray, context: Context | None = None) -> Modes:
+    """Return modes of a model's arm at joints (n,) (rad, m); none of an arm that does not bend.
 
     Of the circumstances the payload matters above all.
     """
-    return modes_along(model, np.asarray(q, float)[None], 1, context)[0]
+    return find_modes_along(model, np.asarray(q, float)[None], 1, context)[0]
 
 
-def modes_along(
+def find_modes_along(
     model: Model, joints: np.ndarray, count: int, context: Context | None = None
 ) -> list[Modes]:
-    """Modes at so many places, evenly along a way of which joints (N, n) are known, evenly too.
+    """Find modes at so many places, evenly along a way whose joints (N, n) are known evenly.
 
     Between these masses and flexibility go along cubics.  Effects of circumstances that the context
     does not hold are left out.
@@ -90,7 +90,7 @@ def modes_along(
 
 
 def _modes(mass: np.ndarray, bend: np.ndarray, carried: np.ndarray) -> Modes:
-    """Modes of masses (m,) with a flexibility (m, m); the last of them is the tip, without mass."""
+    """Find modes of masses (m,) with a flexibility (m, m); the last is the tip, without mass."""
     root = np.sqrt(mass)
     values, shapes = np.linalg.eigh(root[:, None] * bend * root)
     chosen = np.flatnonzero(values > _STIFF * max(values[-1], VISIBLE_M / 9.81))[::-1][:MODES]
@@ -105,7 +105,7 @@ _STIFF = 1e-4
 
 
 def _masses_of(posture: Posture) -> list[Lumped]:
-    """All masses of the arm, each at a station; beams at the ends of their elements."""
+    """Return all masses of the arm, each at a station; beams at the ends of their elements."""
     ends: dict[int, Scalar] = {}
     for station, spread in posture.line_loads.items():
         length = spatial.absolute(posture.lengths[station])
@@ -132,7 +132,7 @@ class _Pushed(Posture):
 
 
 def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures: int) -> np.ndarray:
-    """(N, 3 P, 3 P) m/N at N postures: motion of every point by pushes along x, y, z of the base.
+    """Compute how pushes along x, y, z of the base move every point, (N, 3 P, 3 P) m/N.
 
     All pushes at all postures are one posture of N times 4 times 3 P rows.
     """
@@ -182,20 +182,20 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
 
 
 def _points(places: Sequence[Vec], postures: int) -> np.ndarray:
-    """(N, P, 3) of P places with scalars or (N,) in them."""
+    """Stack P places with scalars or (N,) in them to (N, P, 3)."""
     return np.array(
         [[np.broadcast_to(x, postures) for x in place] for place in places], float
     ).transpose(2, 0, 1)
 
 
 def _slope(answers: np.ndarray, postures: int) -> np.ndarray:
-    """Twice the push times the slope between one and two pushes to either side, (N, 3, P)."""
+    """Return twice push times slope between one and two pushes to either side, (N, 3, P)."""
     up, twice, down, back = answers.reshape(3, postures, 4, -1).transpose(2, 1, 0, 3)
     return np.asarray((twice - up) - (back - down))
 
 
 def _motion_by_joints(posture: Posture, point: Lumped, postures: int) -> np.ndarray:
-    """(N, 3, n): motion of a point by a unit of every joint, the bend held."""
+    """Return (N, 3, n): motion of a point by a unit of every joint, the bend held."""
     place = posture.frames[point.station].transform(point.position)
     columns = [linear for linear, _ in geometric(posture, place, point.station)]
     return _points(columns, postures).swapaxes(1, 2)

@@ -11,7 +11,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.vibration.modes import Modes, modes
+from longarm_comp.core.vibration.modes import Modes, find_modes
 from longarm_comp.math.cubic_path import CubicPath, monotone_slopes
 from longarm_comp.math.shaper import Way
 
@@ -28,7 +28,7 @@ class _Ring:
     amplitude: np.ndarray  # (k,) complex, at time 0
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """(N, 3) m: motion of the tip at times (N,) from 0 on."""
+        """Return (N, 3) m: motion of the tip at times (N,) from 0 on."""
         waves = np.real(self.amplitude * np.exp(np.multiply.outer(times, self.rate)))
         return np.asarray(waves @ self.tip)
 
@@ -49,7 +49,7 @@ class _Ring:
         return late
 
 
-def amplitudes(
+def find_amplitudes(
     way: Sequence[Modes],
     where: np.ndarray,
     times: np.ndarray,
@@ -57,7 +57,7 @@ def amplitudes(
     damping: float,
     factors: np.ndarray,
 ) -> np.ndarray:
-    """(F, k, P) amplitudes at the end of P motions from rest; the joints go straight in between.
+    """Find amplitudes (F, k, P) at the end of P motions from rest; joints go straight between.
 
     The modes change on the way: where one posture's follow upon another's, the masses go on where
     they are, and as fast.
@@ -98,7 +98,7 @@ def _rates(modes: Modes, damping: float) -> np.ndarray:
 
 
 def sample_times(modes: Sequence[Modes], seconds: float) -> np.ndarray:
-    """(M,) s from 0 on: times in a motion that are far closer than a period of these modes."""
+    """List times (M,) of a motion, s from 0, far closer than a period of these modes."""
     fastest = max(float(each.hz.max(initial=1.0 / seconds)) for each in modes)
     return np.linspace(0.0, seconds, int(np.ceil(_IN_A_PERIOD * max(1.0, fastest * seconds))) + 1)
 
@@ -108,7 +108,7 @@ _IN_A_PERIOD = 16
 off by a thousandth of the way."""
 
 
-def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
+def find_ring(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
     """Return the ring after a motion from rest to rest, by the modes at its end, its time 0.
 
     Args:
@@ -117,19 +117,21 @@ def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
     times = sample_times([modes], seconds)
     joints, left = way(times)[..., None], np.zeros((1, 0, 1), complex)
     if len(modes.omega):
-        left = amplitudes([modes], np.zeros(len(times), int), times, joints, damping, np.ones(1))
+        left = find_amplitudes(
+            [modes], np.zeros(len(times), int), times, joints, damping, np.ones(1)
+        )
     return _Ring(_rates(modes, damping), modes.tip, left[0, :, 0])
 
 
-def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
-    """One move from rest to rest, as the driver makes it: a cubic in time."""
+def move_straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
+    """Return one move from rest to rest, as the driver makes it: a cubic in time."""
     return CubicPath(np.array([0.0, seconds]), np.stack([start, end]), np.zeros((2, len(start)))).at
 
 
 def ring_of_moves(
     model: Model, joints: np.ndarray, move_s: float, damping: float
 ) -> list[tuple[Modes, _Ring]]:
-    """Modes at each of the postures (N, n), and the ring of the move there from the one before.
+    """Find modes at each of postures (N, n), and the ring of the move there from the one before.
 
     The first is reached from the middle of the joint box.
 
@@ -143,8 +145,8 @@ def ring_of_moves(
         raise InputError("ringing", "time of a move", move_s, "above 0 s")
     made, before = [], model.arm.mid
     for end in np.atleast_2d(joints):
-        found = modes(model, end)
-        made.append((found, along(found, straight(before, end, move_s), move_s, damping)))
+        found = find_modes(model, end)
+        made.append((found, find_ring(found, move_straight(before, end, move_s), move_s, damping)))
         before = end
     return made
 
@@ -184,8 +186,8 @@ class MoveRing:
     damping: float  # share of critical damping
     declared: bool  # whether arm.yaml says it
 
-    def said(self) -> str:
-        """In one line."""
+    def describe(self) -> str:
+        """Describe the ring in one line."""
         told = "" if self.declared else " assumed"
         swing = f"{1e3 * self.size_m:.2g} mm at most, {self.hz:.2g} Hz"
         return (
@@ -201,13 +203,13 @@ def ring_after(
 
     None where nothing of the model bends.
     """
-    found = modes(model, points[-1], context)
+    found = find_modes(model, points[-1], context)
     if not len(found.omega):
         return None
     later = times > 0.0
     when, joints = np.append(0.0, times[later]), np.vstack([start, points[later]])
     path = CubicPath(when, joints, monotone_slopes(when, joints))
     damping = model.arm.damping or USUAL_DAMPING
-    ring = along(found, path.at, path.duration, damping) if path.duration > 0.0 else None
+    ring = find_ring(found, path.at, path.duration, damping) if path.duration > 0.0 else None
     size_m, settle_s = (0.0, 0.0) if ring is None else (ring.size_m(), ring.settle_s())
     return MoveRing(float(found.hz[0]), size_m, settle_s, damping, model.arm.damping is not None)

@@ -37,8 +37,8 @@ class SeenWave:
     size: np.ndarray
 
 
-def waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
-    """At most two waves in sightings (N, D) at times (N,) s, the largest first; none: all is noise.
+def fit_waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
+    """Fit up to two waves to sightings (N, D) at times (N,) s, largest first; none: only noise.
 
     The arm has to stand: its joints do not move any more.
 
@@ -100,7 +100,7 @@ def waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
 
 
 def _basis(parameters: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """(N, 1 + 2 k): rest, and cosine and sine of each damped wave."""
+    """Return (N, 1 + 2 k): rest, and cosine and sine of each damped wave."""
     columns = [np.ones_like(t)]
     for omega, damping in parameters.reshape(-1, 2):
         decay = np.exp(-damping * omega * t)
@@ -115,7 +115,7 @@ def _residual(parameters: np.ndarray, t: np.ndarray, xyz: np.ndarray) -> np.ndar
 
 
 def as_tips(heard: Sequence[SeenWave], at_ring: Modes) -> list[SeenWave]:
-    """Waves of joints (n,) as waves of the tip: each is the mode of the model next to it in
+    """Return waves of joints (n,) as waves of the tip: each is the mode of the model next to it in
     frequency, as joints do not say how the tip swings."""
     return [
         replace(wave, size=at_ring.tip[np.argmin(np.abs(np.log(at_ring.hz / wave.hz)))])
@@ -123,15 +123,15 @@ def as_tips(heard: Sequence[SeenWave], at_ring: Modes) -> list[SeenWave]:
     ]
 
 
-def steps(readings: np.ndarray) -> np.ndarray:
-    """(n,) smallest change of readings (N, n) one after the other: a ring below it hides in it."""
+def find_least_steps(readings: np.ndarray) -> np.ndarray:
+    """Find the least change (n,) between readings (N, n) in turn: a ring below it hides in it."""
     changes = np.abs(np.diff(readings, axis=0))
     changes = np.where(changes > 0.0, changes, np.inf).min(axis=0)
     return np.where(np.isfinite(changes), changes, 0.0)
 
 
 def correct_modes(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
-    """Modes with the frequencies that were seen at another posture taken into account.
+    """Return modes with the frequencies that were seen at another posture taken into account.
 
     Weight loads an arm downwards: a calibration at rest knows how it bends up and down, and of
     what bends sideways only the parts that it shares.  So each mode takes the factor of the wave
@@ -139,7 +139,7 @@ def correct_modes(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Mod
 
     Args:
         modes: of the model, at any posture. at_ring: of the model, where the ring was seen.
-        seen: as of `waves`.
+        seen: as of `fit_waves`.
     """
     if not seen or not len(modes.omega) or not len(at_ring.omega):
         return modes
@@ -153,5 +153,5 @@ def correct_modes(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Mod
 
 
 def _steepness(moves: np.ndarray) -> np.ndarray:
-    """(k,) share of moves (k, 3) that goes up or down."""
+    """Return (k,) share of moves (k, 3) that goes up or down."""
     return np.asarray(np.abs(moves[:, 2]) / np.linalg.norm(moves, axis=1))

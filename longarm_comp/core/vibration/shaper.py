@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.vibration.modes import Modes, modes_along
-from longarm_comp.core.vibration.ring import USUAL_DAMPING, amplitudes, sample_times
+from longarm_comp.core.vibration.modes import Modes, find_modes_along
+from longarm_comp.core.vibration.ring import USUAL_DAMPING, find_amplitudes, sample_times
 from longarm_comp.math.shaper import Shaper, Way
 
 _FREQUENCY_SD = 0.05
@@ -29,10 +29,11 @@ _ROUNDS = 3
 """Of shares and of where the arm then is when, each of which needs the other."""
 
 
-def way_modes(model: Model, way: Way, seconds: float) -> list[Modes]:
-    """Modes evenly along a motion that takes some seconds from time 0 on."""
+def find_way_modes(model: Model, way: Way, seconds: float) -> list[Modes]:
+    """Return modes evenly along a motion that takes some seconds from time 0 on."""
     times, share = _progress(way, seconds)
-    return modes_along(model, way(np.interp(np.linspace(0.0, 1.0, _KNOWN), share, times)), _PLACES)
+    known = np.interp(np.linspace(0.0, 1.0, _KNOWN), share, times)
+    return find_modes_along(model, way(known), _PLACES)
 
 
 def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
@@ -43,7 +44,7 @@ def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     return times, np.append(0.0, gone) / max(float(gone[-1]), 1e-12)
 
 
-def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) -> Shaper | None:
+def find_shaper(along: Sequence[Modes], way: Way, seconds: float, damping: float) -> Shaper | None:
     """Return the shaper of a motion from rest to rest, one period longer; None where nothing bends.
 
     Args:
@@ -65,7 +66,7 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
     chances = np.sqrt([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])[:, None, None]
     for _ in range(_ROUNDS):
         where = np.rint((len(along) - 1) * (parts.weights @ progress)).astype(int)
-        left = amplitudes(along, where, times, joints, damping, factors)
+        left = find_amplitudes(along, where, times, joints, damping, factors)
         sizes = np.linalg.norm(along[-1].tip[: left.shape[1]], axis=1)[:, None]
         left = (chances * sizes * left).reshape(-1, len(begin))
         rows = np.concatenate([left.real, left.imag])
@@ -92,7 +93,7 @@ def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float]
         return arm.mid + np.outer(times, 0.1 * (arm.upper - arm.lower))
 
     # What is imported and compiled once costs seconds, and no order must wait for it.
-    shaper_of(way_modes(model, usual, 1.0), usual, 1.0, damping)
+    find_shaper(find_way_modes(model, usual, 1.0), usual, 1.0, damping)
 
     def of(way: Way, seconds: float) -> Shaper | None:
         def mine(times: np.ndarray) -> np.ndarray:
@@ -100,7 +101,7 @@ def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float]
 
         if not seconds > 0.0 or not np.ptp(mine(np.linspace(0.0, seconds, _PLACES)), axis=0).any():
             return None
-        along = way_modes(model, mine, seconds)
-        return shaper_of(along, mine, seconds, damping)
+        along = find_way_modes(model, mine, seconds)
+        return find_shaper(along, mine, seconds, damping)
 
     return of

@@ -44,7 +44,7 @@ _READ = {ROW_TOPIC: ROW_TYPE, _COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajecto
 
 
 def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
-    """Indices of the visits that a bag of an arm with n joints holds."""
+    """Return indices of the visits that a bag of an arm with n joints holds."""
     planned = {visit.index: visit.path for visit in todo}
     done: set[int] = set()
     command = np.zeros((0, n))
@@ -322,7 +322,7 @@ class _Run:
         return row
 
     def _next(self, left: list[Visit]) -> Visit | None:
-        """The first visit whose way from here is free; where there is none, all are blocked."""
+        """Return the first visit whose way from here is free; without one all are blocked."""
         here = self._client.joints
         if not self._client.arm.keep_out or here is None:
             return left[0]

@@ -42,10 +42,10 @@ class Visit:
         return self.path[-1]
 
 
-def visits(
+def list_visits(
     plan: Plan, arm: Arm, *, repeats: int = 0, shuffle: bool = True, seed: int = 0
 ) -> list[Visit]:
-    """The visits of a plan; the same arguments always give the same ones, as resuming needs.
+    """Return the visits of a plan; the same arguments always give the same ones, as resuming needs.
 
     A joint whose planned side has no room at its limit arrives from the other side.
 
@@ -105,7 +105,7 @@ def plan_checks(
     view: View | None = None,
     servos: ServoConfig | None = None,
 ) -> list[PlanCheck]:
-    """Questions to the visits of a plan: those that can be asked with what is known."""
+    """Return questions to the visits of a plan: those that can be asked with what is known."""
     model = declared_model(arm)
     q = np.array([visit.q for visit in visits])
     outside = tuple(_outside(arm.joint_names, v.path, arm.lower, arm.upper) for v in visits)
@@ -130,7 +130,7 @@ def plan_checks(
 
 
 def blocked_visits(checks: Sequence[PlanCheck], visits: Sequence[Visit]) -> dict[int, str]:
-    """Visits that may not be driven, by index, and why."""
+    """Return visits that may not be driven, by index, and why."""
     found: dict[int, str] = {}
     for check in checks:
         for visit, fault in zip(visits, check.faults, strict=True):
@@ -140,7 +140,7 @@ def blocked_visits(checks: Sequence[PlanCheck], visits: Sequence[Visit]) -> dict
 
 
 def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
-    """The servos in the folder of an arm.yaml, where they are this arm's joints."""
+    """Return the servos in the folder of an arm.yaml, where they are this arm's joints."""
     file = arm.absolute().parent / "servo_driver.yaml"
     if not file.is_file():
         return None
@@ -175,7 +175,7 @@ def _outside(names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: n
 
 
 def _boxes(model: Model, visits: Sequence[Visit]) -> list[PlanCheck]:
-    """One check of the floor, one of the other boxes: at the pose and where its run-up begins."""
+    """Make a check of the floor and one of other boxes, at pose and begin of its run-up."""
     stops = np.concatenate([visit.path for visit in visits])
     owner = np.repeat(np.arange(len(visits)), [len(visit.path) for visit in visits])
     found = {True: [""] * len(visits), False: [""] * len(visits)}

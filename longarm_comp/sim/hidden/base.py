@@ -41,7 +41,7 @@ class Dosed:
             cls.name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
     def scaled(self: Scaled, dose: float) -> Scaled:
-        """The same effect `dose` times as large."""
+        """Return the same effect `dose` times as large."""
         return replace(self, **{f: dose * getattr(self, f) for f in self.sizes})  # type: ignore
 
     @property
@@ -65,11 +65,11 @@ class HiddenEffect(Dosed):
         return q
 
     def held(self, torques: Array, state: State) -> Array | float:
-        """Joint offsets (N, n) that depend on the settled torques (N, n), N m or N; see `gated`."""
+        """Return joint offsets (N, n) by the settled torques (N, n), N m or N; see `gated`."""
         return 0.0
 
     def before(self, torques: Array, state: State) -> Array | float:
-        """The joints' displacements (N, n), rad or m, that a motor's encoder sees."""
+        """Return the joints' displacements (N, n), rad or m, that a motor's encoder sees."""
         return 0.0
 
     def rows(self, rows: Array, state: State) -> Array:
@@ -81,7 +81,7 @@ class HiddenEffect(Dosed):
         return pose
 
     def foot(self, state: State) -> Array | float:
-        """Motion of the foot along the axes of the base frame, (3, N) m."""
+        """Return the motion of the foot along the axes of the base frame, (3, N) m."""
         return 0.0
 
     def gravity(self, gravity: Array) -> Array:
@@ -89,21 +89,21 @@ class HiddenEffect(Dosed):
         return gravity
 
     def softness(self, beam: Beam, state: State) -> Array | float:
-        """Factor on the beam's compliance, scalar or (N,)."""
+        """Return the factor on the beam's compliance, scalar or (N,)."""
         return 1.0
 
     def masses(self, state: State) -> list[tuple[int, Array | float, tuple[float, float, float]]]:
-        """Undeclared masses: frame, kg, position m."""
+        """Return undeclared masses: frame, kg, position m."""
         return []
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
-        """Rotation vector (3, B, N), rad, of everything beyond the place."""
+        """Return the rotation vector (3, B, N), rad, of everything beyond the place."""
         return None
 
     def push(self, place: Place, state: State) -> Sequence[tuple[Array, Array]]:
-        """Forces (3, N) N and where they act (3,) m or (3, N), in the place's axes."""
+        """Return forces (3, N) N and where they act (3,) m or (3, N), in the place's axes."""
         return ()
 
     def readings(self, state: State) -> dict[str, Array]:
-        """Further session columns (N,) that such an arm would record, noise-free."""
+        """Return further session columns (N,) that such an arm would record, noise-free."""
         return {}

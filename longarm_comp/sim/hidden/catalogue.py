@@ -18,14 +18,9 @@ from longarm_comp.sim.rods import QUICK_STEPS
 _Maker = Callable[[Arm, np.random.Generator], HiddenEffect]
 
 
-def _kind(arm: Arm, kind: str) -> Array:
-    """Return (n,) 1 for the motors of joints of a kind, else 0."""
-    return np.array([float(arm.joints[row - 1].type == kind) for row in arm.commanded])
-
-
 def _turning(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Array:
-    """A draw per turning motor, 0 for sliding ones, (n,)."""
-    return _kind(arm, "revolute") * rng.uniform(low, high, arm.n)
+    """Return a draw per turning motor, 0 for sliding ones, (n,)."""
+    return ~arm.slides * rng.uniform(low, high, arm.n)
 
 
 def _signs(rng: np.random.Generator, size: int) -> Array:
@@ -33,7 +28,7 @@ def _signs(rng: np.random.Generator, size: int) -> Array:
 
 
 def _joint_zero(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    sd = 4e-3 * _kind(arm, "revolute") + 1e-3 * _kind(arm, "prismatic")
+    sd = np.where(arm.slides, 1e-3, 4e-3)
     return geometry.JointZero(sd * rng.standard_normal(arm.n))
 
 
@@ -45,7 +40,7 @@ def _dh_error(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
 
 
 def _loose_screw(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    joint = int(rng.choice(np.flatnonzero(_kind(arm, "revolute"))))
+    joint = int(rng.choice(np.flatnonzero(~arm.slides)))
     at = rng.uniform(0.35, 0.65)
     threshold = arm.lower[joint] + at * (arm.upper[joint] - arm.lower[joint])
     jump = float(rng.choice([-8e-3, 8e-3]))
@@ -58,20 +53,19 @@ def _eccentricity(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
 
 
 def _cogging(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    joint = int(rng.choice(np.flatnonzero(_kind(arm, "revolute"))))
+    joint = int(rng.choice(np.flatnonzero(~arm.slides)))
     span = arm.upper[joint] - arm.lower[joint]
     centre = arm.lower[joint] + rng.uniform(0.3, 0.7) * span
     return drives.CoggingBump(joint, centre, 0.12 * span, float(rng.choice([-1e-2, 1e-2])))
 
 
 def _coupling(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    turning = _kind(arm, "revolute")
-    pairs = turning * np.r_[0.0, turning[:-1]]
+    pairs = ~arm.slides & np.r_[False, ~arm.slides[:-1]]
     return drives.JointCoupling(pairs * rng.uniform(0.005, 0.02, arm.n) * _signs(rng, arm.n))
 
 
 def _cable(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    joint, one, two = rng.permutation(np.flatnonzero(_kind(arm, "revolute")))[:3]
+    joint, one, two = rng.permutation(np.flatnonzero(~arm.slides))[:3]
     return drives.CableDrag(int(joint), (int(one), int(two)), float(rng.choice([-1e-2, 1e-2])))
 
 
@@ -99,12 +93,10 @@ HIDDEN: dict[str, _Maker] = {
     ),
     "joint_coupling": _coupling,
     "prismatic_pitch": lambda arm, rng: drives.PrismaticPitch(
-        _kind(arm, "prismatic") * rng.uniform(0.02, 0.05, arm.n) * _signs(rng, arm.n)
+        arm.slides * rng.uniform(0.02, 0.05, arm.n) * _signs(rng, arm.n)
     ),
     "gear_eccentricity": _eccentricity,
-    "servo_quantisation": lambda arm, rng: drives.ServoQuantisation(
-        2 * np.pi / 1000 * _kind(arm, "revolute")
-    ),
+    "servo_quantisation": lambda arm, rng: drives.ServoQuantisation(2 * np.pi / 1000 * ~arm.slides),
     "servo_droop": lambda arm, rng: drives.ServoDroop(_turning(arm, rng, 1e-3, 4e-3)),
     "servo_deadband": lambda arm, rng: drives.ServoDeadband(
         _turning(arm, rng, 1e-3, 3e-3), gate=0.1
@@ -141,14 +133,14 @@ OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
 
 
 def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> HiddenEffect:
-    """An effect by name, `dose` times its typical size, at a random place."""
+    """Return an effect by name, `dose` times its typical size, at a random place."""
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
     return HIDDEN[name](arm, rng).scaled(dose)
 
 
 def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> HiddenEffect:
-    """An effect by name, scaled so that it shifts the tip by about `size_mm` rms.
+    """Return an effect by name, scaled so that it shifts the tip by about `size_mm` rms.
 
     Servo steps exist only in a few sizes, so the nearest of them is taken.
     """
@@ -158,7 +150,7 @@ def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> Hidde
 def moved_tip(
     effect: HiddenEffect, arm: Arm, poses: Array, context: TrueContext, sound: Array
 ) -> Array:
-    """Tip (N, 3) with one effect; `sound` is the tip without it."""
+    """Return the tip (N, 3) with one effect; `sound` is the tip without it."""
     return TrueArm(arm, [effect], steps=QUICK_STEPS).tip(poses, context)
 
 
@@ -192,7 +184,7 @@ def scale_to_size(
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> TrueContext:
-    """Random approach, winding and ways, two hours, some warming."""
+    """Return random approach, winding and ways, two hours, some warming."""
     return TrueContext(
         approach=np.repeat(_signs(rng, postures)[:, None], arm.n, axis=1),
         temperature_c=arm.reference_temperature_c + rng.uniform(0, 12, postures),

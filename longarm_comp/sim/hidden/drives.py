@@ -62,7 +62,7 @@ class ServoQuantisation(HiddenEffect):
     step: Array
 
     def scaled(self, dose: float) -> ServoQuantisation:
-        """Steps about `dose` times as large, of servos that exist (`STEPS_PER_TURN`)."""
+        """Return steps about `dose` times as large, of servos that exist (`STEPS_PER_TURN`)."""
         if dose == 0.0:
             return ServoQuantisation(0 * self.step)
         sold = 2 * np.pi / np.array(STEPS_PER_TURN)
@@ -150,8 +150,7 @@ class ServoDroop(JointCompliance):
     """A proportional servo yields by torque / gain: `compliance` is 1 / gain, 0 where it slides."""
 
     def before(self, torques: Array, state: State) -> Array:
-        turning = np.array([j.type == "revolute" for j in state.arm.joints if j.commanded])
-        return turning * self.compliance * torques
+        return ~state.arm.slides * self.compliance * torques
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class ThermalGrowth(HiddenEffect):
 
 @dataclass(frozen=True)
 class LooseScrew(HiddenEffect):
-    """Not in the library: row `row` jumps by `jump` (rad) beyond an angle of a joint."""
+    """A jump of row `row` by `jump` (rad) beyond an angle of a joint; it is not in the library."""
 
     doses = ("jump",)
     row: int

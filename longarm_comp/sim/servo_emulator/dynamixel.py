@@ -164,7 +164,7 @@ def _refresh(device: Device) -> None:
 
 
 def _crc16(data: bytes) -> int:
-    """CRC-16 with polynomial 0x8005, initial value 0, not reflected: the e-Manual's division."""
+    """Compute CRC-16 with polynomial 0x8005, initial value 0, not reflected: the e-Manual's."""
     register = 0
     for byte in data:
         register ^= byte << 8

@@ -140,13 +140,13 @@ class ServoEmulator:
             yield self._devices[servo_id].motor
 
     def each(self, of: Callable[[Motor], Of]) -> dict[int, Of]:
-        """Something of every servo's mechanics at the present, by id."""
+        """Return something of every servo's mechanics at the present, by id."""
         with self._lock:
             self._advance()
             return {i: of(device.motor) for i, device in self._devices.items()}
 
     def positions(self) -> dict[int, float]:
-        """Present true positions, ticks, not rounded."""
+        """Return present true positions, ticks, not rounded."""
         return self.each(lambda motor: motor.position)
 
     def torques_on(self) -> dict[int, bool]:

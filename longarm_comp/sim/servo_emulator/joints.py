@@ -45,11 +45,11 @@ class EmulatedJoint:
     sheet: Mapping[str, Any] = field(default_factory=dict)
 
     def value(self, ticks: float) -> float:
-        """Joint value, rad or m."""
+        """Return joint value, rad or m."""
         return self.travel * (ticks - self.zero_ticks)
 
     def ticks(self, value: float) -> float:
-        """Encoder ticks, not rounded."""
+        """Return encoder ticks, not rounded."""
         return self.zero_ticks + value / self.travel
 
 
@@ -61,11 +61,11 @@ class EmulatedArm:
     joints: tuple[EmulatedJoint, ...]
 
     def start_ticks(self) -> dict[int, float]:
-        """Ticks by servo id where each joint has the allowed value that is nearest to 0."""
+        """Return ticks by servo id where each joint has the allowed value that is nearest to 0."""
         return {j.servo_id: j.ticks(min(max(0.0, j.lower), j.upper)) for j in self.joints}
 
     def values(self, ticks: Mapping[int, float]) -> dict[str, float]:
-        """Joint values (rad, m) by name, in the order of the file."""
+        """Return joint values (rad, m) by name, in the order of the file."""
         return {j.name: j.value(ticks[j.servo_id]) for j in self.joints}
 
 

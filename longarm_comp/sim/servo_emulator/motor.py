@@ -83,7 +83,7 @@ class Motor:
 
     @property
     def way(self) -> float:
-        """How far the horn has come since it last stood or turned, ticks."""
+        """The way of the horn since it last stood or turned, ticks."""
         return self.position - self._stood
 
     def switch(self, on: bool) -> None:
@@ -116,7 +116,7 @@ class Motor:
         self._drive(dt_s)
 
     def _next_position(self, dt_s: float) -> float:
-        """Position after ``dt_s``: constant speed far from the goal, first-order lag near it."""
+        """Return the position after ``dt_s``: constant speed, first-order lag near the goal."""
         spec = self.spec
         low, high = self._rest()
         if low <= self.position <= high:
@@ -136,7 +136,7 @@ class Motor:
         return self.position + math.copysign(distance - left, error)
 
     def _rest(self) -> tuple[float, float]:
-        """Ends of where the horn may stand still: the controller against load and friction."""
+        """Return the ends of where the horn may rest: the controller against load and friction."""
         spec = self.spec
 
         def balanced(share: float, edge: float) -> float:
@@ -147,7 +147,7 @@ class Motor:
         return balanced(load - held, -1.0), balanced(load + held, 1.0)
 
     def _drive(self, dt_s: float) -> None:
-        """Effort, temperature and the servo's own protection."""
+        """Update effort, temperature and the servo's own protection."""
         spec = self.spec
         own = _FRICTION * self.velocity / spec.max_speed_ticks_s
         own += spec.hold_share * self.approach

@@ -30,7 +30,7 @@ class Device:
         self.memory[address : address + length] = value.to_bytes(length, "little")
 
     def get(self, address: int, length: int) -> int:
-        """An unsigned little-endian value."""
+        """Return an unsigned little-endian value."""
         return int.from_bytes(self.memory[address : address + length], "little")
 
 
@@ -43,7 +43,7 @@ class Wire(ABC):
 
     @abstractmethod
     def device(self, servo_id: int, motor: Motor) -> Device:
-        """A servo with this protocol's factory memory."""
+        """Return a servo with this protocol's factory memory."""
 
     def power_cycle(self, device: Device) -> None:
         """State after a loss of power: kept registers, torque off, no alarm."""
@@ -84,7 +84,7 @@ class RegisterWire(Wire):
         return [self.status(d, *self.carry_out(d, instruction, params)) for d in hearing]
 
     def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
-        """An instruction to one servo: error code and data of its answer."""
+        """Carry out an instruction to one servo; return error code and data of its answer."""
         if instruction == Told.READ:
             return self.read(device, *self.words(params))
         if instruction == Told.WRITE:
@@ -93,7 +93,7 @@ class RegisterWire(Wire):
         return 0, b""
 
     def words(self, params: bytes) -> tuple[int, int]:
-        """Address and length. Raises IndexError where they are missing."""
+        """Return address and length. Raises IndexError where they are missing."""
         if len(params) < 2 * self.word:
             raise IndexError
         first, second = params[: self.word], params[self.word : 2 * self.word]
@@ -101,11 +101,11 @@ class RegisterWire(Wire):
 
     @abstractmethod
     def parts(self, frame: bytes) -> tuple[int, int, bytes]:
-        """Id, instruction and parameters of a frame."""
+        """Return id, instruction and parameters of a frame."""
 
     @abstractmethod
     def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
-        """Error code (0: done) and registers as they are now."""
+        """Return the error code (0: done) and registers as they are now."""
 
     @abstractmethod
     def write(self, device: Device, address: int, data: bytes) -> int:
@@ -113,4 +113,4 @@ class RegisterWire(Wire):
 
     @abstractmethod
     def status(self, device: Device, error: int, data: bytes) -> tuple[int, bytes]:
-        """The id and the status frame of an answer."""
+        """Return the id and the status frame of an answer."""

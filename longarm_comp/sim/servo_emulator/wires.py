@@ -15,8 +15,8 @@ GROUP = "longarm_comp.servo_wires"
 
 
 @cache
-def wires() -> dict[str, Wire]:
-    """The servos' side of all protocols that are emulated, by name."""
+def list_wires() -> dict[str, Wire]:
+    """Return the servos' side of all protocols that are emulated, by name."""
     known: dict[str, Wire] = {wire.name: wire for wire in (FeetechWire(), DynamixelWire())}
     for kind, source in protocols_of_other_packages(GROUP, Wire):
         if kind.name in known:
@@ -26,8 +26,8 @@ def wires() -> dict[str, Wire]:
 
 
 def wire_of(protocol: str, where: object) -> Wire:
-    """The servos' side of a protocol. Refuses one that is not emulated."""
-    if protocol not in wires():
-        allowed = f"for a simulated arm {', '.join(wires())} (docs/add_a_protocol.md)"
+    """Return the servos' side of a protocol. Refuses one that is not emulated."""
+    if protocol not in list_wires():
+        allowed = f"for a simulated arm {', '.join(list_wires())} (docs/add_a_protocol.md)"
         raise InputError(where, "protocol", protocol, allowed)
-    return wires()[protocol]
+    return list_wires()[protocol]

@@ -64,8 +64,8 @@ def test_without_a_time_the_latest_that_all_know_holds() -> None:
 
 def test_the_shortest_turn_is_taken() -> None:
     one, two = about_z(0.2), -about_z(0.6)  # the sign of a quaternion says nothing
-    np.testing.assert_allclose(quaternion.between(one, two, 0.25), about_z(0.3), atol=1e-12)
-    np.testing.assert_allclose(quaternion.between(one, one, 0.5), one, atol=1e-15)
+    np.testing.assert_allclose(quaternion.interpolate(one, two, 0.25), about_z(0.3), atol=1e-12)
+    np.testing.assert_allclose(quaternion.interpolate(one, one, 0.5), one, atol=1e-15)
 
 
 def test_what_is_not_known_is_said() -> None:

@@ -14,7 +14,7 @@ from wind_up import Sliders, WindUp, there_and_back
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
-from longarm_comp.core.arm.history import History, onward, play, recorded_history
+from longarm_comp.core.arm.history import History, add_way, compute_play_range, recorded_history
 from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import Readings
@@ -39,7 +39,7 @@ SPAN = ARM.upper - ARM.lower
 def legs_of(*ways: float) -> list[float]:
     made: list[float] = []
     for way in ways:
-        made = onward(made, way)
+        made = add_way(made, way)
     return made
 
 
@@ -57,9 +57,9 @@ def test_more_nested_legs_than_places_forget_the_oldest() -> None:
     ways = [(-1) ** k * (20.0 - k) for k in range(LEGS + 3)]
     kept = legs_of(*ways)
     assert kept == ways[::-1][: LEGS - 1]
-    low, high = play(kept, 9.9)
+    low, high = compute_play_range(kept, 9.9)
     assert low < high  # 2 R is longer than what is left: no longer known
-    assert low <= play(ways[::-1], 9.9)[0] <= high
+    assert low <= compute_play_range(ways[::-1], 9.9)[0] <= high
 
 
 def test_legs_say_what_the_whole_way_says_for_every_radius(rng: np.random.Generator) -> None:
@@ -68,7 +68,7 @@ def test_legs_say_what_the_whole_way_says_for_every_radius(rng: np.random.Genera
     for _ in range(200):
         ways = rng.standard_normal(12) * rng.choice([0.2, 1.0, 3.0], 12)
         for radius in (0.1, 0.5, 2.0, 6.0):
-            low, high = play(legs_of(*ways), radius)
+            low, high = compute_play_range(legs_of(*ways), radius)
             truly = []
             for start in (-radius, radius):
                 slider = Sliders(np.array([radius]), np.array([[radius]]), np.zeros(1))
@@ -161,8 +161,9 @@ def test_a_gap_forgets_all_legs_and_a_run_up_is_known_after_it() -> None:
     q = np.array([[0.0], [1.0], [0.2], [0.5]])
     whole = recorded_history(q, np.arange(4)).legs[:, 0, :3]
     np.testing.assert_allclose(whole, [[0, 0, 0], [1, 0, 0], [-0.8, 1, 0], [0.3, -0.8, 1]])
-    gap = recorded_history(q, np.array([0, 1, 3, 4])).legs[:, 0, :3]
-    np.testing.assert_allclose(gap, [[0, 0, 0], [1, 0, 0], [0, 0, 0], [0.3, 0, 0]])
+    gap = recorded_history(q, np.array([0, 1, 3, 4]))
+    np.testing.assert_allclose(gap.legs[:, 0, :3], [[0, 0, 0], [1, 0, 0], [0, 0, 0], [0.3, 0, 0]])
+    assert gap.approach.ravel().tolist() == [0, 1, 0, 1]
     run_up = np.array([[np.nan], [np.nan], [0.5], [np.nan]])
     after = recorded_history(q, np.array([0, 1, 3, 4]), run_up=run_up)
     np.testing.assert_allclose(after.legs[:, 0, :2], [[0, 0], [1, 0], [-0.3, 0], [0.3, 0]])

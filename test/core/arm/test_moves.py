@@ -188,8 +188,12 @@ def test_targets_of_a_file_follow_one_another_after_a_session(
     goals = ARM.mid + 0.3 * SPAN * (rng.random((12, ARM.n)) - 0.5)
     made = compensate(loose, Model(ARM).tip(goals), history=session)
     at, side = session.q[-1], session.approach[-1].astype(float)
+    came = History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
     for arrival in made.arrivals:
         assert arrival.outcome.reason == ""
+        came = came.after(arrival.move.points, at)
+        for name in PER_JOINT:
+            np.testing.assert_array_equal(getattr(arrival.history, name), getattr(came, name))
         for point in arrival.move.points:
             side = np.where(np.abs(point - at) > SAME_POSE, np.sign(point - at), side)
             at = point
@@ -231,18 +235,3 @@ def test_a_side_that_a_target_asks_for_is_kept(loose: Model) -> None:
         np.testing.assert_allclose(truly, target, rtol=0, atol=1e-6)
         stiff = compensate(Model(ARM), target, context=Context((side,) * ARM.n))
         assert stiff.arrivals[0].move.side.tolist() == [side] * ARM.n
-
-
-def test_the_history_of_a_file_is_carried_from_target_to_target(
-    loose: Model, rng: np.random.Generator
-) -> None:
-    session = measured(30, rng)
-    goals = ARM.mid + 0.3 * SPAN * (rng.random((8, ARM.n)) - 0.5)
-    made = compensate(loose, Model(ARM).tip(goals), history=session)
-    at = session.q[-1]
-    came = History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
-    for arrival in made.arrivals:
-        came = came.after(arrival.move.points, at)
-        at = arrival.outcome.command
-        for name in PER_JOINT:
-            np.testing.assert_array_equal(getattr(arrival.history, name), getattr(came, name))

@@ -15,7 +15,7 @@ HALF_TURNS = Rotation.from_rotvec(np.pi * np.eye(3))
 @pytest.mark.parametrize("turn", [*TURNS, *HALF_TURNS, Rotation.identity()])
 def test_matrix_and_back(turn: Rotation) -> None:
     q = turn.as_quat()
-    np.testing.assert_allclose(quaternion.rotation(q), turn.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(quaternion.compute_rotation(q), turn.as_matrix(), atol=1e-12)
     back = quaternion.from_rotation(turn.as_matrix())
     assert back[3] >= 0
     np.testing.assert_allclose(np.abs(back @ q), 1.0, atol=1e-12)
@@ -24,7 +24,7 @@ def test_matrix_and_back(turn: Rotation) -> None:
 @pytest.mark.parametrize("turn", list(TURNS[:10]))
 def test_tilt_is_roll_and_pitch(turn: Rotation) -> None:
     roll, pitch, _ = turn.as_euler("xyz")
-    np.testing.assert_allclose(quaternion.tilt(turn.as_quat()), (roll, pitch), atol=1e-9)
+    np.testing.assert_allclose(quaternion.compute_tilt(turn.as_quat()), (roll, pitch), atol=1e-9)
 
 
 def test_what_is_a_unit_quaternion() -> None:

@@ -54,7 +54,7 @@ def check(path: Path, model: Model, rng: np.random.Generator, **labels: str) -> 
         if not model.effects:  # tf tells the links of the declared arm by the same names
             at = {BASE_LINK: np.eye(4)}
             for link in link_frames(model, q):
-                at[link.name] = at[link.parent] @ quaternion.pose(link.position, link.turn)
+                at[link.name] = at[link.parent] @ quaternion.compute_pose(link.position, link.turn)
                 same = data.oMf[robot.getFrameId(link.name, pin.BODY)].homogeneous
                 assert np.abs(at[link.name] - same).max() < NEAR
             assert TIP in at

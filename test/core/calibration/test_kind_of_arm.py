@@ -16,7 +16,7 @@ from longarm_comp.cli.fit import calibrate as command
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.data.measurement import spreads
+from longarm_comp.core.data.measurement import compute_touch_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero, KindDirection
@@ -135,7 +135,9 @@ def test_few_rows_of_a_real_arm_do_better_by_its_kind(models: dict[str, Model]) 
             fits = [
                 dict(fit_stages(declared_model(ARM), few, kind=k))["geometry"] for k in (None, kind)
             ]
-            left.append([1e3 * spreads(fold_directions(f).model, rest).mean() for f in fits])
+            left.append(
+                [1e3 * compute_touch_errors(fold_directions(f).model, rest).mean() for f in fits]
+            )
     drawing, by_kind = np.mean(left, axis=0)
     assert by_kind < 1.3
     assert by_kind < 0.7 * drawing
@@ -153,7 +155,9 @@ def test_many_rows_are_not_worse_by_their_kind(models: dict[str, Model]) -> None
         few = session.take(np.flatnonzero(location == place)[:40])
         fits = [fitted(few, each) for each in (None, kind)]
         rest = session.take(location != place)
-        left.append([1e3 * spreads(fold_directions(f).model, rest).mean() for f in fits])
+        left.append(
+            [1e3 * compute_touch_errors(fold_directions(f).model, rest).mean() for f in fits]
+        )
     drawing, by_kind = np.mean(left, axis=0)
     assert by_kind < 1.02 * drawing
 
@@ -190,8 +194,8 @@ def test_a_diagnosis_expects_what_the_kind_has(tmp_path: Path, models: dict[str,
     rest = whole.take(np.flatnonzero(location != one)[::3])
     others = [models[name] for name in NAMES if name != "4"]
     found = la.diagnose(ARM, few, test=rest, kind_of=others, network=False)
-    by_drawing = spreads(fitted(few, None).model, rest).mean()
-    assert spreads(found.model, rest).mean() < 0.9 * by_drawing
+    by_drawing = compute_touch_errors(fitted(few, None).model, rest).mean()
+    assert compute_touch_errors(found.model, rest).mean() < 0.9 * by_drawing
     assert found.model.tolerances == 1.0
     assert not any(isinstance(e, KindDirection) for e in found.model.effects)
     assert found.facts["kind of"] == ", ".join(f"model {k}" for k in range(1, 6))

@@ -32,7 +32,7 @@ from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.noise import noise_from_repeats
 from longarm_comp.core.calibration.placement import place_sensors
 from longarm_comp.core.data.kinds import rotation_vector
-from longarm_comp.core.data.measurement import equations, errors, posture
+from longarm_comp.core.data.measurement import compute_tip_errors, make_equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraScale
 from longarm_comp.core.effects.drive_errors import JointGain
@@ -86,7 +86,7 @@ def test_columns_are_derivatives_of_every_equation() -> None:
     terms = (*geometry_terms(arm, session), CameraScale(), CameraPose())
     base = place_sensors(Model(arm).plus(*terms), session)
     base = base.with_values(base.values + 1e-3 * np.sin(np.arange(len(base.values))))
-    found = equations(base, session, posture(base, session))
+    found = make_equations(base, session)
     for k, slot, want in numeric_columns(base, session, lambda _: 1e-5):
         limit = 0.02 * max(np.abs(want).max(), 1e-3)
         np.testing.assert_allclose(found.columns[..., k], want, atol=limit, err_msg=slot.label)
@@ -141,7 +141,7 @@ def test_distances_to_solved_anchors_calibrate_the_arm_in_its_own_base() -> None
         assert isinstance(term, AnchorPlace)
         away = np.subtract([term.x, term.y, term.z], ANCHORS[term.anchor])
         assert np.linalg.norm(away) < 0.01
-    left = np.delete(errors(found.model, session), 7, axis=0)
+    left = np.delete(compute_tip_errors(found.model, session), 7, axis=0)
     assert np.linalg.norm(left, axis=1).mean() < 2 * SIGMA
 
 
@@ -176,7 +176,7 @@ def test_rays_of_calibrated_cameras_calibrate_the_arm(tmp_path: Path) -> None:
     assert not found.model.biases
     assert found.sigma == pytest.approx(np.full(4, SIGMA_ROT), rel=0.3)
     assert miss(found.model) < 3 * GOOD
-    sideways = np.linalg.norm(errors(found.model, session), axis=1)
+    sideways = np.linalg.norm(compute_tip_errors(found.model, session), axis=1)
     assert 0.5e-3 < np.sqrt((sideways**2).mean()) < 1.1e-3
 
 
@@ -349,4 +349,4 @@ def test_rows_that_say_no_position_leave_no_errors_of_a_bending_arm() -> None:
     q = DEMO.lower + (DEMO.upper - DEMO.lower) * np.random.default_rng(3).random((4, DEMO.n))
     axes = Rotation.from_matrix(np.stack([model.pose(row)[:3, :3] for row in q])).as_quat()
     session = Session.record(q, np.full((4, 3), np.nan), readings={"orientation": axes})
-    assert errors(model, session).shape == (0, 3)
+    assert compute_tip_errors(model, session).shape == (0, 3)

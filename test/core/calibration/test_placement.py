@@ -21,7 +21,7 @@ from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.placed_model import placement_terms
 from longarm_comp.core.calibration.placement import place_bases
 from longarm_comp.core.calibration.plausible import INCREDIBLE, RISES, WORSE, WORST, describe_rise
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.geometry_errors import JointZero
@@ -111,7 +111,7 @@ def test_a_group_of_two_rows_stands_like_the_others(rng: np.random.Generator) ->
     truth = Model(SMALL, (BasePose("a", *FAR, rz=2.0), BasePose("b", *FAR, rz=2.0)))
     session = measured(truth, box(SMALL, 42, rng), rng, group=group)
     start = place_bases(Model(SMALL, placement_terms(SMALL, session)), session)
-    assert np.linalg.norm(errors(start, session), axis=1).max() < 0.02
+    assert np.linalg.norm(compute_tip_errors(start, session), axis=1).max() < 0.02
 
 
 # ------------------------------------------------------------------ the same results anywhere
@@ -151,7 +151,7 @@ def test_several_bases_and_markers_metres_off(rng: np.random.Generator) -> None:
     found = fit_model(
         place_bases(Model(arm, placement_terms(arm, session)), session), session
     ).model
-    assert np.median(np.linalg.norm(errors(found, session), axis=1)) < 5e-4
+    assert np.median(np.linalg.norm(compute_tip_errors(found, session), axis=1)) < 5e-4
     elbow = next(e for e in found.effects if isinstance(e, TipOffset) and e.marker == "elbow")
     assert (elbow.x, elbow.y) == pytest.approx((0.3, -0.1), abs=1e-3)
 

@@ -30,7 +30,12 @@ from longarm_comp.core.calibration.placement import place_sensors
 from longarm_comp.core.calibration.undetermined import list_undetermined
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.kinds import KINDS
-from longarm_comp.core.data.measurement import equations, errors, posture, spreads
+from longarm_comp.core.data.measurement import (
+    compute_posture,
+    compute_tip_errors,
+    compute_touch_errors,
+    make_equations,
+)
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside
@@ -39,7 +44,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.core.planning.optimal_poses import Uncertainty
-from longarm_comp.core.planning.touch_poses import touch_pool
+from longarm_comp.core.planning.touch_poses import draw_touch_poses
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.sim.arm_truth import TrueArm
@@ -94,8 +99,8 @@ def test_columns_are_derivatives_of_touches_and_planes(session: Session) -> None
     both = joined(session.take(slice(0, 30)), tabled(10, (0.3, -0.2, 1.0), 0.2))
     base = place_sensors(Model(ARM).plus(*geometry_terms(ARM, both)), both)
     base = base.with_values(base.values + 1e-3 * np.sin(np.arange(len(base.values))))
-    at = posture(base, both)
-    found = equations(base, both, at)
+    at = compute_posture(base, both)
+    found = make_equations(base, both, at=at)
     for k, slot, want in numeric_columns(base, both, lambda _: 1e-5):
         limit = 0.02 * max(float(np.abs(want).max()), 1e-3)
         np.testing.assert_allclose(found.columns[..., k], want, atol=limit, err_msg=slot.label)
@@ -121,7 +126,7 @@ def test_without_a_known_distance_the_size_is_not_told(session: Session) -> None
     bare = dataclasses.replace(session, touch_distances=())
     calibrated = la.calibrate(ARM, bare)
     assert calibrated.untold == ("the size of the arm",)
-    assert spreads(calibrated.model, bare).mean() < 3 * SIGMA
+    assert compute_touch_errors(calibrated.model, bare).mean() < 3 * SIGMA
 
 
 def test_a_distance_that_is_hardly_known_does_not_tell_the_size(session: Session) -> None:
@@ -137,7 +142,7 @@ def test_one_touch_beside_another_at_a_known_distance_tells_something(session: S
     rows = session.take(kept)
     assert rows.seen.all()
     assert not dataclasses.replace(rows, touch_distances=()).seen.all()
-    assert len(spreads(Model(ARM), rows)) == first.sum()
+    assert len(compute_touch_errors(Model(ARM), rows)) == first.sum()
 
 
 def test_one_socket_is_enough_to_calibrate() -> None:
@@ -211,7 +216,7 @@ def test_a_plane_helps_where_there_is_one_socket() -> None:
         models.append(fit_model(base, rows).model)
     assert miss(models[1], HIDDEN) < 0.8 * miss(models[0], HIDDEN)
     plane = next(t for t in models[1].biases if isinstance(t, PlanePlace))
-    assert np.abs(errors(models[1], table)).mean() < 3 * SIGMA
+    assert np.abs(compute_tip_errors(models[1], table)).mean() < 3 * SIGMA
     assert abs(plane.rx) + abs(plane.ry) < 0.5
 
 
@@ -237,14 +242,14 @@ def test_points_of_a_hold_out_are_solved_from_it(
     place = np.array([name.split("_")[0] for name in session.labels["touch"]])
     fitted = la.calibrate(ARM, session.take(place != "left")).model
     held = session.take(place == "left")
-    assert np.linalg.norm(errors(fitted, held), axis=1).mean() < 4 * SIGMA
+    assert np.linalg.norm(compute_tip_errors(fitted, held), axis=1).mean() < 4 * SIGMA
     table = la.evaluate(ARM, held, model=fitted)
     assert table["calibrated"].spread == pytest.approx(table["calibrated"].mean)
     calibration.save(tmp_path / "model.yaml")
     stored = load_model(tmp_path / "model.yaml", ARM)
     assert not any(term.passing for term in stored.terms)
     again = la.evaluate(ARM, session, model=tmp_path / "model.yaml")["calibrated"]
-    assert again.spread == pytest.approx(spreads(calibration.model, session).mean())
+    assert again.spread == pytest.approx(compute_touch_errors(calibration.model, session).mean())
 
 
 def test_a_point_of_the_same_name_on_another_day_is_another(
@@ -354,7 +359,7 @@ def test_a_name_in_one_row_counts_for_nothing(session: Session) -> None:
     rows = dataclasses.replace(session, labels=labels, blocks=())
     assert rows.seen.sum() == 119
     assert rows.names_of(KINDS["plane"]) == ()
-    assert len(errors(Model(ARM), rows)) == 119
+    assert len(compute_tip_errors(Model(ARM), rows)) == 119
     calibrated = la.calibrate(ARM, rows)
     assert miss(calibrated.model, HIDDEN) < 3 * SIGMA
     said = [str(f) for f in admit(rows, ARM).findings]
@@ -386,7 +391,7 @@ def test_a_plan_of_touches_says_which_socket_and_beats_chance(tmp_path: Path) ->
         return float(np.trace(uncertain.tips(everywhere) @ covariance))
 
     everywhere = np.random.default_rng(7).uniform(ARM.lower, ARM.upper, (100, ARM.n))
-    pool = touch_pool(known, points, 300, np.random.default_rng(1))
+    pool = draw_touch_poses(known, points, 300, np.random.default_rng(1))
     assert pool.touch is not None
     chance = []
     for seed in range(5):

@@ -25,7 +25,7 @@ from longarm_comp.core.calibration.uncertainty import (
     with_uncertainty,
 )
 from longarm_comp.core.compensation.compensate import compensate, judge
-from longarm_comp.core.compensation.expected import expected_miss, tolerances
+from longarm_comp.core.compensation.expected import expected_miss, list_tolerances
 from longarm_comp.core.compensation.result import Method, Prediction, Status
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.data.session import Session
@@ -337,7 +337,7 @@ def test_what_the_camera_does_moves_no_tip(demo_arm_path: Path) -> None:
 
 def test_nothing_is_said_of_a_model_without_a_record() -> None:
     fitted = calibrated(session([ZEROS], n=40))
-    assert tolerances(fitted.model) is None
+    assert list_tolerances(fitted.model) is None
     found = compensate(fitted.model, None, fitted.model.tip(ARM.mid), method=Method.DEFLECTION)[0]
     assert found.status is Status.SUCCESS and np.isnan(found.expected_m)
 

@@ -21,6 +21,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.slow_changes import BaseSettling
 from longarm_comp.core.model.declared_model import declared_model
@@ -31,14 +32,15 @@ ARM = Arm.load(DEMO_ARM)
 assert ARM.payload is not None
 OWN_KG = ARM.payload.mass_kg
 Q = sobol(ARM, 8, 3).q
+HOUR = np.linspace(0.0, 3600.0, 60)
 
 
-def learned(*effects: JointCompliance | Discovered, **columns: np.ndarray) -> Model:
+def learned(*effects: Effect | Bias, noise: float = 1e-4, **columns: np.ndarray) -> Model:
     """Fitted to rows of the declared payload, or of what the columns say."""
     true = declared_model(ARM).plus(*effects)
     q = sobol(ARM, 60, 1).q
-    context = Context(columns=columns)
-    seen = true.tip(q, context) + 1e-4 * np.random.default_rng(0).standard_normal((60, 3))
+    seen = true.measured(q, Context(columns=columns))
+    seen = seen + noise * np.random.default_rng(0).standard_normal((60, 3))
     rows = Session.record(q, seen, columns=columns)
     return with_uncertainty(fit_model(true.plus(*JointZero.for_arm(ARM)), rows))
 
@@ -138,11 +140,7 @@ def test_a_model_of_before_says_nothing_of_its_session() -> None:
 
 def test_a_camera_that_drifts_leaves_the_frame_of_targets_in_doubt(tmp_path: Path) -> None:
     """By what it drifted from the middle of the session to its ends, here 0.9 mm along x."""
-    true = declared_model(ARM).plus(CameraDrift(x=1.8e-3))
-    q, t = sobol(ARM, 60, 1).q, np.linspace(0.0, 3600.0, 60)
-    seen = true.measured(q, Context(columns={"t_s": t}))
-    rows = Session.record(q, seen, columns={"t_s": t})
-    model = with_uncertainty(fit_model(true.plus(*JointZero.for_arm(ARM)), rows))
+    model = learned(CameraDrift(x=1.8e-3), noise=0.0, t_s=HOUR)
     save_model(tmp_path / "model.yaml", store(model))
     again = load_model(tmp_path / "model.yaml", ARM)
     for each in (model, again):
@@ -150,17 +148,13 @@ def test_a_camera_that_drifts_leaves_the_frame_of_targets_in_doubt(tmp_path: Pat
         sigma = np.sqrt(np.diag(each.uncertainty.frame))
         assert sigma[0] == pytest.approx(1.8e-3 * FRAME / np.sqrt(12.0), rel=0.1)
         assert (sigma[1:] < 0.1 * sigma[0]).all()
-        assert compensate(each, None, true.tip(ARM.mid[None])[0])[0].p90_m > sigma[0]
+        assert compensate(each, None, model.tip(ARM.mid[None])[0])[0].p90_m > sigma[0]
     assert not learned(SOFT).uncertainty.frame.any()  # type: ignore[union-attr]
 
 
 def test_a_base_that_settled_may_as_well_be_a_camera_that_rose() -> None:
     """Commands take the base as it is now; where targets are of the start, it is 0.9 mm away."""
-    true = declared_model(ARM).plus(BaseSettling(sink=9e-4))
-    q, t = sobol(ARM, 60, 1).q, np.linspace(0.0, 3600.0, 60)
-    seen = true.measured(q, Context(columns={"t_s": t}))
-    rows = Session.record(q, seen, columns={"t_s": t})
-    model = with_uncertainty(fit_model(true.plus(*JointZero.for_arm(ARM)), rows))
+    model = learned(BaseSettling(sink=9e-4), noise=0.0, t_s=HOUR)
     assert model.uncertainty is not None
     along = model.uncertainty.frame[2, 2]
     assert np.sqrt(along) == pytest.approx(9e-4 * FRAME / np.sqrt(3.0), rel=0.05)

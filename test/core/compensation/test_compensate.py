@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.result import Method, Prediction, Status
@@ -14,11 +13,6 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from studies.many import compensate_arrays
-
-
-@pytest.fixture
-def arm(data_dir) -> Arm:
-    return Arm.load(data_dir / "twin" / "arm.yaml")
 
 
 def smooth_error(q: np.ndarray) -> np.ndarray:
@@ -39,12 +33,12 @@ class Known:
 
 
 @pytest.fixture
-def plant(arm):
+def plant(twin):
     """(model, targets, q -> measured): the sagging arm with a residual on top."""
-    model = Model(arm, (LinkDeflection(),))
+    model = Model(twin, (LinkDeflection(),))
     rng = np.random.default_rng(5)
-    box = arm.upper - arm.lower
-    q = rng.uniform(arm.lower + 0.15 * box, arm.upper - 0.15 * box, (30, arm.n))
+    box = twin.upper - twin.lower
+    q = rng.uniform(twin.lower + 0.15 * box, twin.upper - 0.15 * box, (30, twin.n))
     return model, model.tip(q), lambda q: model.tip(q) + smooth_error(q)
 
 

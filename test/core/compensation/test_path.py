@@ -22,7 +22,7 @@ from longarm_comp.core.compensation.planned_path import (
     MotionLimits,
     PathLimits,
     PlannedPath,
-    fastest,
+    find_fastest_way,
     retime,
 )
 from longarm_comp.core.compensation.result import Method, Prediction, Status
@@ -293,7 +293,7 @@ def test_random_ways_are_timed_within_limits() -> None:
         rng = np.random.default_rng(seed)
         ways = np.cumsum(0.05 * rng.normal(size=(30, 4)), axis=0)
         limits = MotionLimits(np.full(4, 0.5), rng.uniform(1.0, 4.0, 4))
-        quick = fastest(ways, limits)
+        quick = find_fastest_way(ways, limits)
         slow = np.linspace(0.0, 5.0, 30)
         for timed in (quick, retime(CubicPath(slow, ways, monotone_slopes(slow, ways)), limits)):
             assert limits.excess(timed) <= 1.0 + 1e-5

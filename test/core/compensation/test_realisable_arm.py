@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -24,22 +22,14 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, unstack
 from studies.many import choose_arrays
 
-STEP = 2 * math.pi / 1000
 SLIDE = 1e-4
 LENGTH = 0.3
 PRICE = math.degrees(1e-4)
 
 
-# ------------------------------------------------------------------ the arm's own model
-
-
 @pytest.fixture(scope="module")
-def model(demo_arm_path: Path) -> Model:
-    """The demonstration's deflected arm, its servos with 1000 steps a turn and 0.1 mm."""
-    data = yaml.safe_load(demo_arm_path.read_text())
-    for joint in data["joints"]:
-        joint |= {"step_deg": 0.36} if joint["type"] == "revolute" else {"step_m": 1e-4}
-    return declared_model(Arm.parse(data, "stepped demo")).commandable
+def model(stepped: Arm) -> Model:
+    return declared_model(stepped).commandable
 
 
 def commanded(

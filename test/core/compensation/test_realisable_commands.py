@@ -5,11 +5,9 @@ from __future__ import annotations
 import csv
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from cli_shell import Shell
 
 from longarm_comp.core.arm.arm import Arm
@@ -20,7 +18,7 @@ from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.expansion import Expansion, Nearby
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import CompensationOptions, Method, Prediction, Status
-from longarm_comp.core.compensation.target_frame import placement
+from longarm_comp.core.compensation.target_frame import find_placement
 from longarm_comp.core.effects.drive_errors import ServoQuantisation
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.model.declared_model import declared_model
@@ -30,17 +28,8 @@ from studies.many import compensate_arrays
 
 
 @pytest.fixture(scope="module")
-def stepped(demo_arm_path: Path) -> dict[str, Any]:
-    """arm.yaml of the demonstration, with 1000 steps a turn and slides of 0.1 mm."""
-    data: dict[str, Any] = yaml.safe_load(demo_arm_path.read_text())
-    for joint in data["joints"]:
-        joint |= {"step_deg": 0.36} if joint["type"] == "revolute" else {"step_m": 1e-4}
-    return data
-
-
-@pytest.fixture(scope="module")
-def model(stepped: dict[str, Any]) -> Model:
-    return declared_model(Arm.parse(stepped, "stepped demo"))
+def model(stepped: Arm) -> Model:
+    return declared_model(stepped)
 
 
 @pytest.fixture
@@ -88,9 +77,8 @@ def test_commands_stand_on_steps_and_the_tip_on_its_target(
 
 
 def test_steps_that_were_found_count_as_declared_ones(
-    demo_arm_path: Path, model: Model, joints: np.ndarray
+    arm: Arm, model: Model, joints: np.ndarray
 ) -> None:
-    arm = Arm.load(demo_arm_path)
     rows = zip(arm.commanded, model.arm.steps, strict=True)
     found = [ServoQuantisation.of_step(arm, row, step) for row, step in rows]
     stands = declared_model(arm).plus(found[0])
@@ -160,9 +148,9 @@ def test_locked_joints_keep_their_seed(model: Model, joints: np.ndarray) -> None
 
 @pytest.mark.parametrize("single_pass", [False, True])
 def test_off_and_single_passes_are_as_before(
-    single_pass: bool, model: Model, joints: np.ndarray, demo_arm_path: Path
+    single_pass: bool, model: Model, joints: np.ndarray, arm: Arm
 ) -> None:
-    bare = declared_model(Arm.load(demo_arm_path))
+    bare = declared_model(arm)
     for target in model.tip(joints[:4]):
         want = compensate(bare, Known(), target, single_pass=single_pass)[0]
         got = compensate(model, Known(), target, single_pass=single_pass, realisable=single_pass)[0]
@@ -302,10 +290,10 @@ def test_a_predictor_of_another_process_answers_for_all_candidates(
 
 
 def test_commands_csv_holds_the_joints_before_the_choice(
-    stepped: dict[str, Any], model: Model, joints: np.ndarray, tmp_path: Path, shell: Shell
+    model: Model, joints: np.ndarray, tmp_path: Path, shell: Shell
 ) -> None:
     arm = tmp_path / "arm.yaml"
-    arm.write_text(yaml.safe_dump(stepped))
+    arm.write_text(model.arm.model_dump_json(exclude_defaults=True))
     targets = tmp_path / "targets.csv"
     lines = [",".join(f"{v:.9f}" for v in p) for p in model.tip(joints[:5])]
     targets.write_text("x,y,z\n" + "\n".join(lines) + "\n")
@@ -335,7 +323,7 @@ def test_a_line_of_commands_csv_has_what_was_settled_on(model: Model, joints: np
     chosen = arrival.outcome.realisable
     assert chosen is not None
     names = [f"q{j}" for j in range(1, model.arm.n + 1)]
-    where = placement(model, "base")
+    where = find_placement(model, "base")
     (line,) = Commands(np.array([4]), (arrival,), (where,)).lines()
     assert list(line) == [
         *("index", "status", "reason", *names, "target_x", "target_y", "target_z"),

@@ -15,7 +15,7 @@ import longarm_comp as la
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.quaternion import from_rotation
-from longarm_comp.core.compensation.target_frame import base_of_graph, placement
+from longarm_comp.core.compensation.target_frame import base_of_graph, find_placement
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero
@@ -108,9 +108,10 @@ def test_the_base_of_a_graph_is_the_arms_own_wherever_the_tracker_stands() -> No
     target, pose = Model(ARM).tip(ARM.mid), Model(ARM).pose(ARM.mid)
     far = base_of_graph(Model(ARM, (AWAY,)))
     assert far.solved and far.frame == "base"
-    np.testing.assert_allclose(far.carried(target), moved(AWAY, target), atol=1e-12)
-    np.testing.assert_allclose(far.asked(far.carried(pose)), pose, atol=1e-12)
-    np.testing.assert_allclose(far.asked(far.carried(np.array([target] * 3))), [target] * 3)
+    np.testing.assert_allclose(far.carry_to_model(target), moved(AWAY, target), atol=1e-12)
+    np.testing.assert_allclose(far.carry_from_model(far.carry_to_model(pose)), pose, atol=1e-12)
+    three = far.carry_to_model(np.array([target] * 3))
+    np.testing.assert_allclose(far.carry_from_model(three), [target] * 3)
     for model, solved in ((Model(ARM), False), (Model(ARM, (NEAR,)), True)):
         here = base_of_graph(model)  # as files have it, where nobody said the frame
         assert here.solved is solved and here.frame == "measured"
@@ -126,8 +127,8 @@ def test_a_graph_and_files_carry_what_was_measured_alike(base: BasePose) -> None
     point = moved(base, Model(ARM).tip(ARM.mid))
     graph = base_of_graph(model)
     in_base = carry_place(graph.measurements, point)
-    files = placement(model, "measured").carried(point)
-    np.testing.assert_allclose(graph.carried(in_base), files, atol=1e-12)
+    files = find_placement(model, "measured").carry_to_model(point)
+    np.testing.assert_allclose(graph.carry_to_model(in_base), files, atol=1e-12)
     np.testing.assert_allclose(files, point - model.frame_shift, atol=1e-12)
 
 
@@ -157,8 +158,10 @@ def test_a_base_that_was_moved_is_named_by_its_group() -> None:
         with pytest.raises(la.InputError, match="group"):
             la.compensate(model, target, frame=frame)
     for name, x in (("a", 1.0), ("b", -1.0)):
-        found = placement(model, "base", name)
-        np.testing.assert_allclose(found.carried(target), target + np.array([x, 0, 0]), atol=1e-9)
+        found = find_placement(model, "base", name)
+        np.testing.assert_allclose(
+            found.carry_to_model(target), target + np.array([x, 0, 0]), atol=1e-9
+        )
         context = Context(labels={"group": np.array([name])})
         assert la.compensate(model, target, frame="base", context=context).success.all()
 

@@ -26,11 +26,6 @@ SERVOS = folder("config") / "servo_driver.yaml"
 
 
 @pytest.fixture(scope="module")
-def arm() -> Arm:
-    return Arm.load(folder("config") / "arm_demo.yaml")
-
-
-@pytest.fixture(scope="module")
 def full(arm: Arm) -> np.ndarray:
     joints = ServoConfig.load(SERVOS).joints
     return np.array([joints[name].full_effort for name in arm.joint_names], float)

@@ -50,10 +50,9 @@ def test_good_session_passes_untouched(session: Session) -> None:
 @pytest.mark.parametrize(
     "case", ["paper_twin_900", "none_mid_300", "one_backlash_300", "one_joint_compliance_300"]
 )
-def test_the_twin_passes(case: str, data_dir: Path) -> None:
-    arm = Arm.load(data_dir / "twin" / "arm.yaml")
+def test_the_twin_passes(case: str, data_dir: Path, twin: Arm) -> None:
     for name in ("samples.csv", "test.csv"):
-        admission = admit(read_csv(data_dir / "twin" / case / name, arm), arm)
+        admission = admit(read_csv(data_dir / "twin" / case / name, twin), twin)
         assert checks(admission) <= {"blanks", "constant", "outliers"}
 
 

@@ -16,8 +16,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.quaternion import from_rotation
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.data.admission import admit
-from longarm_comp.core.data.belonging import MIN_POSES, believe, mistakes
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.belonging import MIN_POSES, find_mistake, undo_mistakes
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.drive_errors import JointGain
@@ -187,7 +187,7 @@ def test_a_sign_that_does_not_move_the_tip_is_said_to_be_untold(
     left = []
     for train, test in ((part.train, part.test), (negated(part.train), negated(part.test))):
         *_, (_, fitted) = fit_stages(Model(part.arm), train)
-        left.append(np.linalg.norm(errors(fitted.model, test), axis=1).mean())
+        left.append(np.linalg.norm(compute_tip_errors(fitted.model, test), axis=1).mean())
     assert left[1] == pytest.approx(left[0], rel=0.02)
 
 
@@ -198,13 +198,15 @@ def test_no_mistake_explains_real_or_simulated_rows_better(data_dir: Path) -> No
         rows = la.read_session(data_dir / "twin" / case / "samples.csv", arm)
         some = rows.take(np.arange(0, len(rows), 4))
         own = register(Sightings.of(Model(arm), some)).misfit
-        tried = [register(Sightings.of(Model(arm), rows)).misfit for _, rows in mistakes(arm, some)]
+        tried = [
+            register(Sightings.of(Model(arm), rows)).misfit for _, rows in undo_mistakes(arm, some)
+        ]
         assert min(tried) > 0.95 * own
 
 
 def test_few_rows_are_not_asked(session: Session, demo: Arm) -> None:
-    assert believe(Model(demo), session.take(np.arange(MIN_POSES - 1))) is None
-    assert believe(Model(demo), session.take(np.arange(MIN_POSES))) is not None
+    assert find_mistake(Model(demo), session.take(np.arange(MIN_POSES - 1))) is None
+    assert find_mistake(Model(demo), session.take(np.arange(MIN_POSES))) is not None
 
 
 def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator) -> None:
@@ -227,7 +229,7 @@ def test_a_mistake_is_told_where_it_explains_much_of_the_misfit(
     q = rng.uniform(demo.lower, demo.upper, (100, demo.n))
     xyz = Model(demo).tip(q) + noise_m * rng.standard_normal((100, 3))
     rows = joint(5, np.negative)(Session.record(q, xyz))
-    belief = believe(Model(demo), rows)
+    belief = find_mistake(Model(demo), rows)
     assert belief is not None and bool(belief.mistake) == told
 
 

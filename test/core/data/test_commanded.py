@@ -17,7 +17,7 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.calibration.fit import fit_model
-from longarm_comp.core.compensation.target_frame import placement
+from longarm_comp.core.compensation.target_frame import find_placement
 from longarm_comp.core.data.commanded import (
     as_commanded,
     commanded_errors,
@@ -25,7 +25,7 @@ from longarm_comp.core.data.commanded import (
     own_way,
     with_frame_shift,
 )
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.effect import Bias, Effect, parameter
@@ -69,8 +69,8 @@ KEPT = {
 def test_what_no_command_has_is_left_out(term: Effect, rows: Session) -> None:
     bare = declared_model(ARM)
     model = bare.plus(term)
-    assert np.abs(errors(model, rows) - errors(bare, rows)).max() > 5e-4
-    left = commanded_errors(model, rows) - errors(bare, rows)
+    assert np.abs(compute_tip_errors(model, rows) - compute_tip_errors(bare, rows)).max() > 5e-4
+    left = commanded_errors(model, rows) - compute_tip_errors(bare, rows)
     frame = left[0] if isinstance(term, Bias) else np.zeros(3)
     assert left == pytest.approx(np.tile(frame, (len(rows), 1)), abs=1e-12)
     assert [term.name in said for said in not_commanded(model, rows)] == [True]
@@ -79,7 +79,7 @@ def test_what_no_command_has_is_left_out(term: Effect, rows: Session) -> None:
 @pytest.mark.parametrize("term", KEPT.values(), ids=list(KEPT))
 def test_what_a_command_chooses_or_is_told_stays(term: Effect, rows: Session) -> None:
     model = declared_model(ARM).plus(term)
-    assert np.array_equal(commanded_errors(model, rows), errors(model, rows))
+    assert np.array_equal(commanded_errors(model, rows), compute_tip_errors(model, rows))
     assert not_commanded(model, rows) == []
 
 
@@ -94,16 +94,16 @@ def test_of_a_side_that_was_told_nobody_knows_the_moves_before(rows: Session) ->
     model = declared_model(ARM).plus(
         FrictionHysteresis(joint=2, width=0.02, outer=0.02, near=0.01, far=far)
     )
-    assert np.abs(commanded_errors(model, rows) - errors(model, rows)).max() > 1e-4
+    assert np.abs(commanded_errors(model, rows) - compute_tip_errors(model, rows)).max() > 1e-4
     assert not_commanded(model, rows) == ["earlier moves of the joints (friction_hysteresis)"]
-    assert np.array_equal(commanded_errors(model, known), errors(model, known))
+    assert np.array_equal(commanded_errors(model, known), compute_tip_errors(model, known))
 
 
 def test_what_moves_all_seen_points_alike_misses_no_target(rows: Session) -> None:
     """Of a drift that the rows hold, the command is charged with its spread, not with its mean."""
     model = with_frame_shift(declared_model(ARM).plus(CameraDrift(x=2e-3, y=1e-3)), rows)
-    drift = errors(declared_model(ARM), rows) - errors(model, rows)
-    charged = commanded_errors(model, rows) - errors(model, rows)
+    drift = compute_tip_errors(declared_model(ARM), rows) - compute_tip_errors(model, rows)
+    charged = commanded_errors(model, rows) - compute_tip_errors(model, rows)
     assert charged == pytest.approx(drift - drift.mean(axis=0), abs=1e-12)
 
 
@@ -118,13 +118,13 @@ def test_a_target_in_the_frame_of_the_measurements_is_missed_as_the_report_says(
     model = load_model(tmp_path / "model.yaml", ARM)
     assert model.frame_shift == fitted.model.frame_shift
     assert np.linalg.norm(model.frame_shift) > 5e-3
-    there = placement(model, "measured")
+    there = find_placement(model, "measured")
     tips = as_commanded(model).tip(seen.q, seen.context())
-    missed = np.array([there.carried(xyz) for xyz in seen.xyz]) - tips
+    missed = np.array([there.carry_to_model(xyz) for xyz in seen.xyz]) - tips
     np.testing.assert_allclose(missed, commanded_errors(fitted.model, seen), atol=1e-9)
     np.testing.assert_allclose(missed.mean(axis=0), 0.0, atol=1e-4)
-    bare = placement(model.with_terms(model.effects), "base")
-    np.testing.assert_allclose(bare.motion, placement(model, "base").motion)
+    bare = find_placement(model.with_terms(model.effects), "base")
+    np.testing.assert_allclose(bare.motion, find_placement(model, "base").motion)
 
 
 def test_the_frame_of_a_sensor_stays() -> None:

@@ -10,7 +10,7 @@ import pytest
 from hidden_arm import at, session
 from small_arm import ARM
 
-from longarm_comp.core.data.holdout import folds_of, resample, split_in_half
+from longarm_comp.core.data.holdout import draw_row_counts, folds_of, split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointGain
@@ -60,7 +60,7 @@ def test_a_marker_that_one_fold_alone_sees_is_in_every_fit() -> None:
 
 
 def test_samples_draw_whole_blocks_again() -> None:
-    counts = resample(session(n=100), 6, 2)
+    counts = draw_row_counts(session(n=100), 6, 2)
     assert counts.shape == (6, 100)
     assert (counts.sum(axis=1) == 100).all()
     assert (counts[:, 0:4] == counts[:, :1]).all(), "25 blocks of four poses"

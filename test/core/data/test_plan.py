@@ -25,9 +25,8 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.poses import read_poses, write_poses
 
 
-def test_the_papers_arm_gives_the_papers_grid(data_dir: Path) -> None:
-    arm = Arm.load(data_dir / "twin" / "arm.yaml")
-    poses = paper_grid(arm)
+def test_the_papers_arm_gives_the_papers_grid(twin: Arm) -> None:
+    poses = paper_grid(twin)
     assert poses.shape == (1458, 7)
     assert len(np.unique(poses, axis=0)) == 1458
     for joint, levels in {0: [-15, 0, 15], 1: [0, 15, 30], 3: [0, 30, 60], 5: [-30, 0, 30]}.items():

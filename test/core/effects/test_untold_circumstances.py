@@ -22,7 +22,7 @@ from longarm_comp.core.model.link_frames import outline, reach
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.core.planning.optimal_poses import Measure
-from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.modes import find_modes
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.workflows.plan import plan
 
@@ -56,7 +56,7 @@ def test_outline_reach_and_modes(models: tuple[Model, Model]) -> None:
     np.testing.assert_array_equal(outline(sways, q), outline(still, q))
     assert outline(sways, q, TOLD)[-1, 0] - outline(still, q)[-1, 0] == pytest.approx(3e-3, rel=0.1)
     assert reach(sways)[1] == reach(still)[1]
-    np.testing.assert_array_equal(modes(sways, q).hz, modes(still, q).hz)
+    np.testing.assert_array_equal(find_modes(sways, q).hz, find_modes(still, q).hz)
 
 
 def test_an_unreachable_target_is_told_as_such(models: tuple[Model, Model]) -> None:

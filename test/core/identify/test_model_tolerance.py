@@ -11,7 +11,7 @@ from touching import ARM
 
 from longarm_comp.core.calibration.candidates import distinct_terms, list_candidates
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkBending
 from longarm_comp.core.effects.drive_errors import JointGain
@@ -107,7 +107,7 @@ def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:
             )
     test = rows_of(giving_way(BACKGROUND_COMPLIANCE), 60, seed=7)
     left = {
-        name: np.linalg.norm(errors(fit.model, test), axis=1).mean()
+        name: np.linalg.norm(compute_tip_errors(fit.model, test), axis=1).mean()
         for name, fit in diagnosis.fits.items()
     }
     assert left[WITH_EFFECTS] < 0.7 * left[CALIBRATED]
@@ -148,7 +148,7 @@ def test_an_arm_of_which_every_part_is_soft_has_no_soft_part() -> None:
     assert diagnosis.search.tolerance.is_soft
     assert not [f for f in diagnosis.findings if f.probability >= 0.95 and not f.open]
     test = rows_of(giving_way(0.5), 60, seed=7)
-    left = np.linalg.norm(errors(diagnosis.model, test), axis=1).mean()
+    left = np.linalg.norm(compute_tip_errors(diagnosis.model, test), axis=1).mean()
     assert left < 3.0 * NOISE_M
 
 

@@ -11,7 +11,7 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.identify.proof import NETWORK, Fold, prove_models
 from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.core.model.declared_model import declared_model
@@ -32,7 +32,7 @@ def test_a_network_is_proved_by_the_error_that_it_takes_away(work: Path) -> None
     fold = Fold({"calibrated": model}, {}, rows, np.arange(len(rows)))
     proof = prove_models([fold], lambda _: (model, learned))
     inside = promised.in_domain
-    for told, of in ((proof.errors, errors), (proof.commanded, commanded_errors)):
+    for told, of in ((proof.errors, compute_tip_errors), (proof.commanded, commanded_errors)):
         np.testing.assert_allclose(told["calibrated"], of(model, rows))
         np.testing.assert_allclose(told[NETWORK], of(model, rows) - known)
         before, after = (

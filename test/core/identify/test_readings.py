@@ -22,7 +22,7 @@ from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.noise import noise_from_repeats
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.expected import expected_miss
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import compute_posture, make_equations
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.data.session import Session
@@ -69,7 +69,7 @@ def soft(*joints: int) -> drives.HiddenEffect:
 def shown(arm: Arm, term: Effect, q: np.ndarray) -> np.ndarray:
     """(N, n) by how much the encoders see the joints displaced."""
     model, rows = Model(arm, (term,)), Session.record(q, np.zeros((len(q), 3)))
-    motion = model.motion(posture(model, rows), ())
+    motion = model.motion(compute_posture(model, rows), ())
     read = [motion.read(k)[0] for k in range(arm.n)]
     return np.concatenate(read, axis=1) - q
 
@@ -96,8 +96,8 @@ def test_readings_move_as_their_columns_say() -> None:
     terms = (ServoDroop(2, compliance=1e-3), JointCompliance(2, compliance=1e-3))
     off = Encoder(2, zero=0.01, scale=0.1)
     model = Model(ARM, (*terms, *TipPayload.for_arm(ARM))).plus(off)
-    at_rows = posture(model, rows)
-    columns = equations(model, rows, at_rows).columns[:, 3:]
+    at_rows = compute_posture(model, rows)
+    columns = make_equations(model, rows, at=at_rows).columns[:, 3:]
     for k, slot, whole in numeric_columns(model, rows, lambda slot: 1e-3 * slot.parameter.prior):
         want = whole[:, 3:]
         limit = 0.02 * max(np.abs(want).max(), 4.0)
@@ -126,8 +126,8 @@ def test_rows_without_readings_are_what_they_were() -> None:
     terms = [t for t in geometry_terms(ARM, with_them) if not isinstance(t, Encoder)]
     assert tuple(terms) == geometry_terms(ARM, without)
     model = Model(ARM, (ServoDroop(2),)).plus(*terms)
-    alone = equations(model, without, posture(model, without))
-    beside = equations(model, with_them, posture(model, with_them))
+    alone = make_equations(model, without)
+    beside = make_equations(model, with_them)
     assert alone.residual.tobytes() == beside.residual[:, :3].tobytes()
     assert alone.columns.tobytes() == np.ascontiguousarray(beside.columns[:, :3]).tobytes()
 
@@ -296,7 +296,7 @@ def test_play_is_behind_a_motors_encoder_and_before_a_joints() -> None:
     rows = Session.record(q, np.zeros((5, 3)), approach=np.ones(5))
     for encoder, amount in (("motor", 0.0), ("joint", 0.005)):
         model = Model(heavy(encoder=encoder), (play,))
-        read = model.motion(posture(model, rows), ()).read(1)[0][:, 0]
+        read = model.motion(compute_posture(model, rows), ()).read(1)[0][:, 0]
         assert np.abs(read - q[:, 1]) == pytest.approx(np.full(5, amount))
 
 

@@ -1,4 +1,4 @@
-"""SearchResult programs give the numbers of the model they were traced from."""
+"""Traced programs give the numbers of the model they were traced from."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import weakref
 
 import numpy as np
 import pytest
+from every_circumstance import N, circumstances
 
 from longarm_comp.core.arm import angles, spatial
 from longarm_comp.core.arm.arm import Arm
@@ -23,21 +24,11 @@ from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
 from longarm_comp.core.ik.kernel import MOST_KERNELS, Kernel, kernel_of, tip_and_jacobian, works
 from longarm_comp.core.model.model import Model
 
-N = 12
-
 
 def situation(arm: Arm) -> tuple[np.ndarray, Context]:
-    rng = np.random.default_rng(11)
-    q = arm.lower + (arm.upper - arm.lower) * rng.random((N, arm.n))
-    columns = {
-        "temperature_c": rng.uniform(15, 40, N),
-        "payload_kg": rng.uniform(0, 0.5, N),
-        "t_s": np.linspace(0, 7200, N),
-    }
-    for frame in range(len(arm.joints) + 1):
-        for axis in "xy":
-            columns[f"incl_{frame}_{axis}"] = rng.normal(0, 0.01, N)
-    return q, Context(tuple(rng.choice([-1.0, 1.0], N) for _ in range(arm.n)), columns)
+    """Every circumstance but texts, which are not traced."""
+    q, context = circumstances(arm)
+    return q, dataclasses.replace(context, labels={})
 
 
 def valued(term: Effect, rng: np.random.Generator) -> Effect:

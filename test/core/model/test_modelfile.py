@@ -29,7 +29,7 @@ from longarm_comp.core.model.model_file import (
     store,
     undo,
 )
-from longarm_comp.workflows.inputs import physics
+from longarm_comp.workflows.inputs import choose_physics
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_a_model_belongs_to_one_arm(simple: Model, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"arm\.hash.*calibrate again"):
         load_model(tmp_path / "model.yaml", edited)
     with pytest.raises(InputError, match="a model of long_arm_demo"):
-        physics(edited, simple)
+        choose_physics(edited, simple)
 
 
 def change(*path: str | int, to: Any) -> Callable[[dict[str, Any]], None]:

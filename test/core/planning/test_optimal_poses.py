@@ -21,7 +21,7 @@ from longarm_comp.core.data.plan import Plan, outside_boxes, random_joints, sobo
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.planning.optimal_poses import Choice, Uncertainty, optimal_poses
+from longarm_comp.core.planning.optimal_poses import Choice, Uncertainty, choose_optimal_poses
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses
 from longarm_comp.sim.arm_truth import TrueArm
@@ -80,7 +80,7 @@ def test_no_digits_are_lost_while_everything_is_unknown() -> None:
 def test_chosen_poses_leave_less_than_others(measure: str) -> None:
     arm = declared(anchors={name: {"xyz_m": place} for name, place in ANCHORS.items()})
     uncertain = Uncertainty.of(Model(arm), None, measure, known=True, sigma=NOISE)  # type: ignore[arg-type]
-    plan = optimal_poses(uncertain, 15, measure=measure, rng=0)  # type: ignore[arg-type]
+    plan = choose_optimal_poses(uncertain, 15, measure=measure, rng=0)  # type: ignore[arg-type]
     others = [expected(uncertain, sobol(ARM, 15, seed), measure) for seed in range(8)]
     mine = expected(uncertain, plan, measure)
     assert mine < 0.95 * min(others)
@@ -93,7 +93,10 @@ def test_chosen_poses_leave_less_than_others(measure: str) -> None:
 def test_chosen_poses_calibrate_the_true_arm_better(unknown: Uncertainty) -> None:
     true, left = TrueArm(ARM, ZEROS), {"sobol": [], "i-optimal": []}
     for seed in range(12):
-        plans = {"sobol": sobol(ARM, 10, seed), "i-optimal": optimal_poses(unknown, 10, rng=seed)}
+        plans = {
+            "sobol": sobol(ARM, 10, seed),
+            "i-optimal": choose_optimal_poses(unknown, 10, rng=seed),
+        }
         for way, plan in plans.items():
             noise = 1e-3 * np.random.default_rng(seed).standard_normal((10, 3))
             rows = Session.record(plan.q, true.tip(plan.q) + noise, approach=plan.approach)
@@ -106,11 +109,11 @@ def test_rows_measured_so_far_count(unknown: Uncertainty) -> None:
     session = read(sensed(n=40))
     after = Uncertainty.of(Model(ARM), session, "position", known=True, sigma=(1.0, 1.0))
     assert after.sigma[0] == pytest.approx(SIGMA, rel=0.3)  # the rows' own
-    first, next_ = optimal_poses(unknown, 10, rng=0), optimal_poses(after, 10, rng=0)
+    first, next_ = choose_optimal_poses(unknown, 10, rng=0), choose_optimal_poses(after, 10, rng=0)
     assert next_.expected_m < 0.7 * first.expected_m
     wide = Uncertainty.of(Model(ARM), session, "position", known=False, sigma=NOISE)
     assert len(wide.model.slots) > len(after.model.slots) + 5
-    assert optimal_poses(wide, 10, rng=0).expected_m > next_.expected_m
+    assert choose_optimal_poses(wide, 10, rng=0).expected_m > next_.expected_m
 
 
 def boxed(low: np.ndarray, high: np.ndarray) -> Model:

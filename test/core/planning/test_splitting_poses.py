@@ -20,7 +20,7 @@ from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.planning.splitting_poses import SplittingPoses, splitting_poses
+from longarm_comp.core.planning.splitting_poses import SplittingPoses, choose_splitting_poses
 
 
 def asked(count: int, share: float = 1.0) -> SplittingPoses:
@@ -33,7 +33,7 @@ def asked(count: int, share: float = 1.0) -> SplittingPoses:
     values = np.where(own, share * model.values, model.values)
     fitted = dataclasses.replace(search.fit, model=model.with_values(values))
     rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
-    return splitting_poses(fitted, found.candidate, rival.candidate, count)
+    return choose_splitting_poses(fitted, found.candidate, rival.candidate, count)
 
 
 def test_an_effect_of_nothing_tells_nothing() -> None:
@@ -74,5 +74,5 @@ def test_a_payload_that_arm_yaml_declares_is_taken_off_at_some_poses() -> None:
     true = model.with_values(np.full(len(model.slots), 4e-3))
     fitted = fit_model(model, Session.record(q, true.tip(q)))
     found, other = (Candidate(t.name, (t,)) for t in (fitted.model.terms[-1], weight))
-    poses = splitting_poses(fitted, found, other, 6)
+    poses = choose_splitting_poses(fitted, found, other, 6)
     assert poses.payload_kg is not None and 0.0 in poses.payload_kg

@@ -14,7 +14,7 @@ from places import DEMO_ARM as ARM
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.modes import find_modes
 from longarm_comp.core.vibration.ring import REST_S, rest_s, ring_of_moves
 
 
@@ -30,7 +30,7 @@ def test_the_command_prints_modes_and_the_time_to_rest(shell: Shell) -> None:
     assert printed["damping"] == 0.02
     rows = printed["rows"]
     assert [(row["posture"], row["mode"]) for row in rows[:7:6]] == [(0, 1), (1, 1)]
-    assert rows[6]["hz"] == pytest.approx(modes(declared_model(arm), arm.mid).hz[0])
+    assert rows[6]["hz"] == pytest.approx(find_modes(declared_model(arm), arm.mid).hz[0])
     (_, lower), (_, middle), _ = ring_of_moves(
         declared_model(arm), np.stack([arm.lower, arm.mid, arm.upper]), 0.5, 0.02
     )
@@ -43,9 +43,9 @@ def test_the_command_prints_modes_and_the_time_to_rest(shell: Shell) -> None:
 
 def test_a_ring_that_was_seen_is_printed_and_corrects(shell: Shell) -> None:
     arm = Arm.load(ARM)
-    hz = 0.9 * modes(declared_model(arm), arm.lower).hz[0]
+    hz = 0.9 * find_modes(declared_model(arm), arm.lower).hz[0]
     times = np.arange(0.0, 4.0, 0.03)
-    way = modes(declared_model(arm), arm.lower).tip[0]
+    way = find_modes(declared_model(arm), arm.lower).tip[0]
     wave = np.exp(-0.03 * 2 * np.pi * hz * times) * np.cos(2 * np.pi * hz * times)
     noise = 1e-4 * np.random.default_rng(0).standard_normal((len(times), 3))
     xyz = [*(0.4 + 5e-3 * np.outer(wave, way / np.linalg.norm(way)) + noise)]
@@ -118,7 +118,7 @@ def test_a_ring_is_taken_from_a_bag_after_its_last_command(shell: Shell) -> None
     assert seen["size_mm"] == pytest.approx([0.0, 0.0, 4.0], abs=0.2)
     rows, unseen = printed["rows"], shell.json(*ask[:2])["rows"]
     assert [row["posture"] for row in rows[::6]] == [0, 1, 2, 3]  # where it rang comes first
-    factor = rows[0]["hz"] / modes(declared_model(arm), arm.mid).hz[0]
+    factor = rows[0]["hz"] / find_modes(declared_model(arm), arm.mid).hz[0]
     assert factor != pytest.approx(1.0, abs=0.01)
     assert rows[6]["hz"] == pytest.approx(factor * unseen[0]["hz"])
 

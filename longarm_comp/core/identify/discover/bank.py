@@ -20,7 +20,7 @@ from scipy.linalg import cholesky, solve_triangular
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
-from longarm_comp.core.data.measurement import equations
+from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
     Discovered,
@@ -375,7 +375,7 @@ def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarr
     """Return the K places where something moves a channel, and (N, d, K) the motion by a unit of
     each."""
     slots = slots_of(fit.model.arm, [make_term(spot, "1", "", 1e-3) for spot in spots])
-    columns = equations(fit.model, fit.session, fit.posture, slots).columns
+    columns = make_equations(fit.model, fit.session, slots, at=fit.posture).columns
     largest = np.abs(columns).max(axis=(0, 1))
     moving = largest > np.finfo(float).eps * largest.max(initial=0.0)
     return [spot for spot, moves in zip(spots, moving, strict=True) if moves], columns[..., moving]

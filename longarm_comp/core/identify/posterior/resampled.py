@@ -19,7 +19,7 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.data.holdout import resample
+from longarm_comp.core.data.holdout import draw_row_counts
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, Rival, keys_of
 from longarm_comp.core.identify.posterior.offers import make_offers
@@ -66,7 +66,7 @@ class Resampling:
         if not self.found:
             return ()
         whole = self.explain_sample(np.ones(len(self.fit.session)))
-        samples = [self.explain_sample(c) for c in resample(self.fit.session, SAMPLES, seed)]
+        samples = [self.explain_sample(c) for c in draw_row_counts(self.fit.session, SAMPLES, seed)]
         every = [*samples, *self.of_halves]
         return tuple(self._average_effect(f, whole, every) for f in self.found)
 

@@ -142,7 +142,7 @@ class Symbol:
         return self.graph.apply("fabs", self)
 
     def where(self, yes: Any, no: Any) -> Any:
-        """`yes` where this condition holds, else `no`."""
+        """Return `yes` where this condition holds, else `no`."""
         return self.graph.apply("select", self, yes, no)
 
     def __bool__(self) -> bool:
