@@ -39,6 +39,10 @@ LEAST_ROWS = 12
 """Rows from which the shape of their scatter tells something: two covariances of six numbers."""
 TURNING = math.log(20.0)
 """Log odds, before the rows, that nothing scatters with the tool: one session in twenty."""
+APART = 4.5
+"""Distance of two groups of rows, in their scatter, from which hardly a row lies between them;
+halves of even scatter, as of a coarse display, are 3.5 apart."""
+EM_STEPS = 30
 USUAL = 3e-4
 """Noise of a sighting before any row is seen, m or rad; a factor of `_WITHIN` is one standard
 deviation."""
@@ -135,27 +139,62 @@ def share_of_sensor(fit: ModelFit) -> SensorShare:
     that nobody wrote down, a tool that is loose, an arm that does not come back.  Either what the
     rows state or the shape of the scatter may say so.
     """
-    return min(_share_by_statement(fit), _share_by_shape(fit))
+    found, kept = [_share_by_statement(fit)], (fit.weights > 0) & fit.has_point
+    if kept.sum() >= LEAST_ROWS and fit.session.blocks[0].kind == "position":
+        residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
+        tip = np.broadcast_to(fit.model.tip_frame(fit.posture).matrix(), (len(fit.weights), 4, 4))
+        by_tip = np.einsum("nji,nj->ni", tip[kept, :3, :3], residual)
+        found.append(_share_by_shape(residual, by_tip))
+        found += map(_share_by_groups, (residual, by_tip))
+    return min(found)
 
 
-def _share_by_shape(fit: ModelFit) -> SensorShare:
+def _share_by_shape(residual: np.ndarray, by_tip: np.ndarray) -> SensorShare:
     """Judge it by the shape of the scatter: a sensor's does not turn with the tool.
 
     The residual is normal with one covariance in the frame of the measurements, or in that of the
     tip. In the latter case the sensor has what scatters alike in all directions.
+
+    Args:
+        residual, by_tip: (N, 3) m, in either frame.
     """
-    sign, kept = "turns with the tool, as no sensor's noise does", (fit.weights > 0) & fit.has_point
-    if kept.sum() < LEAST_ROWS or fit.session.blocks[0].kind != "position":
-        return SensorShare(1.0, 1.0, sign)
-    residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
-    tip = np.broadcast_to(fit.model.tip_frame(fit.posture).matrix(), (len(kept), 4, 4))[kept]
-    by_tip = np.einsum("nji,nj->ni", tip[:, :3, :3], residual)
     logs, spread = [], np.zeros(3)
     for each in (residual, by_tip):
         spread = np.maximum(np.linalg.eigvalsh(each.T @ each / len(each)), 1e-30)
         logs.append(-0.5 * len(each) * float(np.log(spread).sum()))
     whole = float(expit(TURNING + logs[0] - logs[1]))
-    return SensorShare(whole + (1.0 - whole) * float(3.0 * spread[0] / spread.sum()), whole, sign)
+    share = whole + (1.0 - whole) * float(3.0 * spread[0] / spread.sum())
+    return SensorShare(share, whole, "turns with the tool, as no sensor's noise does")
+
+
+def _share_by_groups(residual: np.ndarray) -> SensorShare:
+    """Judge it by groups of rows: a sensor's scatter (N, 3), m, has one middle.
+
+    It is normal about one middle, or about two with the same covariance. Then the sensor has what
+    scatters about each of them.  The two must lie apart, because other noise than normal has long
+    tails or none.
+    """
+    count, split = len(residual), residual @ np.linalg.eigh(residual.T @ residual)[1][:, -1] > 0
+    there, whole, share, apart = split.astype(float), 1.0, 1.0, 0.0
+    spread = np.cov(residual, rowvar=False, bias=True) + 1e-24 * np.eye(3)
+    for _ in range(EM_STEPS):
+        part = there.mean()
+        if not 0.0 < part < 1.0:
+            return SensorShare(1.0, 1.0, "")
+        middles = [w @ residual / w.sum() for w in (there, 1.0 - there)]
+        way = middles[0] - middles[1]
+        within = spread - part * (1.0 - part) * np.outer(way, way)
+        within += 1e-6 * np.trace(spread) * np.eye(3)  # rounding
+        slope = np.linalg.solve(within, way)
+        odds = math.log(part / (1.0 - part)) + (residual - 0.5 * (middles[0] + middles[1])) @ slope
+        there, apart = expit(odds), math.sqrt(float(way @ slope))
+    if apart > APART:
+        logs = [-0.5 * count * float(np.linalg.slogdet(s)[1]) for s in (spread, within)]
+        chosen = float(np.where(there > 0.5, np.log(part), np.log1p(-part)).sum())
+        whole = float(expit(TURNING + logs[0] - logs[1] - chosen + 2.0 * math.log(count)))
+        share = whole + (1.0 - whole) * float(np.trace(within) / np.trace(spread))
+    size = 1e3 * float(np.linalg.norm(way))
+    return SensorShare(share, whole, f"has two middles, {size:.3g} mm apart")
 
 
 def _share_by_statement(fit: ModelFit) -> SensorShare:

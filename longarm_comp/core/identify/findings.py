@@ -312,9 +312,9 @@ def describe_finding(finding: Finding) -> str:
         if p.ci95 is None and not finding.left_out:
             continue
         times, unit = for_people(p.unit)
-        ends = (p.value, *(p.ci95 or (p.value, p.value)))
-        value, low, high = (f"{times * v:.3g}" for v in ends)
-        shown = f"{value}{'' if unit == '°' else ' '}{unit} [{low}, {high}]"
+        value, *ends = (f"{times * v:.3g}" for v in (p.value, *(p.ci95 or ())))
+        within = f" [{', '.join(ends)}]" if ends else ""
+        shown = f"{value}{'' if unit == '°' else ' '}{unit}{within}"
         values.append(f"{p.where} {p.name} {shown}")
     if not values:
         values = [", ".join(finding.where)]

@@ -11,7 +11,11 @@ import pytest
 from hidden_arm import SIGMA, at, calibrated, session
 from small_arm import ARM
 
-from longarm_comp.core.calibration.noise import noise_from_residual, share_of_sensor
+from longarm_comp.core.calibration.noise import (
+    _share_by_groups,
+    noise_from_residual,
+    share_of_sensor,
+)
 from longarm_comp.core.calibration.uncertainty import measure_uncertainty
 from longarm_comp.core.data.measured_rows import ChannelBlock
 from longarm_comp.core.identify.diagnose import diagnose
@@ -107,6 +111,37 @@ def test_two_tools_that_nobody_wrote_down_are_no_sensors_noise(stated: np.ndarra
     assert found.verdict == "unknown"
     promised = sizes(measure_uncertainty(found.fit).structure)[1]
     assert 0.01 < promised < 0.03
+
+
+@pytest.mark.usefixtures("few_names")
+def test_rows_about_two_middles_are_no_sensors_noise() -> None:
+    """Every third row is 20 mm off along z, in no order and with no cause that any input tells."""
+    rows = session(n=80)
+    off = np.zeros((80, 3))
+    off[np.random.default_rng(0).permutation(80) < 27, 2] = 0.02
+    found = diagnose(ARM, dataclasses.replace(rows, xyz=rows.xyz + off))
+    assert found.verdict == "unknown"
+    assert found.structure.sign.startswith("has two middles, 20")
+    promised = sizes(measure_uncertainty(found.fit).structure)[1]
+    assert 0.01 < promised < 0.03
+
+
+@pytest.mark.parametrize("kind", ["normal", "uniform", "wave", "tails", "coarse", "depth"])
+def test_noise_about_one_middle_is_the_sensors(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    for count in (30, 100, 1000):
+        normal = rng.standard_normal((count, 3))
+        noise = {
+            "normal": normal,
+            "uniform": rng.uniform(-1.0, 1.0, (count, 3)),
+            "wave": normal * [0.1, 0.1, 0.0] + np.outer(np.sin(np.arange(count)), [0.0, 0.0, 1.0]),
+            "tails": np.clip(rng.standard_cauchy((count, 3)), -4.0, 4.0),
+            "coarse": np.round(0.8 * normal),
+            "depth": normal * [1.0, 1.0, 30.0],
+        }[kind]
+        assert _share_by_groups(1e-4 * noise).share > 0.99
+    few = [_share_by_groups(rng.standard_normal((12, 3))).whole for _ in range(40)]
+    assert np.mean(few) > 0.9
 
 
 @pytest.mark.parametrize("uneven", [(1.0, 1.0, 1.0), (1.0, 1.0, 8.0)], ids=["even", "depth"])
