@@ -51,6 +51,8 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
         note("the declared arm was first placed by the rows, because they see it at another place")
     for place in calibration.untold:
         note(f"the rows do not show {place}: left as declared")
+    for part in calibration.far_off:
+        note(f"far from the drawing: {part}; correct it there if it is wrong")
     for name in calibration.not_helping:
         note(f"{name} did not lower the held-out error: better leave it out")
     rows, final, aside = calibration.held_out.rows, calibration.fit, calibration.set_aside
@@ -66,6 +68,7 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
             "session_hash": calibration.session.hash,
             "placed": calibration.placed,
             "untold": calibration.untold,
+            "far_off": calibration.far_off,
             "places": [vars(place) for place in calibration.places],
         }
     )

@@ -16,6 +16,7 @@ from longarm_comp.core.calibration.calibrate import Rung, fit_ladder, fit_stages
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
+from longarm_comp.core.calibration.linear import SIZES
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.calibration.undetermined import Place, list_places, list_undetermined
@@ -26,6 +27,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.placements import BasePose
+from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.model.declared_model import declared_model
@@ -120,6 +122,17 @@ class Calibration:
     def untold(self) -> tuple[str, ...]:
         """Parts of the placement that the rows do not tell; they were left as declared."""
         return list_undetermined(self.fit)
+
+    @property
+    def far_off(self) -> tuple[str, ...]:
+        """Parts that the rows put far from their drawing, so that arm.yaml may be wrong there."""
+        said, factors = [], dict(self.fit.model.beyond)
+        for slot in self.fit.slots:
+            if factors.get(slot.identity) == SIZES[-1]:
+                times, unit = for_people(slot.parameter.unit)
+                value, usual = (times * v for v in (slot.value, slot.parameter.width / SIZES[-1]))
+                said.append(f"{slot.label}: {value:.3g} {unit} from arm.yaml (usual {usual:.2g})")
+        return tuple(said)
 
     @property
     def places(self) -> tuple[Place, ...]:

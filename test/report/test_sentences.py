@@ -64,6 +64,16 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     assert commanded.after > 1.5 * seen.after
 
 
+def test_what_every_arm_has_a_little_of_takes_no_findings_place() -> None:
+    """Without its one finding the model is the calibration."""
+    found = in_doubt()
+    (soft,) = found.findings
+    calibrated, written = (1e3 * found.proof.rows[n].mean for n in ("calibrated", "with_effects"))
+    before, after = soft.seen_mm
+    assert before == pytest.approx(calibrated, rel=0.1) and calibrated > 2.0 * written
+    assert after == pytest.approx(written, rel=1e-6)
+
+
 Told = tuple[record.DiagnosisReport, Page]
 
 

@@ -59,7 +59,10 @@ class FitColumns:
         return np.asarray(self.prior_columns(terms) @ values + fixed)
 
     def marginal_without(
-        self, places: Container[tuple[str, str]], instead: Sequence[Term] = ()
+        self,
+        places: Container[tuple[str, str]],
+        instead: Sequence[Term] = (),
+        still: Container[tuple[str, str]] = (),
     ) -> Marginal:
         """Marginalise the fit's own columns, but not those of the terms at some places.
 
@@ -70,12 +73,15 @@ class FitColumns:
         Args:
             places: keys of the terms that are removed.
             instead: terms with parameters that are put in.
+            still: keys of further terms that stay at their values.
 
         Returns:
             The marginal, on top of which the evidence of other columns is computed.
         """
         fitted = self._fitted
-        fixed = np.array([s.owner.through_others for s in fitted.slots], dtype=bool)
+        fixed = np.array(
+            [s.owner.through_others or s.owner.key in still for s in fitted.slots], dtype=bool
+        )
         kept = [k for k, s in enumerate(fitted.slots) if s.owner.key not in places and not fixed[k]]
         values = (fitted.model.values / prior_widths(fitted.slots))[fixed]
         data = fitted.data - fitted.design[:, fixed] @ values

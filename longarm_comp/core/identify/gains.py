@@ -122,9 +122,15 @@ def _errors_without_each(
 
 
 def refit_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
-    """Return the model without the terms at some places, all others fitted again to first order."""
-    marginal, left = FitColumns(fitted).marginal_without(places), fitted.model.without(places)
-    free = np.array([not s.owner.through_others for s in left.slots], dtype=bool)
+    """Return the model without the terms at some places, all others fitted again to first order.
+
+    What every arm has a little of stays as it is: it would take the place of what is left out.
+    """
+    shares = dict(fitted.model.beyond)
+    little = {s.owner.key for s in fitted.slots if shares.get(s.identity, 1.0) < 1.0} - places
+    marginal = FitColumns(fitted).marginal_without(places, still=little)
+    left = fitted.model.without(places)
+    free = np.array([not s.owner.through_others and s.owner.key not in little for s in left.slots])
     kept = tuple(compress(left.slots, free))
     scale, values = prior_widths(kept), np.array(left.values, dtype=float)
     lower = np.array([s.parameter.lower for s in kept]) / scale

@@ -10,6 +10,7 @@ from small_arm import ARM
 from touching import ARM as TOUCHING
 from touching import errors_of_the_drawing, touching
 
+import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.candidates import list_candidates
@@ -72,6 +73,9 @@ def test_a_length_far_off_its_drawing_is_found(off_m: float) -> None:
     fitted = calibrated(ARM, rows)
     assert dict(fitted.model.beyond)["dh_error", ("row", 3), "a"] == SIZES[-1]
     np.testing.assert_allclose(fitted.sigma, 1e-4, rtol=0.3)
+    if off_m > 0.0:  # the other is refused before: rows of another arm
+        said = la.calibrate(ARM, rows).far_off
+        assert any(part.startswith("dh_error / row 3 / a: ") for part in said)
 
 
 def test_touches_that_hold_no_size_leave_the_arm_as_large_as_drawn() -> None:
