@@ -36,7 +36,7 @@ STOPS = {"estop": (graph.ESTOP, DriverState.ESTOP), "hold": (graph.HOLD, DriverS
 
 
 @pytest.fixture
-def is_fresh(running_driver: Rig) -> Rig:
+def fresh(running_driver: Rig) -> Rig:
     """The rig with a new driver that nobody has stopped, ready."""
     rig = running_driver
     if rig.process.poll() is None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
 from longarm_comp.core.calibration.linear import (
     CHANCES,
@@ -22,6 +23,7 @@ from longarm_comp.core.calibration.linear import (
     choose_sizes,
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.noise import noise_from_residual
 from longarm_comp.core.calibration.placed_model import place_as_seen, place_frames, placement_terms
 from longarm_comp.core.calibration.undetermined import is_size_determined
 from longarm_comp.core.data.commanded import commanded_errors
@@ -31,12 +33,13 @@ from longarm_comp.core.data.measurement import (
     compute_turn_errors,
 )
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.catalogue import through_others
+from longarm_comp.core.effects.catalogue import possible_compliances, through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, JointZero
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.uncertainty import YIELDS
 
 WORST = 5
 """Rows that are named as the worst."""
@@ -207,11 +210,18 @@ def _with_widest_priors(model: Model) -> Model:
 def _log_evidence(fit: ModelFit) -> float:
     """Return the log evidence of a fit, of its noise and of its parts beyond the drawing.
 
-    A row that it set aside counts as one at the limit of an outlier.
+    Every long arm yields, so its compliances are marginalised where the fit lacks them: else parts
+    far off would stand for them.  A row that is set aside counts as one at the limit of an outlier.
     """
-    noise = np.where(np.isfinite(fit.sigma), fit.sigma, 1.0)
-    rows = Marginal(fit.design, fit.data, fit.gram).evidence
-    rows -= float(fit.session.measured.sum(axis=0) @ np.log(noise))
+    arm = fit.model.arm
+    absent = possible_compliances(arm, {term.key for term in fit.model.terms})
+    yields = YIELDS * FitColumns(fit).prior_columns(absent)
+    noise, weights = noise_from_residual(fit, yields)
+    fit = dataclasses.replace(fit, sigma=noise.sigma, weights=weights)
+    design = np.concatenate([fit.design, fit.whiten_columns(yields)], axis=1)
+    rows = Marginal(design, fit.data).evidence
+    sigma = np.where(np.isfinite(fit.sigma), fit.sigma, 1.0)
+    rows -= float(fit.session.measured.sum(axis=0) @ np.log(sigma))
     rows -= 0.5 * OUTLIER**2 * float((fit.weights == 0).sum())
     chance = dict(zip(SIZES, CHANCES, strict=True))
     return rows + sum(chance[size] - chance[1.0] for _, size in fit.model.beyond)
