@@ -20,7 +20,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import CLOCK
 from longarm_comp.core.arm.parts import Pose, Vec3
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
-from longarm_comp.core.effects.catalogue import effect_class, origin
+from longarm_comp.core.effects.catalogue import effect_class, origin, possible_compliances
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.errors import InputError
@@ -312,12 +312,11 @@ def _restore_uncertainty(stored: StoredModel, model: Model, where: str) -> Model
     if given is None:
         return None
     absent = [_restore_term(entry, model.arm, where) for entry in given.absent]
-    held = {term.key for term in model.terms}
-    for term in absent:
-        if isinstance(term, Bias) or term.key in held:
-            allowed = "each effect of the arm once, of those that the model does not hold"
-            raise InputError(where, "uncertainty.absent", f"{term.name}, {term.where}", allowed)
-        held.add(term.key)
+    possible = possible_compliances(model.arm, {term.key for term in model.terms})
+    if [term for term in possible if term in absent] != absent:
+        wrong = next((f"{t.name}, {t.where}" for t in absent if t not in possible), "another order")
+        allowed = "parts of the arm that may yield and the model does not hold, each once, in order"
+        raise InputError(where, "uncertainty.absent", wrong, allowed)
     slots = (*model.slots, *slots_of(model.arm, absent))
     if len(given.factor) != len(slots):
         allowed = f"{len(slots)}, one a parameter"
@@ -345,7 +344,7 @@ def _restore_uncertainty(stored: StoredModel, model: Model, where: str) -> Model
         given.rows,
         squares["frame_m2"],
         given.circumstances,
-        tuple(t for t in absent if isinstance(t, Effect)),
+        tuple(term for term in possible if term in absent),
     )
 
 

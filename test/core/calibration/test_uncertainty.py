@@ -253,7 +253,9 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
         (lambda u: u["structure_m2"][0].__setitem__(0, -1.0), "structure_m2"),
         (lambda u: u.__setitem__("stretch", 1.0), "stretch"),  # of a version before
         (lambda u: u["absent"].append({"effect": "camera_scale", "where": ""}), "of the arm"),
-        (lambda u: u["absent"].append(u["absent"][0]), "each effect of the arm once"),
+        (lambda u: u["absent"].append(u["absent"][0]), "each once, in order"),
+        (lambda u: u["absent"].reverse(), "another order"),
+        (lambda u: u["absent"][0]["form"].update(joint=9), "joint"),
     ],
 )
 def test_a_damaged_record_is_refused(tmp_path: Path, change, said: str) -> None:
