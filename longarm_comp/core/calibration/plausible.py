@@ -176,9 +176,12 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
         return
     spread, size = median_spread(seen), float(np.linalg.norm(sigma[:3]))
     if size > NO_NOISE * spread:
+        stated = np.linalg.norm([session.claimed.get(c, 0.0) for c in session.channels[:3]])
+        left, look_at = "is left", "the placement, the units and the order of the rows"
+        if stated >= 0.9 * size:  # the noise is what the rows state, whatever is left
+            left, look_at = "is stated", "sigma_x, sigma_y, sigma_z or cov_xx .. and their units"
         raise JobError(
-            f"{1e3 * size:.3g} mm is left, which is more than noise: the sightings spread over "
-            f"{1e3 * spread:.3g} mm only; look at the placement, the units and the order of the "
-            "rows",
+            f"{1e3 * size:.3g} mm {left}, which is more than noise: the sightings spread over "
+            f"{1e3 * spread:.3g} mm only; look at {look_at}",
             session=session.source,
         )
