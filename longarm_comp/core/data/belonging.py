@@ -99,6 +99,8 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
         return belief
     left = register(Sightings.of(model, undone)).distance.mean()
     fall = f"{1e3 * found.distance.mean():.3g} -> {1e3 * left:.3g} mm"
+    if left > _SUSPECT_SHARE * spread:
+        fall += ", so more is wrong, or it is something else"
     return dataclasses.replace(belief, mistake=" and ".join(names), fall=fall)
 
 

@@ -306,7 +306,7 @@ def test_gates() -> None:
     with pytest.raises(JobError, match="more than noise"):
         plausible.check_noise(np.full(3, 0.084), rows)
     stated = dataclasses.replace(rows, sigma=np.full((len(rows), 3), 0.1))
-    with pytest.raises(JobError, match="173 mm is stated.* sigma_x"):
+    with pytest.raises(JobError, match=r"173 mm is stated.* sigma_x"):
         plausible.check_noise(np.full(3, 0.1), stated)
     plausible.check_noise(np.array([0.01, 5e-4, 6e-4]), rows)  # a camera's depth
     with pytest.raises(JobError, match=r"9.8 mm is left along x beside 0.3 mm, which is no"):

@@ -94,6 +94,7 @@ WRONG = {
     r"q6 looks negated: ": joint(5, np.negative),
     r"q4 looks offset by a quarter turn: ": joint(3, lambda v: v + np.pi / 2),
     r"q5 looks offset by half a turn: ": joint(4, lambda v: v + np.pi),
+    r" -> 26\.\d mm, so more is wrong, or it is something else": joint(5, lambda v: 0.5 * v),
     r"q4 and q6 look swapped: ": swap(3, 5),
     r"q2 and q4 look swapped: ": swap(1, 3),
     r"x, y, z look written one row later than their joints: ": shift(1),
