@@ -234,16 +234,21 @@ def _diagnose_each(
     if dask is None and jobs == 1:
         yield from (look(*one) for one in left)
         return
+    before = os.environ.get("PYTHONSAFEPATH")
     # Processes must not look for modules in the folder where the program was started
     os.environ.setdefault("PYTHONSAFEPATH", "1")
-    if dask is not None:
-        for one, made in run_tasks(look, left, dask, workers=jobs, asked="fleet"):
-            yield _failed_arm(*one, made) if isinstance(made, LongarmError) else made
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        begun = {pool.submit(look, *one) for one in left}
-        for done in as_completed(begun):
-            yield done.result()
+    try:
+        if dask is not None:
+            for one, made in run_tasks(look, left, dask, workers=jobs, asked="fleet"):
+                yield _failed_arm(*one, made) if isinstance(made, LongarmError) else made
+            return
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            begun = {pool.submit(look, *one) for one in left}
+            for done in as_completed(begun):
+                yield done.result()
+    finally:
+        if before is None:
+            os.environ.pop("PYTHONSAFEPATH", None)
 
 
 def _failed_arm(member: _Member, kind: int, made_of: str, error: Exception) -> Diagnosed:

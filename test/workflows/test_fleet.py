@@ -48,8 +48,10 @@ def told(folders: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
     """What `longarm fleet` wrote of the arms, and what it printed."""
     out = tmp_path_factory.mktemp("out")
     words = [str(folders), "-o", str(out), "--no-network", "--jobs", "2", "--json"]
+    before = dict(os.environ)
     done = CliRunner().invoke(command, words)
     assert done.exit_code == 0, (done.output, done.exception)
+    assert dict(os.environ) == before, "what its processes are told stays with them"
     return out, done.stdout
 
 
