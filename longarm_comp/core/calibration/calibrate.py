@@ -16,6 +16,7 @@ from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm
 from longarm_comp.core.calibration.linear import (
+    BETTER,
     CHANCES,
     OUTLIER,
     SIZES,
@@ -43,8 +44,6 @@ from longarm_comp.core.model.uncertainty import YIELDS
 
 WORST = 5
 """Rows that are named as the worst."""
-BETTER = 1.0
-"""Log evidence by which a fit from another start must be better."""
 
 
 @dataclass(frozen=True)

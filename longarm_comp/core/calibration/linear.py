@@ -225,6 +225,9 @@ def choose_sizes(
     return np.take_along_axis(sizes, best, -1)[..., 0], chance
 
 
+BETTER = 1.0
+"""Log evidence by which an explanation, a form or a fit must be better to take the place of another.
+"""
 OUTLIER = 4.2
 """Rows beyond this many robust standard deviations (per axis norm) get weight 0."""
 BEFOREHAND = 4.0

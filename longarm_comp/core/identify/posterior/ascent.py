@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from longarm_comp.core.calibration.linear import BETTER
 from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 
@@ -16,8 +17,6 @@ SWEEPS = 30
 AT_ONCE = 3
 """Single effects that one call adds at most: an effect's form, and what it leaves, must be fitted
 before what is smaller can be told from it."""
-BETTER = 1.0
-"""Log evidence by which an explanation, or a form, must be better to take the place of another."""
 
 
 @dataclass(frozen=True)

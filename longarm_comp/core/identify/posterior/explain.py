@@ -12,12 +12,12 @@ from dataclasses import replace
 
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.linear import BETTER
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.holdout import split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.model_tolerance import fit_with_background
-from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.explained import (
     ExplainedSession,
     drop_idle,

@@ -16,10 +16,9 @@ import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.linear import OUTLIER
+from longarm_comp.core.calibration.linear import BETTER, OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.identify.discover.functions import DENSE, LOOKS
-from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.linear import BETTER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.model_tolerance import FORMS, TOLERANCES, ModelTolerance
-from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.explained import (
     NEAR,
     ExplainedSession,
