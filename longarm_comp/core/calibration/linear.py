@@ -226,7 +226,7 @@ def choose_sizes(
 
 
 BETTER = 1.0
-"""Log evidence by which an explanation, a form or a fit must be better to take the place of another.
+"""Log evidence by which an explanation, form or fit must be better to take the place of another.
 """
 OUTLIER = 4.2
 """Rows beyond this many robust standard deviations (per axis norm) get weight 0."""
