@@ -36,6 +36,7 @@ class MakerServo(Dialect):
     turns = Block(3, 1)
     torque = Block(4, 1)
     goal = Block(5, 4)
+    goal_position = Block(5, 2)
     state = Block(9, 9)
     registers = (Register("turns", 3, factory=0, allowed=(0, 1), otherwise="it takes no goals"),)
 
@@ -59,6 +60,10 @@ class MakerServo(Dialect):
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         """Position, and speed with 0 for as fast as it can."""
         return struct.pack("<hH", ticks, limit_units(speed_ticks_s, 1.0, 0xFFFF))
+
+    def ticks_of(self, position: bytes) -> int:
+        """Position, as it is sent and read."""
+        return int(struct.unpack("<h", position)[0])
 
     def turns_bytes(self, many: bool) -> bytes:
         """1 counts turns."""
@@ -120,9 +125,8 @@ class MakerWire(Wire):
                 if address == 4:
                     device.motor.switch(bool(data[0]))
                 if address == 5:
-                    device.motor.goal, device.motor.speed_limit = map(
-                        float, struct.unpack("<hH", data)
-                    )
+                    goal, speed = struct.unpack("<hH", device.memory[5:9])
+                    device.motor.goal, device.motor.speed_limit = float(goal), float(speed)
         return []
 
     def _reply(self, device: Device, address: int, length: int) -> bytes:

@@ -70,6 +70,7 @@ class ServoArm:
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
         self.owing_off = False  # torque off was not confirmed yet
+        self._hold: dict[int, int] = {}  # goals of a fault that servos have not confirmed
         self._cycles = 0
         self._missed = False  # whether a servo did not answer: it may have lost its power
         self._next_try = 0.0
@@ -246,9 +247,15 @@ class ServoArm:
         driving = step.state in (FollowerState.TRACKING, FollowerState.HOLDING)
         if driving and self.follower.is_fresh(now):
             self._stood = {i: state.position_ticks for i, state in states.items()}
-        if step.goals and self.bus is not None and self.powered:
+        stopped = step.state is FollowerState.FAULT
+        self._hold = (step.goals or self._hold) if stopped and self.powered else {}
+        if self.bus is not None and self.powered:
             try:
-                self.bus.write_goal(step.goals, self._speeds)
+                if self._hold:  # sent again until it is confirmed: a lost one drives on
+                    self.bus.hold(self._hold)
+                    self._hold = {}
+                elif step.goals:
+                    self.bus.write_goal(step.goals, self._speeds)
             except ServoBusError as error:
                 trouble = self._lose(error)
         return Cycle(step, self._joints(states), states, trouble)

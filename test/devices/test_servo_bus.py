@@ -83,6 +83,28 @@ def test_switching_on_never_moves_a_servo(rig: Rig) -> None:
     assert emulator.positions()[2] == pytest.approx(1800.0, abs=0.51)
 
 
+@pytest.mark.parametrize("lost", [1, 3])
+def test_a_servo_that_missed_its_goal_is_not_switched_on(rig: Rig, lost: int) -> None:
+    """It would go to the goal that it had before: a frame that writes is not acknowledged."""
+    emulator, bus = rig
+    bus.torque(IDS, on=True)
+    bus.write_goal({2: 1500})
+    assert _until(lambda: abs(emulator.positions()[2] - 1500) < 0.5)
+    bus.torque(IDS, on=False)
+    emulator.push(2, 1800.0)
+    left = iter(range(lost))
+    emulator.loses = lambda: next(left, None) is not None
+    if lost > 2:  # as often as it is sent
+        with pytest.raises(IncompleteReply):
+            bus.torque(IDS, on=True)
+        assert not any(emulator.torques_on().values())
+    else:
+        bus.torque(IDS, on=True)
+        assert all(emulator.torques_on().values())
+    time.sleep(0.1)
+    assert emulator.positions()[2] == pytest.approx(1800.0, abs=0.51)
+
+
 def test_one_silent_servo_is_named_and_the_others_are_not_lost(rig: Rig) -> None:
     emulator, bus = rig
     emulator.faults.silent.add(3)

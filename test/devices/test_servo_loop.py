@@ -8,6 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from faulty_bus import FaultyBus
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
@@ -101,7 +102,7 @@ def loop(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Loop]:
     arm = read_arm(path)
     at = {"shoulder": 0.2, "boom": 0.02}
     start = {joint.servo_id: joint.ticks(at[joint.name]) for joint in arm.joints}
-    with ServoEmulator(request.param, start, MotorSpec(max_speed_ticks_s=6000), link) as emulator:
+    with FaultyBus(request.param, start, MotorSpec(max_speed_ticks_s=6000), link) as emulator:
         loop = Loop(ServoConfig.load(path), emulator, arm)
         loop.connect()
         yield loop
@@ -239,6 +240,23 @@ def test_what_moved_the_arm_before_its_torque_went_off_is_forgotten(driven: Driv
     driven.cycles(100)
     assert driven.loop.joints()["shoulder"] == pytest.approx(at, abs=2e-3)
     assert driven.arm.follower.state is FollowerState.IDLE
+
+
+def test_a_jammed_servo_stops_pushing_though_frames_are_lost(driven: Driven) -> None:
+    """The goal that stops it is sent until it is read back."""
+    emulator, lost = driven.loop.emulator, iter(range(5))
+    assert isinstance(emulator, FaultyBus)
+    follower = driven.arm.follower
+    emulator.loses = lambda: follower.state is FollowerState.FAULT and next(lost, None) is not None
+    driven.send(shoulder=0.9)
+    driven.until(lambda cycle: cycle.joints and cycle.joints["shoulder"].position > 0.3)
+    with emulator.motor(1) as motor:
+        motor.blocked = True
+    driven.until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+    driven.cycles(20)
+    with emulator.motor(1) as motor:
+        assert motor.goal == pytest.approx(motor.position, abs=1.0)
+    assert next(lost, None) is None and all(emulator.torques_on().values())
 
 
 @pytest.mark.parametrize("stopped", ["in a fault", "by an emergency stop", "deactivated"])

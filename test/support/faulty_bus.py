@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator, WireFaults
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 from longarm_comp.sim.servo_emulator.wire import Device
+
+SYNC_WRITE = 0x83
 
 
 @dataclass
@@ -25,13 +28,24 @@ class LineFaults(WireFaults):
 
 
 class FaultyBus(ServoEmulator):
-    """``echo``: every instruction is sent back first, as adapters that hear themselves do."""
+    """An emulated bus with faults.
+
+    ``echo``: every instruction is sent back first, as adapters that hear themselves do.
+    ``loses``: tells of an instruction that writes whether no servo hears it.
+    """
 
     twins: Mapping[int, Device] = {}
     echo = False
+    loses: Callable[[], bool] | None = None
 
-    def __init__(self, protocol: str, start: Mapping[int, float], spec: MotorSpec | None = None):
-        super().__init__(protocol, start, spec)
+    def __init__(
+        self,
+        protocol: str,
+        start: Mapping[int, float],
+        spec: MotorSpec | None = None,
+        link: Path | None = None,
+    ) -> None:
+        super().__init__(protocol, start, spec, link)
         self.faults: LineFaults = LineFaults()
 
     def add_twin(self, servo_id: int, ticks: float) -> None:
@@ -39,6 +53,9 @@ class FaultyBus(ServoEmulator):
         self.twins = {servo_id: self._wire.device(servo_id, Motor(MotorSpec(), ticks))}
 
     def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
+        writes = frame[7 if self.protocol == "dynamixel" else 4] == SYNC_WRITE
+        if writes and self.loses is not None and self.loses():
+            return []
         replies = super()._answers(frame)
         others = dict(self._wire.answer(frame, self.twins)) if replies else {}
         heard = [(0, frame)] if self.echo else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +17,9 @@ from longarm_comp.devices.servo_bus.state import (
     ServoModel,
     ServoState,
 )
+
+GOAL_TICKS = 8
+"""A goal this near the one that was sent moves no servo far: 0.7 degrees."""
 
 Change = tuple[bytes, bytes]
 """What is stored, and what is to be."""
@@ -124,17 +128,32 @@ class SerialServoBus:
     ) -> None:
         """Send goal positions (ticks) in one sync write; no speed, or 0: the servo's maximum.
 
-        It is not acknowledged, so it can be lost.
+        It is not acknowledged, so it can be lost (`hold` is read back).
         """
         speeds = speeds_ticks_s or {}
         values = {i: self._dialect.goal_bytes(t, speeds.get(i, 0.0)) for i, t in goals.items()}
         self._send(self._dialect.sync_write(self._dialect.goal, values))
 
+    def hold(self, goals: Mapping[int, int]) -> None:
+        """Send goal positions (ticks) and read back that every servo has its own.
+
+        Raises:
+            IncompleteReply: some servos did not confirm.
+            ServoFault: a servo with an alarm did not.
+        """
+        ticks_of = self._dialect.ticks_of
+
+        def is_near(read: bytes, sent: bytes) -> bool:
+            return len(read) == len(sent) and abs(ticks_of(read) - ticks_of(sent)) <= GOAL_TICKS
+
+        values = {i: self._dialect.goal_position_bytes(ticks) for i, ticks in goals.items()}
+        self._write_checked(self._dialect.goal_position, values, taken=is_near)
+
     def torque(self, ids: Sequence[int], on: bool) -> None:
         """Switch the drives of ``ids`` and read back that it happened.
 
-        Before switching on, each goal is set to the present position, so that no servo jumps. One
-        that stands beyond its own limits would: it takes no goal there.
+        Before switching on, each goal is set to the present position and read back, so that no
+        servo jumps. One that stands beyond its own limits would: it takes no goal there.
         Off is sent before any read, so that it also reaches a disturbed bus.
 
         Raises:
@@ -146,7 +165,7 @@ class SerialServoBus:
             for servo_id, kept in self.memory(ids).items():
                 if why := kept.beyond(goals[servo_id]):
                     raise ServoFault(f"servo {servo_id} {why}")
-            self.write_goal(goals)
+            self.hold(goals)
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
 
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
@@ -282,16 +301,25 @@ class SerialServoBus:
         return {i: flags for i, flags in known.items() if flags is not None}
 
     def _write_checked(
-        self, block: Block, values: Mapping[int, bytes], harmless: bool = False
+        self,
+        block: Block,
+        values: Mapping[int, bytes],
+        harmless: bool = False,
+        taken: Callable[[bytes, bytes], bool] = operator.eq,
     ) -> None:
-        """Write and read back; write again to servos that did not accept it."""
+        """Write and read back; write again to servos that did not accept it.
+
+        Args:
+            harmless: whether a servo with an alarm may ignore it.
+            taken: tells by what was read and what was sent whether a servo accepted it.
+        """
         wanted = dict(values)
         for _ in range(self._retries + 1):
             self._send(self._dialect.sync_write(block, wanted))
             answers = self.ask(list(wanted), block, retries=0)
-            taken = [i for i, reply in answers.replies.items() if reply.data == wanted[i]]
-            for servo_id in taken:
-                del wanted[servo_id]
+            for servo_id, reply in answers.replies.items():
+                if taken(reply.data, wanted[servo_id]):
+                    del wanted[servo_id]
             if not wanted:
                 return
         if not harmless:

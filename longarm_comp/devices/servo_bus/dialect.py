@@ -58,6 +58,7 @@ class Dialect(ABC):
     """Rates that servos of this protocol are used at, the factory's first."""
     state: ClassVar[Block]  # everything a ``ServoState`` needs, in one read
     goal: ClassVar[Block]  # goal position with its speed
+    goal_position: ClassVar[Block]  # goal position alone, within ``goal``
     torque: ClassVar[Block]  # one byte, 0 free, 1 driven
     turns: ClassVar[Block]
     """What decides between one turn and many, kept by the servo when unpowered."""
@@ -129,6 +130,15 @@ class Dialect(ABC):
     @abstractmethod
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         """Make the contents of ``goal``; speed 0 is the servo's own maximum (`limit_units`)."""
+
+    def goal_position_bytes(self, ticks: int) -> bytes:
+        """Make the contents of ``goal_position``."""
+        start = self.goal_position.address - self.goal.address
+        return self.goal_bytes(ticks, 0.0)[start : start + self.goal_position.length]
+
+    @abstractmethod
+    def ticks_of(self, position: bytes) -> int:
+        """Decode a position or a goal position."""
 
     @abstractmethod
     def turns_bytes(self, many: bool) -> bytes:

@@ -67,6 +67,7 @@ class DynamixelX(Dialect):
     torque = Block(64, 1)
     alarm = Block(70, 1)
     goal = Block(108, 12)
+    goal_position = Block(116, 4)
     state = Block(122, 25)
     registers = (
         Register("drive_mode_reverse", 10, value=one_bit(0), factory=0, places=True),
@@ -128,12 +129,15 @@ class DynamixelX(Dialect):
         speed = limit_units(speed_ticks_s, _VELOCITY_TICKS_S, 32767)
         return bytes(4) + speed.to_bytes(4, "little") + ticks.to_bytes(4, "little", signed=True)
 
+    def ticks_of(self, position: bytes) -> int:
+        return signed(position)
+
     def turns_bytes(self, many: bool) -> bytes:
         return b"\x04" if many else b"\x03"
 
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         return ServoState(
-            position_ticks=signed(data[10:14]),
+            position_ticks=self.ticks_of(data[10:14]),
             velocity_ticks_s=signed(data[6:10]) * _VELOCITY_TICKS_S,
             load=signed(data[4:6]) / model.full_load,
             voltage_v=signed(data[22:24]) / 10.0,

@@ -45,6 +45,7 @@ class FeetechSts(Dialect):
     turns = Block(9, 4)
     torque = Block(40, 1)
     goal = Block(41, 7)
+    goal_position = Block(42, 2)
     turns_lock = Block(55, 1)
     state = Block(56, 11)
     registers = (
@@ -95,6 +96,9 @@ class FeetechSts(Dialect):
         # acceleration 0 (the servo's maximum), position, time (unused), speed
         return b"\0" + _signed(ticks) + b"\0\0" + speed.to_bytes(2, "little")
 
+    def ticks_of(self, position: bytes) -> int:
+        return _position(position)
+
     def turns_bytes(self, many: bool) -> bytes:
         low, high = (0, 0) if many else (0, 4095)
         return low.to_bytes(2, "little") + high.to_bytes(2, "little")
@@ -104,7 +108,7 @@ class FeetechSts(Dialect):
 
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         return ServoState(
-            position_ticks=_position(data[0:2]),
+            position_ticks=self.ticks_of(data[0:2]),
             velocity_ticks_s=float(_position(data[2:4])),
             load=_load(data[4:6]) / model.full_load,
             voltage_v=data[6] / 10.0,
