@@ -26,6 +26,7 @@ from longarm_comp.devices.servo_follower import (
     Step,
     TrajectoryFollower,
 )
+from longarm_comp.devices.servo_watch import stands_in_its_droop
 from longarm_comp.devices.setup_journal import SetupJournal
 
 
@@ -158,6 +159,7 @@ class ServoArm:
         before = self.powered
         self.powered = self.powered and on
         self.owing_off = self.owing_off or not on
+        goals: dict[int, int] = {}
         if not on:
             self.follower.let_go()
         if self.bus is None:
@@ -165,14 +167,32 @@ class ServoArm:
         try:
             if on:
                 self._check(self.bus, turned=True)
-                self._stood = self._check_turn_counts(self.bus)
-            self.bus.torque(self._ids, on)
+                goals = self._goals_to_hold(self.bus)
+            self.bus.torque(self._ids, on, kept=goals)
         except ServoBusError:
             if on and not before:
                 with contextlib.suppress(ServoBusError):
                     self.power(False)
             raise
         self.powered, self.owing_off = on, False
+        if on:
+            self.follower.hold_at({**self._stood, **goals})
+
+    def _goals_to_hold(self, bus: SerialServoBus) -> dict[int, int]:
+        """Return the goals, ticks by id, of the servos that are driven and stand in their droop.
+
+        A loaded arm would sink by its droop each time its goal became its present position.
+        """
+        self._stood = self._check_turn_counts(bus)
+        states, goals, driven = bus.read(self._ids), bus.goals(self._ids), bus.driven(self._ids)
+        return {
+            joint.servo_id: goals[joint.servo_id]
+            for joint in self.config.joints.values()
+            if driven[joint.servo_id]
+            and stands_in_its_droop(
+                states[joint.servo_id], goals[joint.servo_id], joint, self.config.follower
+            )
+        }
 
     def _check_turn_counts(self, bus: SerialServoBus) -> dict[int, int]:
         """Return where every servo stands now, ticks by id.

@@ -24,7 +24,13 @@ from longarm_comp.devices.joint_path import (
 )
 from longarm_comp.devices.servo_bus.state import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
+from longarm_comp.devices.servo_watch import (
+    STILL_TICKS_S,
+    JointFault,
+    ServoTrouble,
+    ServoWatch,
+    stands_in_its_droop,
+)
 from longarm_comp.devices.trim import Trim
 from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.math.shaper import Shaper, Way
@@ -121,6 +127,7 @@ class TrajectoryFollower:
         self._set: Array | None = None
         self._velocity = np.zeros(len(self._joints))
         self._goals: dict[int, int] | None = None
+        self._held: Mapping[int, int] = {}  # goals (ticks by id) that hold the arm while idle
         self._way: TakenOver | InParts | None = None
         self._way_time = 0.0
         self._trim, self._may_trim = Trim(config), trim
@@ -204,14 +211,20 @@ class TrajectoryFollower:
         self._settled = True
         self._say(kind, why)
 
+    def hold_at(self, goals: Mapping[int, int]) -> None:
+        """Begin the next trajectory at the goals, ticks by id, that hold the arm by now."""
+        self._held = dict(goals)
+
     def let_go(self) -> None:
         """Drive nothing any more, because the torque is off. A fault or an emergency stop stays."""
+        self._held = {}
         if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
             self.state = FollowerState.IDLE
         self._drop_motion()
 
     def estop(self) -> None:
         """Send no goals until ``reset``. The caller switches the torque off."""
+        self._held = {}
         self.state = FollowerState.ESTOP
         self._drop_motion()
         self._say(EventKind.ESTOP, "emergency stop")
@@ -297,7 +310,7 @@ class TrajectoryFollower:
         """Report once that the arm has come to rest: at the end of its trajectory, or short."""
         read = {name: self._watch.state(name) for name in self._names}
         states = {name: state for name, state in read.items() if state is not None}
-        still = all(abs(s.velocity_ticks_s) < 30.0 for s in states.values())  # ticks/s
+        still = all(abs(s.velocity_ticks_s) < STILL_TICKS_S for s in states.values())
         still = still and len(states) == len(read)
         self._still_s = self._still_s + dt if still else 0.0
         if self._settled or not still:
@@ -337,6 +350,7 @@ class TrajectoryFollower:
             if state is not None and self._watch.was_heard(name):
                 hold[joint.servo_id] = joint.nearest_within_limits(state.position_ticks)
         self._drop_motion()
+        self._held = hold
         return hold
 
     def _drop_motion(self) -> None:
@@ -345,7 +359,10 @@ class TrajectoryFollower:
         self._velocity = np.zeros_like(self._velocity)
 
     def _start(self) -> Array:
-        """Return the present set-point (n,); when idle, the present position of the arm."""
+        """Return the present set-point (n,); when idle, the goals that hold the arm.
+
+        Where no goal is known, or the joint does not stand by it, it is the present position.
+        """
         if self._set is not None:
             return self._set
         values, limits = [], self._config.follower
@@ -357,6 +374,9 @@ class TrajectoryFollower:
             if not joint.lower - slack <= value <= joint.upper + slack:
                 allowed = f"{joint.lower:g} to {joint.upper:g} {joint.unit}; move it by hand"
                 raise InputError("read-back", name, value, allowed)
+            goal = self._held.get(joint.servo_id)
+            if goal is not None and stands_in_its_droop(state, goal, joint, limits):
+                value = joint.to_si(goal)
             values.append(min(max(value, joint.lower), joint.upper))
         return np.array(values)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from longarm_comp.devices.servo_bus.state import ServoState
-from longarm_comp.devices.servo_config import JointConfig, ServoConfig
+from longarm_comp.devices.servo_config import FollowerConfig, JointConfig, ServoConfig
 
 
 class ServoTrouble(Enum):
@@ -161,6 +161,24 @@ class ServoWatch:
             yield JointFault(ServoTrouble.STALLED, name, load)
         elif seen.lost_since is not None and now - seen.lost_since >= limits.stall_time_s:
             yield JointFault(ServoTrouble.NOT_FOLLOWING, name, where)
+
+
+STILL_TICKS_S = 30.0
+"""Speed below which a servo stands."""
+
+
+def stands_in_its_droop(
+    state: ServoState, goal: int, joint: JointConfig, limits: FollowerConfig
+) -> bool:
+    """Tell whether a driven servo stands away from its goal by what its load makes of it.
+
+    It then sinks if the goal becomes the present position. One that pushes against something, or is
+    still on its way, would go on.
+    """
+    off = abs(goal - state.position_ticks)
+    pushes = off > limits.stall_error_ticks and abs(state.load) >= joint.max_load
+    still = abs(state.velocity_ticks_s) < STILL_TICKS_S
+    return still and not pushes and off <= limits.lost_error_ticks
 
 
 def _since(start: float | None, holds: bool, now: float) -> float | None:

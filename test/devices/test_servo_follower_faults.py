@@ -14,7 +14,7 @@ from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds, servo_stat
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.servo_bus.state import ServoAlarm
 from longarm_comp.devices.servo_follower import EventKind, FollowerState, Step
-from longarm_comp.devices.servo_watch import ServoTrouble
+from longarm_comp.devices.servo_watch import ServoTrouble, stands_in_its_droop
 
 
 @pytest.fixture
@@ -237,3 +237,33 @@ def test_a_servo_that_let_go_is_a_fault(rig: Rig) -> None:
     assert rig.follower.step(rig.now, rig.states, {5: True, 9: True}).goals is not None
     step = rig.follower.step(rig.now + DT, rig.states, {5: True, 9: False})
     assert _troubles([step]) == [(ServoTrouble.LET_GO, "slide")]
+
+
+@pytest.mark.parametrize(
+    ("off", "speed", "load", "stands"),
+    [
+        (30, 0.0, 1.0, True),  # below what counts as a stall, at any load
+        (100, 0.0, 0.6, True),
+        (100, 0.0, 1.0, False),  # it pushes against something
+        (100, 0.0, -1.0, False),
+        (30, 200.0, 0.3, False),  # on its way
+        (401, 0.0, 0.6, False),  # no droop is as large
+        (-100, -1.0, 0.6, True),
+    ],
+)
+def test_only_a_servo_that_stands_in_its_droop_keeps_its_goal(
+    off: int, speed: float, load: float, stands: bool
+) -> None:
+    state = replace(servo_state(1000), velocity_ticks_s=speed, load=load)
+    assert stands_in_its_droop(state, 1000 + off, TURN, LIMITS) is stands
+
+
+def test_a_trajectory_begins_at_the_goals_that_hold_the_arm() -> None:
+    """The joint that hangs in its droop does not sink first, one that was carried away stays."""
+    for off, begins in ((30, 30), (2000, 0)):
+        rig = Rig()
+        rig.run(0.1)
+        at = rig.states[5].position_ticks
+        rig.follower.hold_at({5: at + off})
+        rig.send((4.0, {"slide": 0.09}))
+        assert rig.step().goals[5] == at + begins

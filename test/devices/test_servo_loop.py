@@ -259,6 +259,50 @@ def test_a_jammed_servo_stops_pushing_though_frames_are_lost(driven: Driven) -> 
     assert next(lost, None) is None and all(emulator.torques_on().values())
 
 
+@pytest.mark.parametrize("protocol", sorted(MODEL))
+def test_a_loaded_arm_does_not_sink_when_its_driver_starts_again(protocol: str) -> None:
+    """It stands in its droop, 30 ticks below its goal: a goal where it stands would lower it."""
+    spec = MotorSpec(max_speed_ticks_s=6000, droop_ticks=50.0)
+    at, loads = {1: 2048.0, 2: 2048.0}, {1: -0.6, 2: 0.0}
+    with ServoEmulator(protocol, at, spec, loads=lambda: loads) as emulator:
+        joint = {"model": MODEL[protocol], "type": "revolute", "zero_ticks": 2048.0,
+                 "lower": -1.5, "upper": 1.5, "max_velocity": 3.0}  # fmt: skip
+        config = ServoConfig.parse(
+            {"bus": {"protocol": protocol, "port": emulator.port, "reply_timeout_s": 0.2},
+             "joints": {f"j{i}": {"servo_id": i, **joint} for i in at}}, "here",
+        )  # fmt: skip
+
+        def rest(arm: ServoArm, **target: float) -> float:
+            while not arm.cycle(time.monotonic()).joints:
+                pass
+            if target:
+                point = TrajectoryPoint(0.0, tuple(target.values()))
+                arm.accept(JointTrajectory(tuple(target), (point,)), time.monotonic())
+            end = time.monotonic() + 0.8
+            while time.monotonic() < end:
+                arm.cycle(time.monotonic())
+                time.sleep(0.005)
+            return emulator.positions()[1]
+
+        arm = ServoArm(config)
+        arm.power(True)
+        stood = rest(arm, j1=0.5)
+        assert stood == pytest.approx(config.joints["j1"].to_ticks(0.5) - 30.0, abs=2.0)
+        for moves in ({}, {"j2": 0.3}):
+            assert arm.bus is not None
+            arm.bus.close()  # killed: the servos go on holding
+            arm = ServoArm(config)
+            arm.power(True)
+            assert rest(arm, **moves) == pytest.approx(stood, abs=2.0)
+            arm.release(time.monotonic())
+            assert rest(arm) == pytest.approx(stood, abs=2.0)
+        emulator.push(1, stood + 600.0)  # farther than any droop: no goal to go back to
+        arm.power(True)
+        assert arm.bus is not None
+        assert abs(arm.bus.goals([1])[1] - config.joints["j1"].to_ticks(0.5)) > 100
+        arm.close()
+
+
 @pytest.mark.parametrize("stopped", ["in a fault", "by an emergency stop", "deactivated"])
 def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
     driven: Driven, stopped: str

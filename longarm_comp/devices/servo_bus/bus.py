@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
@@ -149,12 +149,20 @@ class SerialServoBus:
         values = {i: self._dialect.goal_position_bytes(ticks) for i, ticks in goals.items()}
         self._write_checked(self._dialect.goal_position, values, taken=is_near)
 
-    def torque(self, ids: Sequence[int], on: bool) -> None:
+    def goals(self, ids: Sequence[int]) -> dict[int, int]:
+        """Read the goal positions, ticks. Raises IncompleteReply."""
+        replies = self._fetch(ids, self._dialect.goal_position)
+        return {i: self._dialect.ticks_of(reply.data) for i, reply in replies.items()}
+
+    def torque(self, ids: Sequence[int], on: bool, kept: Container[int] = ()) -> None:
         """Switch the drives of ``ids`` and read back that it happened.
 
         Before switching on, each goal is set to the present position and read back, so that no
         servo jumps. One that stands beyond its own limits would: it takes no goal there.
         Off is sent before any read, so that it also reaches a disturbed bus.
+
+        Args:
+            kept: servos that are driven and keep the goal that they have.
 
         Raises:
             IncompleteReply: some servos did not confirm.
@@ -162,10 +170,10 @@ class SerialServoBus:
         """
         if on:
             goals = {i: s.position_ticks for i, s in self.read(ids).items()}
-            for servo_id, kept in self.memory(ids).items():
-                if why := kept.beyond(goals[servo_id]):
+            for servo_id, memory in self.memory(ids).items():
+                if why := memory.beyond(goals[servo_id]):
                     raise ServoFault(f"servo {servo_id} {why}")
-            self.hold(goals)
+            self.hold({i: goal for i, goal in goals.items() if i not in kept})
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
 
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
@@ -314,6 +322,8 @@ class SerialServoBus:
             taken: tells by what was read and what was sent whether a servo accepted it.
         """
         wanted = dict(values)
+        if not wanted:
+            return
         for _ in range(self._retries + 1):
             self._send(self._dialect.sync_write(block, wanted))
             answers = self.ask(list(wanted), block, retries=0)
