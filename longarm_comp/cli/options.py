@@ -123,7 +123,7 @@ namespace = namespace_of("", "Namespace of the arm.")
 
 
 def pace(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options ``--sightings``, ``--within``, ``--dwell``, ``--move``.
+    """Options ``--sightings``, ``--within``, ``--dwell``, ``--move``, ``--arm-speed``.
 
     The command gets `pace`: of a model and postures (N, n), the `Pace` with a rest that the arm's
     ring needs there.
@@ -131,7 +131,12 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def command(
-        sightings: int, dwell: float | None, move: float, within: float | None, **rest: Any
+        sightings: int,
+        dwell: float | None,
+        move: float,
+        arm_speed: float,
+        within: float | None,
+        **rest: Any,
     ) -> Any:
         def pace(model: Any, q: Any) -> Any:
             from longarm_comp.core.vibration.ring import rest_s
@@ -139,7 +144,9 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
 
             near = {} if within is None else {"tolerance": within}
             dwell_s = rest_s(model, q, move, dwell)
-            return Pace(sightings=sightings, dwell_s=dwell_s, move_s=move, **near)
+            return Pace(
+                sightings=sightings, dwell_s=dwell_s, move_s=move, arm_speed=arm_speed, **near
+            )
 
         return function(pace=pace, **rest)
 
@@ -157,6 +164,12 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
             "at least 0.3.",
         ),
         click.option("--move", default=0.5, help="Least time of a move, s."),
+        click.option(
+            "--arm-speed",
+            type=click.FloatRange(1e-3, 100.0),
+            default=0.25,
+            help="Highest speed of any part of the arm where another program drives it, m/s.",
+        ),
     )(command)
 
 

@@ -15,6 +15,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduced_speed
 from longarm_comp.jobs.graph_client import GraphClient, count_drivers
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
@@ -31,6 +33,7 @@ class Pace:
         sightings: number of sightings that are averaged at each pose.
         dwell_s: how long the joints must rest before the first sighting counts.
         move_s: time that the driver is asked to take for each way-point; it keeps its own limits.
+        arm_speed: highest speed of any part of the arm where another program drives it, m/s.
         arrive_s, look_s: longest wait for the end of a move, and for the sightings.
         tolerance: rad or m between commanded and reported joints at rest, one for all or (n,).
     """
@@ -38,6 +41,7 @@ class Pace:
     sightings: int = 5
     dwell_s: float = 0.3
     move_s: float = 0.5
+    arm_speed: float = REDUCED_SPEED
     arrive_s: float = 60.0
     look_s: float = 5.0
     tolerance: float | np.ndarray = JOINT_REST
@@ -86,6 +90,7 @@ class ArmClient(GraphClient):
         self._driver: DriverState | None = None
         self._stamps = Stamps(self.node.get_clock())
         self._sent, self._refused, self._reached = "", "", False
+        self._patience_s = 0.0  # how long the last command takes
         self._way: tuple[str, dict[str, float]] = "", {}
         self._at: dict[str, float] = {}
         graph.MOTION.subscription(self.node, self._on_motion)
@@ -141,6 +146,12 @@ class ArmClient(GraphClient):
             self._reached |= message.event == Motion.REACHED
             self._refused = message.message if message.event == Motion.REFUSED else ""
 
+    @property
+    def drives_itself(self) -> bool:
+        """True where the driver of this package drives: it tells its state, and keeps limits."""
+        publishers = self.node.count_publishers(self._states.topic_name)
+        return self._driver is not None or publishers > 0
+
     def driver_takes(self, *, held: bool = False) -> bool:
         """Return whether the driver accepts trajectories.
 
@@ -150,20 +161,32 @@ class ArmClient(GraphClient):
             DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.
         """
         if self._driver is None:
-            return self.node.count_publishers(self._states.topic_name) == 0
+            return not self.drives_itself
         stopped = self._driver.state in STOPPED
         if stopped and not (held and self._driver.state == DriverState.HOLDING):
             raise DriverStopped(self._driver)
         return self._driver.state in (DriverState.READY, DriverState.MOVING)
 
-    def send(self, path: np.ndarray, move_s: float = 0.5) -> int:
-        """Command way-points (k, n) with a stop at each. The driver keeps its limits.
+    def send(self, path: np.ndarray, move_s: float = 0.5, arm_speed: float = REDUCED_SPEED) -> int:
+        """Command way-points (k, n) with a stop at each.
+
+        Our driver keeps its limits. Another one may have none: no part of the arm is to go faster
+        than ``arm_speed``, m/s.
 
         Returns:
             The stamp (ns) of the command.
+
+        Raises:
+            JobError: another program drives, and no `joint_states` came.
         """
+        times: float | np.ndarray = move_s
+        if not self.drives_itself:
+            if self.joints is None:
+                raise JobError("no joint_states: it is not known how long the way is")
+            times = times_at_reduced_speed(Model(self.arm), self.joints, path, move_s, arm_speed)
+        self._patience_s = float(np.max(times))
         stamp = self._stamps.next()
-        sent = trajectory_message(self.arm, path, move_s, stamp, np.zeros_like(path))
+        sent = trajectory_message(self.arm, path, times, stamp, np.zeros_like(path))
         self._sent, self._refused, self._reached = order_id(sent), "", False
         self._trajectory.publish(sent)
         return stamp_ns(sent.header.stamp)
@@ -201,7 +224,7 @@ class ArmClient(GraphClient):
                 inside_since[:] = [(time.monotonic(), q_now)]  # it may move within a wide tolerance
             return bool(inside_since) and time.monotonic() - inside_since[0][0] >= pace.dwell_s
 
-        self.until(there, pace.arrive_s, lambda: self._short_of(q, pace))
+        self.until(there, pace.arrive_s + self._patience_s, lambda: self._short_of(q, pace))
         return int(self.node.get_clock().now().nanoseconds)
 
     def _short_of(self, q: np.ndarray, pace: Pace) -> str:

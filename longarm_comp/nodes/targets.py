@@ -11,12 +11,15 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.compensation.result import Status
+from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduced_speed
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.answers import Answer, TargetRequest, compensation_message, response_of
 from longarm_comp.nodes.arm_state import ArmState
@@ -35,6 +38,13 @@ PARAMS = (
     Param("position_only", False, "targets on target_pose leave the orientation free", live=True),
     Param("target_max_age_s", 5.0, "targets with an older stamp are refused", 0.01, 1e6),
     Param("move_time_s", 0.5, "time asked for a move; the driver may need longer", 0.0, 600.0),
+    Param(
+        "arm_speed",
+        REDUCED_SPEED,
+        "highest speed of any part of the arm where another program drives it, m/s",
+        1e-3,
+        100.0,
+    ),
     Param("acknowledge_s", 2.0, "longest wait for the driver's acknowledgement", 0.01, 60.0),
 )
 
@@ -151,8 +161,7 @@ class TargetInlet:
                 elif why := self._state.doubt:  # it came while the joints were computed
                     answer = self._compensator.refuse(target, Status.NOT_READY, why)
                 else:
-                    points, move_s = arrival.move.points, self._state.p["move_time_s"]
-                    message = trajectory_message(self._arm, points, move_s, stamp)
+                    message = self._order(arrival.move.points, stamp)
                     answer = replace(answer, order=order_id(message))
                     self._driver.expect(answer.name)
                     self._trajectory.publish(message)
@@ -169,6 +178,18 @@ class TargetInlet:
         finally:  # published even when the client is gone
             if answer is not None:
                 self._publish_answer(answer)
+
+    def _order(self, points: np.ndarray, stamp: Time) -> JointTrajectory:
+        """Make the trajectory through points (k, n); a driver that is not ours is told how slowly.
+
+        It may know no limits of speed.
+        """
+        move_s, now = self._state.p["move_time_s"], self._state.joints
+        if self._driver.acknowledged or now is None:
+            return trajectory_message(self._arm, points, move_s, stamp)
+        model, speed = self._state.files.loaded.model, self._state.p["arm_speed"]
+        due = times_at_reduced_speed(model, now, points, move_s, speed)
+        return trajectory_message(self._arm, points, due, stamp, np.zeros_like(points))
 
     def _publish_answer(self, answer: Answer) -> None:
         """Count the answer, then publish it, so that a receiver finds it counted."""

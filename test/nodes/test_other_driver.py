@@ -16,10 +16,12 @@ from nodes_bench import Bench
 from small_arm import ARM
 
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.reduced_speed import times_at_reduced_speed
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp
-from longarm_comp.nodes.messages import joints_message
+from longarm_comp.nodes.messages import joints_message, pose_message, seconds
 
 
 def arm_file(folder: Path) -> Path:
@@ -43,6 +45,18 @@ def test_the_graph_comes_up_without_a_driver_and_its_status_asks_for_none(
         s.name.endswith("kinematics: targets") and s.message in ready
         for m in said for s in m.status
     ))  # fmt: skip
+    # Its controller may know no limits: a long way is not asked for at once
+    sent = stage.collect(graph.JOINT_TRAJECTORY)
+    far = Model(ARM).pose(ARM.upper - 0.02 * (ARM.upper - ARM.lower))
+    targets = graph.TARGET_POSE.publisher(stage.node)
+    ask = graph.TARGET_POSE.type(pose=pose_message(far))
+    ask.header.frame_id = "base"
+    stage.spin(lambda: sent or targets.publish(ask))
+    (last,) = sent[-1].points[-1:]
+    ways = [p.positions for p in sent[-1].points]
+    due = times_at_reduced_speed(Model(ARM), ARM.mid, np.array(ways), 0.5)
+    assert seconds(last.time_from_start) == pytest.approx(due[-1], rel=0.1)
+    assert due[-1] > 0.6 and list(last.velocities) == [0.0] * ARM.n
     shell, both = Shell(tmp_path, capsys), ["error_predictor", "kinematics"]
     # it tells the nodes that it has discovered, which may be one
     found = stage.spin(

@@ -295,7 +295,7 @@ class _Run:
         client, pace, recorder = self._client, self._pace, self._recorder
         client.driver_takes()
         start = client.joints
-        begun = client.send(visit.path, pace.move_s)
+        begun = client.send(visit.path, pace.move_s, pace.arm_speed)
         _, tips = client.look(visit.path, pace, start)
         # Into the bag alone: what no topic of the robot says
         told = json.dumps({"index": visit.index, "repeat_id": visit.repeat_id})
