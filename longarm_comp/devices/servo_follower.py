@@ -252,9 +252,11 @@ class TrajectoryFollower:
         loose = [n for n, i in self._config.ids.items() if (driven or {}).get(i) is False]
         findings += [JointFault(ServoTrouble.LET_GO, n, "its torque is off") for n in loose]
         goals = None
-        driving = self.state in (FollowerState.TRACKING, FollowerState.HOLDING)
-        if driving or (loose and self.state is FollowerState.IDLE):
+        if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
             goals = self._fault(findings) if findings else self._move(dt)
+        elif self.state is FollowerState.IDLE and self._held:
+            findings = [f for f in findings if f.trouble is not ServoTrouble.SILENT]
+            goals = self._fault(findings) if findings else None
         events, self._events = tuple(self._events), []
         return Step(self.state, goals, self.set_points, events)
 

@@ -239,6 +239,21 @@ def test_a_servo_that_let_go_is_a_fault(rig: Rig) -> None:
     assert _troubles([step]) == [(ServoTrouble.LET_GO, "slide")]
 
 
+@pytest.mark.parametrize("torque", [True, False])
+def test_a_hot_or_alarmed_servo_is_a_fault_also_before_the_first_move(torque: bool) -> None:
+    """A heavy arm may hang there for hours; without torque nothing holds it anyway."""
+    for ill in ({"temperature_c": 70.0}, {"error_flags": ServoAlarm.OVERLOAD}):
+        rig = Rig()
+        rig.run(0.1)
+        at = rig.states[5].position_ticks
+        if torque:
+            rig.follower.hold_at({5: at + 10})
+        rig.states[5] = replace(rig.states[5], **ill)  # type: ignore[arg-type]
+        steps = rig.run(0.1)
+        assert (rig.follower.state is FollowerState.FAULT) is torque
+        assert [s.goals[5] for s in steps if s.goals] == [at] * torque
+
+
 @pytest.mark.parametrize(
     ("off", "speed", "load", "stands"),
     [
