@@ -103,6 +103,8 @@ class Compensator:
             raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
         if target.execute and (why := self._state.worker.failing):
             raise Refusal(Status.NOT_READY, f"not sent: {why}")
+        if why := self._files.refusal:
+            raise Refusal(Status.NOT_READY, why)
         loaded = self._files.loaded
         stands, model = loaded.stands, loaded.model
         if not self._frames.hangs_on(target.pose.header.frame_id, self._measured):

@@ -16,7 +16,7 @@ from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
-from longarm_comp.nodes.health import OK, WARN, Report
+from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,24 @@ class ModelFiles:
         if model is not self.loaded.model:
             self.loaded = replace(self.loaded, model=model, learned=self.loaded.learned + 1)
 
+    @property
+    def refusal(self) -> str:
+        """The reason why no target is computed; empty where the model is as configured.
+
+        The declared arm does not take the place of a model that is there and cannot be loaded: it
+        would go elsewhere.
+        """
+        lost = self._fault and not self.loaded.file_hash and Path(self._path).exists()
+        return f"the model cannot be used: {self._fault}" if lost else ""
+
     def report(self) -> Report:
         facts = {"file": self._path, "sha256": self.loaded.file_hash, "loads": self.loads}
         if self.loaded.file_hash and self._fault:
             return Report(WARN, f"the last good model is kept: {self._fault}", facts)
+        if why := self.refusal:
+            return Report(ERROR, why, facts)
         if not self.loaded.file_hash:
-            wrong = f": {self._fault}" if self._fault and Path(self._path).exists() else ""
             said = "not calibrated yet: plan, collect, diagnose; the arm as declared is used"
-            return Report(WARN, said + wrong, facts)
+            return Report(WARN, said, facts)
         left_out = f"; left out {', '.join(self._left_out)} {NEVER_TOLD}" if self._left_out else ""
         return Report(OK, f"calibrated model loaded{left_out}", facts)

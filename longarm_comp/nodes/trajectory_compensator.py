@@ -153,7 +153,8 @@ class _TrajectoryCompensator(ArmNode):
             return "a trajectory without points"
         if not self._out.server_is_ready():
             return f"no controller offers {self._controller}"
-        why = self._driver.refusal or self._state.doubt or self._worker.failing
+        why = self._files.refusal or self._driver.refusal or self._state.doubt
+        why = why or self._worker.failing
         return self._fresh.too_old(asked.header.stamp) or why
 
     async def _forward(self, goal: Any, made: CompensatedPath) -> Any:

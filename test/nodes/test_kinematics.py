@@ -260,6 +260,14 @@ def test_a_new_model_is_taken_up_without_a_restart(
     model = declared_model(arm)
     target = model.pose(arm.mid)
     before = stage.call(client, request(target, arm))
+    reload = graph.RELOAD.client(stage.node, of="kinematics")
+    path.write_text(
+        "effects: 3"
+    )  # the declared arm does not take its place
+    assert not stage.call(reload, Trigger.Request()).success
+    refused = stage.call(client, request(target, arm))
+    assert refused.status == Compensate.Response.NOT_READY
+    assert str(path) in refused.message and not refused.command.position
     shifted = model.plus(*(z.with_values({"offset": 0.01}) for z in JointZero.for_arm(arm)[:1]))
     save_model(path, store(shifted))
 
@@ -273,7 +281,6 @@ def test_a_new_model_is_taken_up_without_a_restart(
     assert abs(after.ideal.position[0] - before.ideal.position[0]) > 0.005
 
     path.write_text("effects: 3")
-    reload = graph.RELOAD.client(stage.node, of="kinematics")
     answer = stage.call(reload, Trigger.Request())
     assert not answer.success
     assert str(path) in answer.message
