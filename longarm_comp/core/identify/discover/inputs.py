@@ -15,6 +15,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.quantities import (
     JointPosition,
     JointSide,
+    JointWay,
     OfPosture,
     Quantity,
     Recorded,
@@ -137,7 +138,7 @@ def _least_span(
 ) -> float:
     """Return the span from which on a quantity counts, because smaller ones are not known well
     enough."""
-    if isinstance(found, (JointPosition, JointSide)):
+    if isinstance(found, (JointPosition, JointSide, JointWay)):
         span = float(np.ptp(np.asarray(posture.q[found.joint], float)))
         return 0.0 if span >= arm.telling[found.joint] else np.inf
     if not isinstance(found, OfPosture):
@@ -167,6 +168,7 @@ def _list_names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterato
     yield from columns
     if session.approach.any():
         yield from (f"side_{j}" for j in joints)
+        yield from (f"way_{j}" for j in joints)
     yield from (f"load_{j}" for j in joints)
     yield "sum_loads"
     yield from (f"moment_{row}_{axis}" for row in rows for axis in "xyz")
