@@ -230,7 +230,18 @@ class Recorded(Quantity):
 
 _UNITS = {"t_s": "s", "temperature_c": "K", "payload_kg": "kg"}
 _KINDS: tuple[type[Quantity], ...] = (
-    *(JointPosition, JointLoad, JointSide, JointWay, LoadSum, Warmth, Moment, Gravity, Span, SeenCoordinate),
+    *(
+        JointPosition,
+        JointLoad,
+        JointSide,
+        JointWay,
+        LoadSum,
+        Warmth,
+        Moment,
+        Gravity,
+        Span,
+        SeenCoordinate,
+    ),
 )
 
 
