@@ -24,6 +24,7 @@ from longarm_comp.core.effects.link_deflection import bent, elements
 from longarm_comp.core.effects.quantities import (
     AXES,
     JointSide,
+    JointWay,
     OfPosture,
     Recorded,
     SeenCoordinate,
@@ -266,7 +267,7 @@ class Discovered(_OfFunction, Effect):
         return (int(row),) if kind == "joint" else ()
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        sides = (q for q in self.of.quantities if isinstance(q, JointSide))
+        sides = (q for q in self.of.quantities if isinstance(q, (JointSide, JointWay)))
         return tuple(dict.fromkeys(q.joint for q in sides))
 
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:

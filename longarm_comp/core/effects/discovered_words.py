@@ -26,6 +26,7 @@ from longarm_comp.core.effects.quantities import (
     JointLoad,
     JointPosition,
     JointSide,
+    JointWay,
     LoadSum,
     Moment,
     Quantity,
@@ -81,6 +82,7 @@ _READINGS: tuple[tuple[str, Callable[[_Traits], bool]], ...] = (
         lambda t: t.of(LoadSum) and len(t.places) > 1,
     ),
     ("play or friction", lambda t: t.of(JointSide)),
+    ("rows that were measured before the arm stood", lambda t: t.of(JointWay)),
     (
         "a seat or clearance that flips with the load",
         lambda t: t.shape(Switch, of=(JointLoad, Moment, Gravity)),

@@ -9,6 +9,7 @@
 | `gravity_3_x` | share of gravity along x of row 3's axes (row 0: the base) | 1 |
 | `distance_2_5` | distance between the bearings of rows 2 and 5 | m |
 | `side_2` | side that commanded joint 2 arrived from, -1 or +1; 0 unknown | 1 |
+| `way_2` | signed way of commanded joint 2 since it last stood or turned; 0 unknown | rad, m |
 | `warmth` | temperature above the arm's reference | K |
 | `seen_x` | coordinate of the seen point in the base frame (measuring side only) | m |
 | any other | a recorded column of that name: `t_s`, `pump_bar` | of the column |
@@ -122,6 +123,15 @@ class JointSide(_OfJoint):
         return posture.context.of_joint("approach", self.joint)[0]
 
 
+class JointWay(_OfJoint):
+    pattern = r"way_(\d+)"
+    si, of_slide = "rad", "m"
+    inputs = ("last_way",)
+
+    def read(self, posture: Posture) -> Scalar:
+        return posture.context.of_joint("last_way", self.joint)[0]
+
+
 class LoadSum(OfPosture):
     pattern = r"sum_loads"
     si = "N m"
@@ -220,7 +230,18 @@ class Recorded(Quantity):
 
 _UNITS = {"t_s": "s", "temperature_c": "K", "payload_kg": "kg"}
 _KINDS: tuple[type[Quantity], ...] = (
-    *(JointPosition, JointLoad, JointSide, LoadSum, Warmth, Moment, Gravity, Span, SeenCoordinate),
+    *(
+        JointPosition,
+        JointLoad,
+        JointSide,
+        JointWay,
+        LoadSum,
+        Warmth,
+        Moment,
+        Gravity,
+        Span,
+        SeenCoordinate,
+    ),
 )
 
 

@@ -18,10 +18,12 @@ from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import LIBRARY, searched_effects
 from longarm_comp.core.effects.compliances import ServoDroop
+from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointCoupling, JointGain, UnfinishedMove
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.discover.inputs import read_arm_inputs
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
@@ -105,6 +107,26 @@ def test_joints_that_are_measured_too_early_are_named_with_their_share(late: Dia
 
 def test_it_is_tried_only_where_it_is_asked_for() -> None:
     assert UnfinishedMove not in searched_effects()
+
+
+def test_where_it_is_not_tried_its_rows_are_not_taken_for_friction() -> None:
+    """A side explains two thirds of what ways do: functions of the ways are tried in its place."""
+    kinds = tuple(kind for kind in AT_ONE_JOINT if kind is not UnfinishedMove)
+    found = diagnose(ARM, session(150, 1)[0], kinds=kinds)
+    assert found.verdict in ("partly", "unknown")
+    assert {name for f in found.findings for name in f.names} <= {"joint_coupling", "joint_gain"}
+    assert "behaves like rows that were measured before the arm stood" in found.summary
+    ways = {t.function for t in found.model.effects if isinstance(t, Discovered)}
+    assert any("way_" in function for function in ways)
+
+
+def test_a_way_counts_only_at_joints_whose_history_tells_already() -> None:
+    rows = session(60, 1)[0]
+    at = Model(ARM).posture([rows.q[:, k] for k in range(ARM.n)], rows.context())
+    held = read_arm_inputs(ARM, at, rows, remembering={1}).by_name
+    assert [name for name in held if name.startswith("way_")] == ["way_2"]
+    np.testing.assert_allclose(held["way_2"].values, rows.last_way[:, 1])
+    assert not any(name.startswith("way_") for name in read_arm_inputs(ARM, at, rows).by_name)
 
 
 def test_rows_that_nobody_fitted_are_predicted(late: Diagnosis) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -338,12 +338,16 @@ def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
     return [divmod(int(i), table.shape[1]) for i in np.sort(few) if np.isfinite(flat[i])]
 
 
-def make_banks(fit: ModelFit) -> tuple[FunctionBank, ...]:
-    """Make the banks of the arm's side and, where positions are measured, of the camera's."""
+def make_banks(fit: ModelFit, remembering: Collection[int] = ()) -> tuple[FunctionBank, ...]:
+    """Make the banks of the arm's side and, where positions are measured, of the camera's.
+
+    ``remembering``: as in `read_arm_inputs`.
+    """
     arm, rows = fit.model.arm, fit.session
     spots = [Spot(place, name) for place in _list_places(arm) for name in components(arm)]
     spots, units = _keep_moving(fit, spots)
-    made = [FunctionBank(fit, spots, units, Functions(read_arm_inputs(arm, fit.posture, rows)))]
+    inputs = read_arm_inputs(arm, fit.posture, rows, remembering)
+    made = [FunctionBank(fit, spots, units, Functions(inputs))]
     if rows.plain:
         points, ways = fit.model.measured_at(fit.posture), views(arm)
         for some, of in ((AXES, SeenCoordinate), ([w for w in ways if w not in AXES], None)):

@@ -211,8 +211,13 @@ class Functions:
                 made = [
                     (j, self.add_function(_make_linear(own), _make_linear(shared))) for j, own in of
                 ]
-                if len(made) > 1:
-                    self.each_joint.append(tuple(made))
+                self._add_at_each_joint(made)
+        ways = [(j, held[f"way_{j + 1}"]) for j in joints if f"way_{j + 1}" in held]
+        self._add_at_each_joint([(j, self.add_function(_make_linear(way))) for j, way in ways])
+
+    def _add_at_each_joint(self, made: Sequence[tuple[int, int]]) -> None:
+        if len(made) > 1:
+            self.each_joint.append(tuple(made))
 
     def _add_smooth_pair(self, a: FunctionInput, b: FunctionInput) -> None:
         """Add a smooth function of two inputs: joint positions, or inputs that all joints share."""

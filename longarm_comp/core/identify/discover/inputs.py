@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.quantities import (
     JointPosition,
     JointSide,
+    JointWay,
     OfPosture,
     Quantity,
     Recorded,
@@ -105,8 +106,15 @@ class FunctionInputs:
         return {i.name: i for i in self.all}
 
 
-def read_arm_inputs(arm: Arm, posture: Posture, session: Session) -> FunctionInputs:
-    """Read the quantities of the arm's side at the rows of a session."""
+def read_arm_inputs(
+    arm: Arm, posture: Posture, session: Session, remembering: Collection[int] = ()
+) -> FunctionInputs:
+    """Read the quantities of the arm's side at the rows of a session.
+
+    Args:
+        remembering: commanded joints, 0-based, whose last way counts too: what was found there
+            depends on what the joint did before.
+    """
     rows = len(session)
     columns = tuple(
         "warmth" if n == "temperature_c" else n for n in session.columns if is_column(n)
@@ -114,7 +122,7 @@ def read_arm_inputs(arm: Arm, posture: Posture, session: Session) -> FunctionInp
     made: list[FunctionInput] = []
     read: list[tuple[str, Quantity, np.ndarray]] = []
     widest: dict[type, float] = {}
-    for name in _list_names(arm, session, columns):
+    for name in _list_names(arm, session, columns, remembering):
         found = quantity(name)
         if not isinstance(found, (OfPosture, Recorded)) or not found.exists(arm):
             continue
@@ -137,7 +145,7 @@ def _least_span(
 ) -> float:
     """Return the span from which on a quantity counts, because smaller ones are not known well
     enough."""
-    if isinstance(found, (JointPosition, JointSide)):
+    if isinstance(found, (JointPosition, JointSide, JointWay)):
         span = float(np.ptp(np.asarray(posture.q[found.joint], float)))
         return 0.0 if span >= arm.telling[found.joint] else np.inf
     if not isinstance(found, OfPosture):
@@ -158,7 +166,9 @@ def read_camera_inputs(points: np.ndarray, session: Session) -> FunctionInputs:
     return FunctionInputs(tuple(made), (), 0)
 
 
-def _list_names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str]:
+def _list_names(
+    arm: Arm, session: Session, columns: tuple[str, ...], remembering: Collection[int]
+) -> Iterator[str]:
     """Yield the names of what may be tried, the plainest first: of two that agree the first
     stays."""
     joints = range(1, arm.n + 1)
@@ -167,6 +177,7 @@ def _list_names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterato
     yield from columns
     if session.approach.any():
         yield from (f"side_{j}" for j in joints)
+        yield from (f"way_{j + 1}" for j in sorted(remembering))
     yield from (f"load_{j}" for j in joints)
     yield "sum_loads"
     yield from (f"moment_{row}_{axis}" for row in rows for axis in "xyz")

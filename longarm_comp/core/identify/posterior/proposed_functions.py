@@ -10,10 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from longarm_comp.core.arm.context import WIDTH
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.discovered import COMPONENTS, Move, Turn
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.quantities import AXES
 from longarm_comp.core.effects.shapes import Function, Shape, Threshold, Wave
 from longarm_comp.core.identify.discover.bank import (
@@ -56,7 +58,7 @@ def propose_functions(
     gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found if not f.terms[0].elastic)]
     marginals = [_marginalise_without(fit, found, some, library, tolerance) for some in gone]
     ranked: list[list[_Ranked]] = [[] for _ in gone]
-    for bank in make_banks(fit):
+    for bank in make_banks(fit, _remembering_joints(fit, found)):
         looked = bank.shortlist_candidates(
             _mask_other_columns(fit, found), [left for _, left in marginals]
         )
@@ -70,6 +72,17 @@ def propose_functions(
         offered |= {one.candidate: one.bank for one in better if one.first}
         few = SHORTLIST // (2 * max(len(gone) - 1, 1))  # of what may take the place of each
     return tuple(_make_proposed(bank, h) for h, bank in offered.items())
+
+
+def _remembering_joints(fit: ModelFit, found: Sequence[FoundEffect]) -> set[int]:
+    """Return the commanded joints, 0-based, whose history something found depends on."""
+    return {
+        joint
+        for f in found
+        for t in f.terms
+        if isinstance(t, Effect) and not WIDTH.keys().isdisjoint(t.inputs)
+        for joint in t.history_joints(fit.model.arm)
+    }
 
 
 def _marginalise_without(
