@@ -18,6 +18,9 @@ from longarm_comp.core.files import write_text
 _EXPLAINED = "Beside this file: stops of arms that nobody has reset yet (`longarm reset`).\n"
 
 
+_AGAIN = ", asked for again at "
+
+
 class Stop(Enum):
     """The stops that a person asks for; a name is that of the service."""
 
@@ -70,10 +73,15 @@ class StopLatch:
         return "; ".join((*said, *lasts))
 
     def ask(self, stop: Stop, why: str = "") -> None:
-        """Stop the arm from now on; `keep` writes it."""
-        if stop not in self.standing:
-            self.standing[stop] = _words(stop, time.time(), why)
-            self._owing = True
+        """Stop the arm from now on; `keep` writes it.
+
+        Asked for again, it says so: who ends a stop of his own sees that it is another's too.
+        """
+        words = self.standing.get(stop, "")
+        now = _words(stop, time.time(), why)
+        first = words.partition(_AGAIN)[0]
+        self.standing[stop] = f"{first}{_AGAIN}{now.partition('since ')[2]}" if words else now
+        self._owing = True
 
     def keep(self) -> None:
         """Write what is not written, or gone. `trouble` says why that fails: call it again."""

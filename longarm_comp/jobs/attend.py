@@ -110,11 +110,46 @@ class Attendant:
 
     def reset(self) -> str:
         """End stop, hold and fault, whichever there are; return what the driver said."""
-        missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
-        driver = self._client.until(lambda: self._driver, FOUND_S, missing)
-        if driver.state not in STOPPED:
+        if self._hear_driver().state not in STOPPED:
             return "nothing to reset"
         return self._ask(graph.RESET, Trigger.Request())
+
+    def _hear_driver(self) -> DriverState:
+        missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
+        state: DriverState = self._client.until(lambda: self._driver, FOUND_S, missing)
+        return state
+
+    @property
+    def stopped(self) -> str:
+        """The stop that stands, in the driver's words; empty where none does."""
+        driver = self._hear_driver()
+        asked = driver.state in (DriverState.ESTOP, DriverState.HOLDING)
+        return str(driver.message).partition(";")[0] if asked else ""
+
+    def let_go(self) -> tuple[str, str]:
+        """Switch the torque off for a while; return what the driver said, and this stop's words.
+
+        Raises:
+            JobError: somebody has stopped the arm, or it was not stopped.
+        """
+        if others := self.stopped:
+            raise JobError(f"nothing is done: {others}; to go on: longarm reset")
+        said = self.stop()
+        own = self._client.until(
+            lambda: self.stopped, FOUND_S, "the driver does not say it stopped"
+        )
+        return said, own
+
+    def take_back(self, own: str) -> str:
+        """End the emergency stop with these words, unless it was asked for again meanwhile.
+
+        Raises:
+            JobError: it was, and stays.
+        """
+        self._client.spin(1.2)  # the driver tells its state twice a second
+        if (now := self.stopped) != own:
+            raise JobError(f"the stop stays: {now}; to go on: longarm reset")
+        return self._ask(graph.ESTOP, SetBool.Request(data=False))
 
     def _halt(self, service: Service) -> str:
         """Ask for a stop. Where no driver says that it stopped, what to do is said."""

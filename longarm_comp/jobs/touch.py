@@ -106,14 +106,18 @@ def _is_seated(client: ArmClient) -> bool:
 def release_servos(client: GraphClient) -> Iterator[str]:
     """Switch the servos' torque off within the block, so that a hand can guide the arm.
 
-    Yields what the driver answered.
+    Yields what the driver answered. A stop that somebody else asked for stays.
+
+    Raises:
+        JobError: the arm is stopped already, or was stopped again within the block.
     """
     attendant = Attendant(client)
+    said, own = attendant.let_go()
     try:
-        yield attendant.stop()
+        yield said
     finally:
         with client.putting_back():
-            attendant.reset()
+            attendant.take_back(own)
 
 
 def wait_for_rest(client: ArmClient) -> np.ndarray:

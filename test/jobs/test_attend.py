@@ -132,3 +132,17 @@ def test_a_hand_guides_the_arm_while_touches_are_taken(
     rig.is_in(DriverState.READY)
     rig.is_idle()
     assert rig.joints() == pytest.approx(guided[-1], abs=2e-3)
+
+    # A stop of somebody else is nobody else's to end
+    def pressed(prompt: str, *_: object) -> str:
+        assert shell("stop") == 0
+        return "end"
+
+    monkeypatch.setattr(collect, "_ask_line", pressed)
+    again = ("touch", tmp_path / "arm.yaml", "-o", out, "--by-hand", "--resume")
+    assert "the stop stays: emergency stop since" in shell.refused(*again, code=3)
+    rig.is_in(DriverState.ESTOP)
+    assert rig.free()
+    assert "nothing is done: emergency stop since" in shell.refused(*again, code=3)
+    assert shell("reset") == 0, shell.err
+    rig.is_in(DriverState.READY)

@@ -128,17 +128,18 @@ def test_an_arm_that_does_not_rest_is_told_and_waited_for(
 def test_torque_is_on_again_after_a_fault(
     keys: Keys, shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    attendant = MagicMock()
+    attendant = MagicMock(let_go=lambda: ("torque off", "emergency stop since now"))
     monkeypatch.setattr(touch_job, "Attendant", lambda client: attendant)
     keys("", full_disk(monkeypatch), "end")
     code, _ = touched(shell, "--by-hand")
-    assert code == 3 and attendant.stop.call_count == attendant.reset.call_count == 1
+    assert code == 3
+    attendant.take_back.assert_called_once_with("emergency stop since now")
 
 
 def test_torque_that_cannot_be_switched(
     keys: Keys, shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    attendant = MagicMock(stop=raising(JobError("no driver answers")))
+    attendant = MagicMock(let_go=raising(JobError("no driver answers")))
     monkeypatch.setattr(touch_job, "Attendant", lambda client: attendant)
     keys("")
     assert touched(shell, "--by-hand") == (3, "longarm: no driver answers\n")

@@ -261,9 +261,7 @@ def test_a_new_model_is_taken_up_without_a_restart(
     target = model.pose(arm.mid)
     before = stage.call(client, request(target, arm))
     reload = graph.RELOAD.client(stage.node, of="kinematics")
-    path.write_text(
-        "effects: 3"
-    )  # the declared arm does not take its place
+    path.write_text("effects: 3")  # the declared arm does not take its place
     assert not stage.call(reload, Trigger.Request()).success
     refused = stage.call(client, request(target, arm))
     assert refused.status == Compensate.Response.NOT_READY

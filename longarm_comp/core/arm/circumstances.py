@@ -24,15 +24,16 @@ def allowed_range(arm: Arm, name: str) -> tuple[float, float]:
     """Return the range of a circumstance, in the unit of its name; infinite without one.
 
     `temperature_c`: within `MOST_K` of the arm's reference. `payload_kg`: up to `payload.most_kg`
-    of arm.yaml; without it, what `MOST_PAYLOADS` says. Tilts (`incl_...`): a turn.
+    of arm.yaml; without it, what `MOST_PAYLOADS` says; none where arm.yaml has no payload. Tilts
+    (`incl_...`): a turn.
     """
     lower, upper = range_of(name)
     if name == "temperature_c":
         at = arm.reference_temperature_c
         return max(lower, at - MOST_K), min(upper, at + MOST_K)
     if name == "payload_kg":
-        if arm.payload is None:
-            return lower, upper
+        if arm.payload is None:  # nobody said where it hangs
+            return lower, 0.0
         own = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
         usual = max(MOST_PAYLOADS * arm.payload.mass_kg, own) or upper
         return lower, usual if arm.payload.most_kg is None else arm.payload.most_kg
@@ -52,7 +53,10 @@ def check_circumstance(arm: Arm, name: str, values: ArrayLike, where: object) ->
         allowed = f"{lower:g} to {upper:g}"
         if name == "t_s":
             allowed += " seconds"
-        if name == "payload_kg":
+        if name == "payload_kg" and arm.payload is None:
+            allowed = f"0: arm {arm.name} declares no payload; say in arm.yaml where it hangs, "
+            allowed += "payload: {mass_kg: 0, frame: ..., position_m: [...]}"
+        elif name == "payload_kg":
             allowed += f" of arm {arm.name}; more: payload.most_kg in arm.yaml"
         if name == "temperature_c":
             allowed += f", {MOST_K:g} K about reference_temperature_c of arm {arm.name}"

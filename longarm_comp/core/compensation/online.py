@@ -67,15 +67,19 @@ class Readings:
         """
         columns: dict[str, float] = {}
         doubts: dict[str, str] = {}
+        wrong: dict[str, str] = {}
         for reading in sorted(self.readings.values(), key=lambda reading: reading.at_s):
             age = now_s - reading.at_s
             for name, value in reading.columns.items():
                 old = f"{name} is {age:.1f} s old" if age > max_age_s else ""
                 columns[name], doubts[name] = value, reading.wrong or old
+                wrong[name] = reading.wrong
         known = {name: value for name, value in columns.items() if not doubts[name]}
         told = Context(**({} if history is None else history.fields()), columns=known)
         context = told.as_left(model.ended_s)
-        if model.arm.payload is not None and (doubt := doubts.get("payload_kg")):
+        # A payload that the arm cannot have weighs, whether or not arm.yaml says where it hangs
+        weighed = doubts if model.arm.payload is not None else wrong
+        if doubt := weighed.get("payload_kg"):
             raise StaleContext(doubt)
         for effect in model.effects:
             if name := effect.missing(context):

@@ -28,7 +28,10 @@ def test_a_payload_is_bounded_by_what_arm_yaml_declares() -> None:
     assert allowed_range(heavy, "payload_kg") == (0.0, 8.0)
     crane = CARRIES.model_copy(update={"payload": Payload(mass_kg=0.25, most_kg=90.0, frame=4)})
     assert allowed_range(crane, "payload_kg") == (0.0, 90.0)
-    assert allowed_range(ARM, "payload_kg") == (0.0, 1e6)  # it says nothing of any
+    assert allowed_range(ARM, "payload_kg") == (0.0, 0.0)  # it does not say where one would hang
+    check_circumstance(ARM, "payload_kg", [0.0, math.nan], "s")
+    with pytest.raises(InputError, match=r"payload_kg: 8.*declares no payload; say in arm\.yaml"):
+        check_circumstance(ARM, "payload_kg", [0.0, 8.0], "s")
     assert allowed_range(CARRIES, "probe") == (-math.inf, math.inf)
     for other in (CARRIES, crane):  # models hold for any payload
         assert other.hash == CARRIES.hash
