@@ -16,6 +16,7 @@ from longarm_comp.devices.servo_bus.state import (
     BusUnplugged,
     IncompleteReply,
     ServoBusError,
+    ServoFault,
     ServoState,
 )
 from longarm_comp.devices.servo_check import check_memory, check_placed, check_reach
@@ -51,6 +52,19 @@ class Cycle:
     trouble: str  # message of a bus error; empty without one
 
 
+def free_servos(config: ServoConfig) -> None:
+    """Switch the torque of an arm's servos off, whichever they are and however they are set.
+
+    Raises:
+        BusUnplugged, IncompleteReply, ServoFault: not every servo confirmed it.
+    """
+    bus = config.open_bus()
+    try:
+        bus.torque(list(config.ids.values()), on=False)
+    finally:
+        bus.close()
+
+
 class ServoArm:
     """Connects a servo bus and a trajectory follower. Reopens the port when it comes back.
 
@@ -59,18 +73,28 @@ class ServoArm:
         JobError: a servo is of another model than configured, or must not be commanded by what it
             has stored.
 
+    Args:
+        stopped: whether an emergency stop stands: torque off is sent as soon as the port is open,
+            whichever servos answer.
+
     Attributes:
         said: what was changed in servos, to be told.
     """
 
-    def __init__(self, config: ServoConfig, follower: TrajectoryFollower | None = None) -> None:
+    def __init__(
+        self,
+        config: ServoConfig,
+        follower: TrajectoryFollower | None = None,
+        *,
+        stopped: bool = False,
+    ) -> None:
         self.config, self.follower = config, follower or TrajectoryFollower(config)
         self._ids = list(config.ids.values())
         self._speeds: dict[int, float] = {}
         self._stood: dict[int, int] = {}  # ticks by servo id, when the torque last held the arm
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
-        self.owing_off = False  # torque off was not confirmed yet
+        self.owing_off = stopped  # torque off was not confirmed yet
         self._hold: dict[int, int] = {}  # goals of a fault that servos have not confirmed
         self._cycles = 0
         self._missed = False  # whether a servo did not answer: it may have lost its power
@@ -85,6 +109,9 @@ class ServoArm:
         """
         bus = self.config.open_bus()
         try:
+            if self.owing_off:  # before anything that a silent or another servo may break off
+                with contextlib.suppress(IncompleteReply, ServoFault):
+                    bus.torque(self._ids, on=False)
             for name, joint in self.config.joints.items():
                 number = bus.ping(joint.servo_id)
                 if number != joint.servo.model_number:
@@ -98,9 +125,6 @@ class ServoArm:
             self._check(bus, turned=again)
             self._set_turns(bus)
         except BaseException:
-            if self.owing_off:  # also to servos that are refused
-                with contextlib.suppress(ServoBusError):
-                    bus.torque(self._ids, on=False)
             bus.close()
             raise
         return bus

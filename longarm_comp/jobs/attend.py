@@ -159,7 +159,7 @@ class Attendant:
             raise
         except JobError as error:
             cure = "if the arm moves or holds somebody, cut its power"
-            raise JobError(f"{error}; nothing is stopped by this command: {cure}") from error
+            raise JobError(f"{error}; {cure}") from error
 
     def _ask(self, service: Service, request: Any) -> str:
         answer = self._client.ask(DRIVER, service, request, FOUND_S)

@@ -246,7 +246,7 @@ _DRIVER_STATES = {
     DriverState.MOVING: "moving",
     DriverState.HOLDING: "held: trajectories refused",
     DriverState.FAULT: "in fault: torque on, trajectories refused",
-    DriverState.ESTOP: "stopped: torque off, trajectories refused",
+    DriverState.ESTOP: "stopped: trajectories refused",
 }
 
 

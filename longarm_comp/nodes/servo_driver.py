@@ -139,7 +139,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._max_age_s, self._cycled = p["order_max_age_s"], time.monotonic()
         self._intake = Intake(self, self, self._max_age_s, unstamped=p["unstamped"])
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
-        self._stops = Stops(self, self, p["state"], p["arm"], self._config.bus.port)
+        self._stops = Stops(self, self, p["state"], p["arm"], self._config)
         self._timer = steady_timer(self, self._period_s, self._cycle)
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)
@@ -180,7 +180,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             rules = self._keeps_out, self._shapes, self.p["trim"]
-            self.arm = ServoArm(self._config, TrajectoryFollower(self._config, *rules))
+            follower = TrajectoryFollower(self._config, *rules)
+            self.arm = ServoArm(self._config, follower, stopped=self._stops.estop)
         except LongarmError as error:
             return self._note_failure(error)
         for said in self.arm.said:
@@ -246,6 +247,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if self.arm is not None:
             self.arm.close()
         self.arm = self._last = None
+        self._stops.let_go()
 
     def _cycle(self) -> None:
         if self.arm is not None:

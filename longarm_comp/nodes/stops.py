@@ -10,8 +10,9 @@ from typing import Any, Protocol
 
 from rclpy.node import Node
 
-from longarm_comp.core.errors import InputError, LongarmError
-from longarm_comp.devices.servo_arm import ServoArm
+from longarm_comp.core.errors import InputError, JobError, LongarmError
+from longarm_comp.devices.servo_arm import ServoArm, free_servos
+from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
@@ -41,11 +42,14 @@ class Stops:
     While one stands the driver switches no torque on and takes no trajectory.
     """
 
-    def __init__(self, node: Node, site: Stoppable, folder: str, arm: str, port: str) -> None:
+    def __init__(
+        self, node: Node, site: Stoppable, folder: str, arm: str, servos: ServoConfig
+    ) -> None:
         kept = Path(folder) if folder else state_folder()
         if not kept.is_absolute():  # another working folder would not know of a stop
             raise InputError(where(node), "state", folder, "an absolute path")
-        self._site, self._latch = site, StopLatch(kept, node.get_namespace(), arm, port)
+        self._site, self._servos, self._freed = site, servos, False
+        self._latch = StopLatch(kept, node.get_namespace(), arm, servos.bus.port)
         if self.standing:
             node.get_logger().warning(self._latch.words)
         steady_timer(node, 0.5, self._latch.keep)  # again where it could not be written
@@ -61,6 +65,11 @@ class Stops:
         return self._latch.words
 
     @property
+    def estop(self) -> bool:
+        """True while an emergency stop stands."""
+        return Stop.ESTOP in self._latch.standing
+
+    @property
     def unkept(self) -> bool:
         """True where a standing stop would end with this process; `StopLatch` says why."""
         return bool(self._latch.trouble)
@@ -68,21 +77,30 @@ class Stops:
     @property
     def state(self) -> tuple[int, str]:
         """The state as in `DriverState` while a stop stands, and the reason."""
-        stopped = Stop.ESTOP in self._latch.standing
-        torque = self._torque_yet(Stop.ESTOP if stopped else Stop.HOLD)
+        torque = self._torque_yet(Stop.ESTOP if self.estop else Stop.HOLD)
+        torque = torque or ("torque is off" if self.estop else "")
         why = "; ".join(filter(None, (self.standing, torque)))
-        return (DriverState.ESTOP if stopped else DriverState.HOLDING), why
+        return (DriverState.ESTOP if self.estop else DriverState.HOLDING), why
 
     def let_go(self) -> None:
-        """Switch torque off under an emergency stop; send it again where no servo received it."""
-        if self._site.arm is not None and Stop.ESTOP in self._latch.standing:
-            with suppress(LongarmError):
-                self._site.arm.estop()
+        """Switch torque off under an emergency stop, also where the driver is not configured."""
+        if not self.estop:
+            return
+        self._freed = False
+        with suppress(LongarmError):
+            if self._site.arm is not None:
+                self._site.arm.estop()  # sent again until every servo confirms it
+            else:
+                free_servos(self._servos)
+                self._freed = True
 
     def _estop(self) -> str:
         self._latch.ask(Stop.ESTOP)
         self.let_go()
-        return self._write_down(Stop.ESTOP, "torque off, commands refused")
+        said = self._write_down(Stop.ESTOP, "torque off, commands refused")
+        if self._torque_yet(Stop.ESTOP):
+            raise JobError(said)
+        return said
 
     def _hold(self) -> str:
         if self._site.arm is not None and Stop.HOLD not in self._latch.standing:
@@ -99,8 +117,8 @@ class Stops:
         """Say how the torque still differs from what a stop wants; empty where it does not."""
         arm = self._site.arm
         if stop is Stop.ESTOP:
-            off = arm is not None and not arm.owing_off
-            return "" if off else "torque goes off as soon as every servo answers"
+            off = self._freed if arm is None else not arm.owing_off
+            return "" if off else "torque off: not every servo confirms it"
         return "" if arm is not None and arm.powered else "the driver has switched no torque on"
 
     def _go_on(self) -> str:

@@ -49,7 +49,11 @@ def test_an_arm_is_held_stopped_and_goes_on(rig: Rig, shell: Shell) -> None:
     assert shell.json("status")["next"] == "longarm reset"
     assert shell("stop") == 0 and rig.free()
     assert shell("status") == 0
-    assert "stopped: torque off" in shell.out and "Next: longarm reset" in shell.out
+    assert (
+        "stopped: trajectories refused" in shell.out
+        and "torque is off" in shell.out
+        and "Next: longarm reset" in shell.out
+    )
     assert shell("reset") == 0 and rig.driving()  # of the stop, and of the hold before it
     rig.is_in(DriverState.READY)
     rig.is_idle()
@@ -85,7 +89,7 @@ def test_without_an_arm_the_command_says_so(
     stop.ask(Stop.ESTOP)
     stop.keep()
     for name, words in (
-        ("status", "longarm up"), ("status", "port /dev/ttyMOON"), ("hold", "nothing is stopped"),
+        ("status", "longarm up"), ("status", "port /dev/ttyMOON"), ("hold", "cut its power"),
         ("stop", "cut its power"),
     ):  # fmt: skip
         assert words in shell.refused(name, "--namespace", "moon", code=3)

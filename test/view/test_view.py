@@ -271,7 +271,7 @@ def buttons_call_the_services(stand: Stand) -> None:
     driver = stand.driver
     stand.press("Software stop (torque off)")
     stand.shows("Software stop (torque off): torque off, commands refused")
-    stand.shows("The driver is stopped: torque off, trajectories refused.")
+    stand.shows("The driver is stopped: trajectories refused.")
     stand.press("Hold")
     stand.shows("Hold: refused: the driver is not active, so there is no torque to hold the arm")
     stand.press("Release stop")
