@@ -310,6 +310,10 @@ class ServoArm:
             with contextlib.suppress(ServoBusError):
                 self.power(False)
                 break
+        self.leave()
+
+    def leave(self) -> None:
+        """Release the port; the torque stays as it is."""
         if self.bus is not None:
             self.bus.close()
             self.bus = None

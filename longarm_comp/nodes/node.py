@@ -48,6 +48,7 @@ class ArmNode(Node):
     Attributes:
         p: values of the parameters, by name.
         health: its ``parts`` are reported on /diagnostics.
+        abandoned: whether it ends because its terminal or its supervisor is gone.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class ArmNode(Node):
         self.health = Health(self, self.p[PERIOD.name])
         self._made_for = executor
         self._workers: list[Worker] = []
+        self.abandoned = False
 
     def worker(self, capacity: int) -> Worker:
         """Make a worker thread, which ends with the node."""
@@ -135,9 +137,15 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
     """
     # Interval in which the threads of a node are switched, s. Python's default is 5 ms
     sys.setswitchinterval(2e-4)
-    stop = threading.Event()
+    stop, gone = threading.Event(), threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
+
+    def hang_up(*_: object) -> None:
+        gone.set()
+        stop.set()
+
+    signal.signal(signal.SIGHUP, hang_up)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
     node: ArmNode | None = None
@@ -148,6 +156,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
         executor.add_node(node)
         gc.freeze()  # everything loaded so far stays, so collections need not scan it again
         spin(executor, node, stop)
+        node.abandoned = gone.is_set() or not stop.is_set()
     except LongarmError as error:
         print(error, file=sys.stderr)
         code = error.exit_code

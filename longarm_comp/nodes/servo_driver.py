@@ -149,6 +149,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def close(self) -> bool:
+        if self.abandoned and self.arm is not None:
+            self._leave(self.arm)
         self._release()
         self._ended = True
         self._tell_state()
@@ -248,6 +250,16 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.arm.close()
         self.arm = self._last = None
         self._stops.let_go()
+
+    def _leave(self, arm: ServoArm) -> None:
+        """Stop smoothly and leave the torque as it is: a heavy arm must not fall by itself."""
+        arm.follower.break_off(EventKind.HELD, "its supervisor is gone: it stays where it is")
+        end = time.monotonic() + 2.0 * self._config.follower.blend_s + 1.0
+        while self.following and time.monotonic() < end:
+            self._drive(arm)
+            time.sleep(self._period_s)
+        arm.leave()
+        self.arm = None
 
     def _cycle(self) -> None:
         if self.arm is not None:

@@ -6,6 +6,7 @@ import itertools
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -383,3 +384,40 @@ def test_a_simulated_graph_stays_stopped_when_it_dies_and_when_it_is_started_ane
         client.until(lambda: "stopped: emergency stop since" in answer(), 300.0, "no reason")
         assert shell("reset") == 0
         client.until(lambda: standing() == "ready", 300.0, "not ready")
+
+
+SUPERVISE = """
+import os, subprocess, sys
+child = subprocess.Popen(sys.argv[1:], env={**os.environ, "LONGARM_SUPERVISOR": str(os.getpid())})
+print(child.pid, flush=True)
+child.wait()
+"""
+
+
+@pytest.mark.parametrize("gone", ["its terminal", "its supervisor"])
+def test_a_driver_that_nobody_minds_any_more_stops_and_leaves_the_arm_up(
+    fresh: Rig, gone: str
+) -> None:
+    """A closed terminal, or `longarm up` killed for its memory: a heavy arm must not fall."""
+    rig = fresh
+    if gone == "its supervisor":
+        rig.ends()
+        command = [sys.executable, "-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
+        rig.process = rig.stage.python(
+            ["-c", SUPERVISE, *command, "--params-file", str(rig.file)]
+        )  # fmt: skip
+        rig.is_idle()
+    rig.goes(shoulder=0.1)
+    rig.send("on its way", shoulder=0.9)
+    rig.stage.spin(lambda: rig.joints()["shoulder"] > 0.2)
+    rig.process.send_signal(signal.SIGHUP if gone == "its terminal" else signal.SIGKILL)
+    rig.becomes("on its way", Motion.ACCEPTED, Motion.BROKEN_OFF)
+    rig.stage.spin(lambda: "ended" in rig.is_in(DriverState.UNCONFIGURED).message)
+    assert rig.driving()
+    at = rig.joints()["shoulder"]
+    assert 0.2 < at < 0.85
+    rig.process.wait(timeout=300)
+    rig.start()
+    rig.is_in(DriverState.READY)
+    rig.is_idle()
+    assert rig.joints()["shoulder"] == pytest.approx(at, abs=2e-3)
