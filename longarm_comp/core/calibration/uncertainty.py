@@ -78,7 +78,10 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     frames = (FRAME * each for each in (moved, since) if len(each))
     frame = np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
     # Lowest and highest of what a command is told, but of time
-    circumstances, payload = {}, fit.model.arm.payload
+    # What no row tells counts as arm.yaml declares it
+    arm, payload = fit.model.arm, fit.model.arm.payload
+    warmth = arm.reference_temperature_c
+    circumstances = {"temperature_c": (warmth, warmth)}
     if payload is not None:  # as declared where the rows do not say it
         circumstances["payload_kg"] = (payload.mass_kg, payload.mass_kg)
     for name, column in fit.session.columns.items():

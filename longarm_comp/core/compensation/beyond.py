@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context, is_told
+from longarm_comp.core.arm.context import INCLINATION, Context, is_told
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
@@ -36,8 +36,14 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
         within the session, and where the model does not say what that was.
     """
     variance, said = np.zeros((len(q), 3)), [""] * len(q)
-    known = model.uncertainty
-    for name, (low, high) in ({} if known is None else known.circumstances).items():
+    known = dict({} if model.uncertainty is None else model.uncertainty.circumstances)
+    tilts = [name for name in context.columns if INCLINATION.match(name)]
+    if known and tilts:  # what no row tells counts as level, as what is not told now
+        tilts = [f"{name[:-1]}{axis}" for name in tilts for axis in "xy"]
+        known = dict.fromkeys(tilts, (0.0, 0.0)) | known
+        level = {name: known[name][0] for name in tilts}
+        context = dataclasses.replace(context, columns={**level, **context.columns})
+    for name, (low, high) in known.items():
         if name not in context.columns:
             continue
         values = np.broadcast_to(np.asarray(context.columns[name], float), len(q))
@@ -86,6 +92,10 @@ def _sd_of_change(
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
     variance = (share[:, None] * moved) ** 2 + moves(*absent_slots(model, context))
+    for effect in _absent_effects(model, context):
+        if not effect.parameters(model.arm):  # nothing but the reading, as an inclinometer's tilt
+            there_with, here_with = (model.plus(effect).tip(q, c) for c in (context, edge))
+            variance += (there_with - here_with - moved) ** 2
     if one_load and nameless:
         # What a cause without a name does under one load may be the work of all that yields
         elastic = slots_of(model.arm, [t for t in _library(model) if t.elastic])
@@ -112,23 +122,26 @@ def _feels_change(effect: Discovered, there: Posture, here: Posture) -> bool:
     return not all(np.allclose(a, b, rtol=_ROUNDING, atol=0.0) for a, b in pairs)
 
 
-def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
-    """List k parameters of effects that the model lacks and no row could show, and their sizes
-    (k,).
+def _absent_effects(model: Model, context: Context) -> list[Effect]:
+    """List the effects that the model lacks and no row could show.
 
-    They belong to every effect that reads a known circumstance. If the model holds no elastic
-    effect, all elastic ones are added: a calibration puts the sag of its rows into its geometry.
+    They are every effect that reads a known circumstance. If the model holds no elastic effect, all
+    elastic ones are added: a calibration puts the sag of its rows into its geometry.
     """
     held = {effect.key for effect in model.effects}
     if model.uncertainty is not None:  # it knows them
         held |= {effect.key for effect in model.uncertainty.absent}
     stiff = not any(effect.elastic for effect in model.effects)
-    wanted = [
+    return [
         t
         for t in _library(model)
         if t.key not in held and not t.missing(context)
         if (stiff and t.elastic) or any(is_told(name) for name in (*t.needs, *t.inputs))
     ]
-    slots = slots_of(model.arm, wanted)
+
+
+def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
+    """List the k parameters of absent effects, and their sizes (k,)."""
+    slots = slots_of(model.arm, _absent_effects(model, context))
     sizes = [s.parameter.width * (YIELDS if s.owner.elastic else 1.0) for s in slots]
     return slots, np.array(sizes)

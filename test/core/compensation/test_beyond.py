@@ -75,6 +75,19 @@ def test_a_session_that_tells_no_payload_had_the_declared_one() -> None:
     assert beyond_session(model, Q, at(OWN_KG + 1.0))[0].any()
 
 
+@pytest.mark.parametrize(
+    ("column", "declared", "other"),
+    [("temperature_c", ARM.reference_temperature_c, 60.0), ("incl_0_x", 0.0, 0.05)],
+)
+def test_what_no_row_tells_counts_as_declared(column: str, declared: float, other: float) -> None:
+    """A warm arm, or one on a tilted base, was not calibrated so: the promise knows."""
+    model = learned(SOFT)
+    assert not beyond_session(model, Q, Context(columns={column: declared}))[0].any()
+    spread, why = beyond_session(model, Q, Context(columns={column: other}))
+    assert (np.linalg.norm(spread, axis=1) > 1e-3).all()
+    assert all(each.startswith(f"{column} {other:.4g} is beyond") for each in why)
+
+
 def test_causes_without_a_name_that_feel_the_load_make_the_physics_less_sure() -> None:
     """One of the joints alone may, where no row had another load."""
     load, joints = (

@@ -14,6 +14,7 @@ from small_arm import ARM, AWAY, measured
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place
+from longarm_comp.core.arm.parts import Payload
 from longarm_comp.core.arm.quaternion import from_rotation
 from longarm_comp.core.compensation.target_frame import base_of_graph, find_placement
 from longarm_comp.core.data.session import Session
@@ -70,7 +71,8 @@ def test_a_promise_counts_what_nobody_knows_of_the_targets_frame(seed: int) -> N
 
 def test_targets_of_both_kinds_are_each_by_itself(rng: np.random.Generator) -> None:
     """Positions and poses in turn, each with its own payload, and one of the arm's own frame."""
-    model = Model(ARM, (AWAY, JointCompliance(1, 2e-3)))
+    carries = ARM.model_copy(update={"payload": Payload(mass_kg=0.3, frame=4)})
+    model = Model(carries, (AWAY, JointCompliance(1, 2e-3)))
     q = ARM.mid + 0.2 * (ARM.upper - ARM.mid) * rng.uniform(-1.0, 1.0, (8, ARM.n))
     kg = np.linspace(0.0, 3.0, 8)
     poses = model.pose(q, Context(columns={"payload_kg": kg}))
