@@ -150,6 +150,7 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:
     assert not cause.compensated  # no command knows the column
 
 
+@pytest.mark.long
 def test_a_stop_begins_where_it_begins() -> None:
     """The slide above the joint turns about the same axis."""
     cause = alone(SMALL, RubberStop(joint=1, begins=0.8, holds=0.1))
@@ -373,6 +374,7 @@ def test_a_ramp_fills_the_gap_of_the_data() -> None:
 # ------------------------------------------------------------------ recorded columns
 
 
+@pytest.mark.long
 def test_the_diagnosis_names_the_driver_and_not_the_noise(rng: np.random.Generator) -> None:
     """x += 4 mm sin(6 pump_bar) in 140 rows: 2.8 mm that were the noise of x."""
     rows = session(n=140)
