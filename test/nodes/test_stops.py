@@ -328,7 +328,10 @@ def test_a_simulated_graph_stays_stopped_when_it_dies_and_when_it_is_started_ane
     ros_domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shell, arm = Shell(tmp_path, capsys), Arm.load(DEMO)
-    up = BringUp(arm=DEMO, sim=True, speed=10.0, without=("error_predictor", "stereo_bridge"))
+    up = BringUp(
+        arm=DEMO, sim=True, speed=10.0, without=("error_predictor", "stereo_bridge"),
+        set={"kinematics": {"compiled": False}},
+    )  # fmt: skip
     with running(up) as supervisor, ArmClient(arm) as client:
         client.ready(300.0, tip=False)
         assert shell("stop") == 0 and "torque off" in shell.err

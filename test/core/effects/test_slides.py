@@ -132,6 +132,7 @@ def test_a_declared_guide_has_its_own_effects(demo_arm_path) -> None:
     assert GuideCurvature.rows(demo) == [3, 7]
 
 
+@pytest.mark.long
 def test_sinking_and_a_drift_of_the_camera_are_a_set() -> None:
     rng = np.random.default_rng(4)
     q = poses(160)

@@ -119,6 +119,7 @@ def test_what_gives_is_one_number() -> None:
     assert "behaves like a soft part that yields" in cause.sentence
 
 
+@pytest.mark.long
 def test_a_weight_is_found_where_it_hangs_with_its_size() -> None:
     cause = alone(DEMO, loads.LinkMass(row=6, mass_kg=0.5))
     assert cause.amounts[0].value == pytest.approx(4.9, rel=0.1)
@@ -178,6 +179,7 @@ def test_a_function_does_not_take_a_true_name() -> None:
     assert [f.credible for f in found.found] == [("camera_drift",)]
 
 
+@pytest.mark.long
 def test_a_name_that_imitates_a_cause_is_not_named() -> None:
     """Tilting bearings imitate a curved window so well that no structure is left."""
     setting = set_up(DEMO, "window_glass", "grid", 2, ROWS)
@@ -197,6 +199,7 @@ def test_a_name_that_imitates_a_cause_is_not_named() -> None:
     assert off_by[1] < 0.5 * off_by[0]
 
 
+@pytest.mark.long
 def test_what_follows_the_warmth_is_no_drift() -> None:
     """The camera's drift is on offer, and what is seen follows the temperature."""
     rows = measured(SMALL, (), ROWS, 3)

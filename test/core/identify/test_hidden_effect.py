@@ -52,9 +52,9 @@ def value(found: Diagnosis, parameter: str, where: str) -> float:
 
 
 # 1
-def test_shuffled_residuals_are_noise(rng: np.random.Generator) -> None:
+def test_shuffled_residuals_are_noise(gain: Diagnosis, rng: np.random.Generator) -> None:
     whole = session(GAIN)
-    left = fit_model(diagnose(ARM, whole, kinds=()).model, whole).residual
+    left = fit_model(gain.models["calibrated"], whole).residual
     order = rng.permutation(len(whole))
     mixed = dataclasses.replace(whole, xyz=Model(ARM).tip(whole.q) + left[order])
     found = diagnose(ARM, mixed, kinds=FEW)
