@@ -131,7 +131,8 @@ def unplugged(rig: Rig) -> None:
 def frozen(rig: Rig) -> None:
     """It hangs, and a trajectory comes meanwhile."""
     rig.process.send_signal(signal.SIGSTOP)
-    os.waitpid(rig.process.pid, os.WUNTRACED)
+    state = Path(f"/proc/{rig.process.pid}/stat")
+    rig.stage.spin(lambda: state.read_text().rpartition(")")[2].split()[0] == "T")
     rig.send("meanwhile", shoulder=0.25)
     rig.process.send_signal(signal.SIGCONT)
     del rig.said[:]

@@ -20,7 +20,8 @@ from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.drive_errors import JointGain
+from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
@@ -298,7 +299,7 @@ def planted(arm: Arm, n: int, rng: np.random.Generator, told: bool) -> tuple[Ses
     return Session.record(q, seen, run_up=begun), tip
 
 
-RIVALS = (FrictionHysteresis, Backlash, JointGain)
+RIVALS = (FrictionHysteresis, Backlash, ServoDroop, JointCompliance, JointGain, GearEccentricity)
 
 
 @pytest.mark.parametrize(
