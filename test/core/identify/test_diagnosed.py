@@ -173,7 +173,7 @@ def test_a_tilt_sensor_on_solid_ground_is_left_out() -> None:
 def test_a_value_at_its_bound_is_not_shown_as_an_interval() -> None:
     """The bearing gives about one axis only: the other parameter is 0 or hardly more."""
     truth = Model(DEMO, (LinkDeflection(), BearingTilt(4, about_y=0.01)))
-    found = diagnose(DEMO, of_truth(truth, 120, seed=6), kinds=(BearingTilt,))
+    found = diagnose(DEMO, of_truth(truth, 200, seed=6), kinds=(BearingTilt, GearEccentricity))
     (finding,) = found.findings
     assert finding.name == "bearing_tilt"
     shown = {p.name: p.ci95 for p in finding.parameters}

@@ -284,7 +284,6 @@ def soft_joint(compliance: float) -> ExplainedSession:
     return explained(Session.record(q, xyz), *kinds, arm=HEAVY_BASE)
 
 
-@pytest.mark.long
 def test_where_one_part_is_soft_by_name_the_others_may_be_as_soft() -> None:
     """That costs no cause of its own: else they were fitted as a thirtieth as soft, or stiff."""
     soft = [
