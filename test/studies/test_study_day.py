@@ -84,7 +84,7 @@ def test_without_wear_nothing_is_named_and_nothing_is_lost() -> None:
 
 def test_an_hour_of_every_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is known beside the model helps; the command's table and files are of the days lived."""
-    worn = day_work.one_day(day_work.replace(SETTING, hours=1, moves=4, rows=80), 0)
+    worn = day_work.one_day(day_work.replace(SETTING, hours=1, rows=100), 0)
     none, once, told, *_ = 1e3 * np.nanmean(worn.error, axis=1)
     assert none > 2.0 and once < 0.5 * none and told < once
     asked: list[tuple[day_work.DaySetting, int]] = []
