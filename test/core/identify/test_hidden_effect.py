@@ -63,7 +63,7 @@ def test_shuffled_residuals_are_noise(gain: Diagnosis, rng: np.random.Generator)
 
 @pytest.fixture(scope="module")
 def nothing() -> Diagnosis:
-    return diagnose(ARM, session())
+    return diagnose(ARM, session(), kinds=FEW)
 
 
 # 2
@@ -131,9 +131,12 @@ def test_aliases_on_three_levels_stay_a_set() -> None:
 
 
 # 7
-def test_dose_decides_between_invisible_set_and_named(nothing: Diagnosis) -> None:
+@pytest.mark.parametrize("kinds", [FEW, pytest.param(LIBRARY, marks=pytest.mark.long)])
+def test_dose_decides_between_invisible_set_and_named(
+    nothing: Diagnosis, kinds: Sequence[type[Effect]]
+) -> None:
     found = {0.0: nothing} | {
-        dose: diagnose(ARM, session([drives.JointGain(at(1, dose))], n=150))
+        dose: diagnose(ARM, session([drives.JointGain(at(1, dose))], n=150), kinds=kinds)
         for dose in (0.006, 0.1)
     }
     assert {dose: d.verdict for dose, d in found.items()} == {
