@@ -171,7 +171,7 @@ def test_the_command_reads_models_and_says_which(tmp_path: Path, models: dict[st
     assert set(kind.noise) == {"touch"}
     assert 5e-5 < kind.noise["touch"] < 1e-3
     out = tmp_path / "model.yaml"
-    words = [str(EXAMPLE / "arm.yaml"), str(EXAMPLE / "panda_2.csv")]
+    words = [str(EXAMPLE / "arm.yaml"), str(EXAMPLE / "panda_7.csv")]
     done = CliRunner().invoke(
         command, [*words, "-o", str(out), "--kind-of", *map(str, files), "--json"]
     )
