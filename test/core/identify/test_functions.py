@@ -29,6 +29,7 @@ from longarm_comp.core.effects.slow_changes import (
     ThermalSoftening,
 )
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.discover.bank import make_banks
 from longarm_comp.core.identify.discover.causes import (
     Cause,
     describe_doubts,
@@ -119,7 +120,6 @@ def test_what_gives_is_one_number() -> None:
     assert "behaves like a soft part that yields" in cause.sentence
 
 
-@pytest.mark.long
 def test_a_weight_is_found_where_it_hangs_with_its_size() -> None:
     cause = alone(DEMO, loads.LinkMass(row=6, mass_kg=0.5))
     assert cause.amounts[0].value == pytest.approx(4.9, rel=0.1)
@@ -334,6 +334,21 @@ def test_seats_that_flip_in_few_rows_are_no_outliers() -> None:
     assert set(np.flatnonzero(bad)) <= aside and len(aside) <= bad.sum() + 2
     (cause,) = found.causes
     assert found.verdict == "partly" and "load_6" in cause.inputs
+
+
+# ------------------------------------------------------------------ what is on offer
+
+
+def test_both_sides_depend_on_what_was_recorded_and_the_camera_on_what_it_sees() -> None:
+    """A window, a lens, the warmth: found where they hide in `make long`."""
+    rows = measured(DEMO, (), 40, 1)
+    ours, axes, views = make_banks(calibrated(DEMO, rows))
+    assert {"t_s", "warmth"} < set(ours.functions.inputs.by_name)
+    assert "weight" in {spot.component for spot in ours.places}
+    assert {spot.component for spot in axes.places} == set("xyz")
+    seen = {"seen_x", "seen_y", "seen_z", "t_s", "temperature_c"}
+    assert set(axes.functions.inputs.by_name) == seen
+    assert "distance" in {spot.component for spot in views.places}
 
 
 # ------------------------------------------------------------------ what the data cannot tell
