@@ -72,8 +72,8 @@ def touched() -> Session:
 @pytest.mark.parametrize(
     ("length", "tolerance", "words"),
     [
-        (1e300, 1e-4, "less than or equal to"),
-        (0.05, 1e300, "less than or equal to"),
+        pytest.param(1e300, 1e-4, "less than or equal to", marks=pytest.mark.long),
+        pytest.param(0.05, 1e300, "less than or equal to", marks=pytest.mark.long),
         (0.05, 1e-300, "greater than or equal to"),
         (50.0, 1e-4, "as the arm touched them (this looks like millimetres)"),
         (0.3, 1e-4, "as the arm touched them"),

@@ -225,11 +225,11 @@ def test_every_joint_has_a_side_of_its_own(
     stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(5)
-    q = arm.mid + 0.2 * (arm.upper - arm.lower) * (rng.random((120, arm.n)) - 0.5)
-    side = rng.choice([-1.0, 1.0], (120, arm.n))
+    q = arm.mid + 0.2 * (arm.upper - arm.lower) * (rng.random((60, arm.n)) - 0.5)
+    side = rng.choice([-1.0, 1.0], (60, arm.n))
     learned = train(
-        q, 2e-3 * side[:, :3] + 1e-4 * rng.standard_normal((120, 3)), Context(tuple(side.T)),
-        init="xavier", ensemble=2, hidden=4,
+        q, 2e-3 * side[:, :3] + 1e-4 * rng.standard_normal((60, 3)), Context(tuple(side.T)),
+        init="xavier", ensemble=1, hidden=3,
         provenance=Provenance(arm_hash=arm.hash, joint_names=arm.joint_names),
     )  # fmt: skip
     save(learned, tmp_path / "sided.npz")

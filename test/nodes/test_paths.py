@@ -206,7 +206,7 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     assert "halted" in planner.ends(goal, GoalStatus.STATUS_CANCELED).error_string
 
 
-@pytest.mark.parametrize("endless", [False, True])
+@pytest.mark.parametrize("endless", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_plan_through_pi_goes_on_live_or_is_refused(
     stage: Bench, tmp_path: Path, endless: bool
 ) -> None:
@@ -243,7 +243,11 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(
 
 @pytest.mark.parametrize(
     ("free", "tracked"),
-    [(False, False), pytest.param(True, False, marks=pytest.mark.long), (False, True)],
+    [
+        pytest.param(False, False, marks=pytest.mark.long),
+        pytest.param(True, False, marks=pytest.mark.long),
+        (False, True),
+    ],
 )
 def test_an_arm_that_cannot_hold_the_orientation_follows_a_plan_and_says_so(
     stage: Bench, tmp_path: Path, free: bool, tracked: bool

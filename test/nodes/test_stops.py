@@ -132,7 +132,8 @@ def unplugged(rig: Rig) -> None:
 def frozen(rig: Rig) -> None:
     """It hangs, and a trajectory comes meanwhile."""
     rig.process.send_signal(signal.SIGSTOP)
-    os.waitpid(rig.process.pid, os.WUNTRACED)
+    state = Path(f"/proc/{rig.process.pid}/stat")
+    rig.stage.spin(lambda: state.read_text().rpartition(")")[2].split()[0] == "T")
     rig.send("meanwhile", shoulder=0.25)
     rig.process.send_signal(signal.SIGCONT)
     del rig.said[:]
@@ -354,7 +355,10 @@ def test_a_simulated_graph_stays_stopped_when_it_dies_and_when_it_is_started_ane
     ros_domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shell, arm = Shell(tmp_path, capsys), Arm.load(DEMO)
-    up = BringUp(arm=DEMO, sim=True, speed=10.0, without=("error_predictor", "stereo_bridge"))
+    up = BringUp(
+        arm=DEMO, sim=True, speed=10.0, without=("error_predictor", "stereo_bridge"),
+        set={"kinematics": {"compiled": False}},
+    )  # fmt: skip
     with running(up) as supervisor, ArmClient(arm) as client:
         client.ready(300.0, tip=False)
         assert shell("stop") == 0 and "torque off" in shell.err

@@ -79,7 +79,7 @@ def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
     """Calibrated, trained, judged: all without what other programs use."""
     arm = folder("config") / "arm_demo.yaml"
     csv = tmp_path / "samples.csv"
-    write_csv(synthetic_session(Arm.load(arm), 80), csv)
+    write_csv(synthetic_session(Arm.load(arm), 40), csv)
     model, predictor = str(tmp_path / "model.yaml"), str(tmp_path / "predictor.npz")
     code = command_line("calibrate", str(arm), str(csv), "-o", model)
     code += command_line("train", str(arm), str(csv), "--model", model, "-o", predictor,

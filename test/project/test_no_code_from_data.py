@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -142,7 +143,10 @@ def test_workers_of_a_fleet(trap: Path, engine: tuple[str, ...]) -> None:
         write_csv(session, trap.parent / "arms" / name / "samples.csv")
     words = ("arms", "--jobs", 1 if engine else 2, "-o", "out", "--no-network", *engine)
     _, said = program(trap.parent, "fleet", *words)
-    assert (trap.parent / "out" / "fleet.json").is_file(), said
+    made = trap.parent / "out" / "fleet.json"
+    assert made.is_file(), said
+    told = {arm["name"]: arm["verdict"] for arm in json.loads(made.read_text("utf-8"))["arms"]}
+    assert told == {"a": "failed", "b": "failed"}
     assert not executed(trap)
 
 

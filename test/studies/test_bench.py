@@ -99,6 +99,7 @@ def test_a_made_session_is_what_its_name_says() -> None:
     assert calibration.synthetic_session(arm, 100, seed=3).hash != session.hash
 
 
+@pytest.mark.long
 def test_diagnosis_runs_with_a_part_of_the_library() -> None:
     made = diagnosis.diagnose_once(40, kinds=2)
     assert made["cpu_s"] > 0

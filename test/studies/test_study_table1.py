@@ -53,6 +53,7 @@ def test_rows_of_the_paper_are_there_with_its_figures() -> None:
     ]
 
 
+@pytest.mark.long
 def test_commanding_improves_in_the_expected_order(outcomes: list[table1_bench.Outcome]) -> None:
     """Deflection takes a little, what is learned with the approach direction takes most."""
     original, deflection, learned, network = (o.tip.mean_abs_z for o in outcomes)
@@ -109,6 +110,7 @@ def test_setting_of_the_paper(arm: Arm) -> None:
     np.testing.assert_array_equal(mixed.rows(10).q, mixed.session.q[:10])
 
 
+@pytest.mark.long
 def test_the_network_of_the_paper_never_refuses(arm: Arm) -> None:
     bench = table1_bench.Bench.draw(arm, 3, 0, 40)
     q, residual, context = table1_bench.training_rows(bench.declared, bench.session)

@@ -32,6 +32,7 @@ def written(path: Path, session: Session) -> Path:
     return path
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few_names")
 def test_a_planted_arm_goes_through_the_whole_study(tmp_path: Path) -> None:
     sockets = {name: place for name, place in SOCKETS.items() if not name.startswith("high")}
@@ -49,7 +50,7 @@ def test_a_planted_arm_goes_through_the_whole_study(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.long] * (n not in ("1", "3"))) for n in RIGID_MM]
+    "name", [pytest.param(n, marks=[pytest.mark.long] * (n != "1")) for n in RIGID_MM]
 )
 def test_real_arms_are_calibrated_by_touch(name: str) -> None:
     arm = la.Arm.load(EXAMPLE / "arm.yaml")

@@ -16,6 +16,7 @@ from typing import IO, Any
 from uuid import uuid4
 
 import rclpy
+from forked import ForkedProgram
 from places import ROOT
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
@@ -59,8 +60,12 @@ class Bench:
         return self.python(args)
 
     def python(self, args: list[str]) -> subprocess.Popen[str]:
-        """Start a Python program from the source tree."""
-        return self.program([sys.executable, *args], ROOT, ROOT)
+        """Start a Python program from the source tree; forked where it is a node's module."""
+        if args[:1] != ["-m"] or not args[1].startswith("longarm_comp.nodes."):
+            return self.program([sys.executable, *args], ROOT, ROOT)
+        said = tempfile.TemporaryFile("w+")  # noqa: SIM115
+        env = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return self._keep(ForkedProgram(args[1:], str(ROOT), env, said), said)
 
     def program(self, words: list[str], packages: Path, folder: Path) -> subprocess.Popen[str]:
         """Start a program in a folder, with Python's packages from another one."""
@@ -72,6 +77,9 @@ class Bench:
             stdout=(said := tempfile.TemporaryFile("w+")),  # noqa: SIM115
             stderr=subprocess.STDOUT,
         )
+        return self._keep(process, said)
+
+    def _keep(self, process: subprocess.Popen[str], said: IO[str]) -> subprocess.Popen[str]:
         self.said[process] = said
         self.processes.append(process)
         return process

@@ -25,7 +25,7 @@ from longarm_comp.core.model.model_file import load_model, read_stored, save_mod
 from longarm_comp.report import record
 from longarm_comp.workflows.apply import apply, list_changes, undo
 from longarm_comp.workflows.inputs import file_hash, load_predictor
-from longarm_comp.workflows.train import TrainedPredictor, train
+from longarm_comp.workflows.train import TrainedPredictor
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -73,7 +73,8 @@ def test_a_network_that_does_not_help_is_not_put_to_work(
     diagnosed: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def useless(*given: Any, **named: Any) -> TrainedPredictor:
-        return dataclasses.replace(train(*given, **named), gain=LearnedGain(1e-4, 2e-4, -1e-4))
+        made = small_networks()(*given, **named)
+        return dataclasses.replace(made, gain=LearnedGain(1e-4, 2e-4, -1e-4))
 
     monkeypatch.setattr("longarm_comp.workflows.apply.train", useless)
     model, said = at_work(tmp_path), []

@@ -69,6 +69,7 @@ def test_the_poses_that_are_asked_for_split_the_set(arm: Path, tmp_path: Path) -
     assert [f["effect"] for f in second["findings"]] == ["joint_gain"]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few_names")
 def test_what_has_no_name_is_found_and_written_to_the_model(arm: Path, tmp_path: Path) -> None:
     span = float(ARM.upper[0] - ARM.lower[0])

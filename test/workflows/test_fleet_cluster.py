@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from cluster_tasks import ends_its_worker, process_of
 from fleet_arms import arm_yaml, rows_of
 
 from longarm_comp.cli.diagnose import fleet as command
@@ -48,6 +49,7 @@ def arms(tmp_path: Path) -> Path:
     return root
 
 
+@pytest.mark.long
 def test_it_says_what_one_process_says_and_goes_on(
     arms: Path, two: distributed.LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -74,13 +76,6 @@ def test_it_says_what_one_process_says_and_goes_on(
     held["arms"] = [arm for arm in held["arms"] if arm["name"] != "b"]
     write_text(file, json.dumps(held))
     assert go_on() == ["b", "no_arm", "no_rows"]
-
-
-def ends_its_worker(number: int) -> int:
-    if number == 2:
-        os._exit(1)
-    time.sleep(0.05)
-    return 10 * number
 
 
 def test_a_task_that_ends_its_workers_is_one_failure(
@@ -132,11 +127,6 @@ def test_without_a_scheduler_a_worker_or_dask_it_is_refused(
     )  # fmt: skip
     assert done.returncode == 2 and "pip install 'longarm_comp[cluster]'" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-
-
-def process_of(seconds: float) -> int:
-    time.sleep(seconds)
-    return os.getpid()
 
 
 def test_local_is_so_many_processes() -> None:

@@ -242,6 +242,7 @@ def test_a_diagnosis_does_not_depend_on_where_the_base_stands() -> None:
         assert far.held_out[name].mean == pytest.approx(near.held_out[name].mean, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few_names")
 def test_diagnose_names_the_effect_from_rays() -> None:
     turn = TURNS[0]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from few_effects import FEW, few_effects
 from sensed_arm import SIGMA, declared
 from small_arm import ARM
 
@@ -57,7 +58,8 @@ def test_a_free_gain_is_fitted_and_shown() -> None:
 
 
 def test_the_row_is_searched_where_it_is_not_declared() -> None:
-    found = la.diagnose(arm(), tilted(), network=False)
+    with few_effects((MeasuredTilt, *FEW)):
+        found = la.diagnose(arm(), tilted(), network=False)
     assert [(f.name, f.where, f.terms[0].forms["pivot"]) for f in found.findings] == [
         ("measured_tilt", ("sensor foot",), 0)
     ]

@@ -27,7 +27,7 @@ from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows.calibrate import kind_from
 
 NAMES = ("1", "2", "3", "4", "6", "7")
-ROWS, DRAWS = 6, 2
+ROWS, DRAWS = 6, 1
 
 
 def touches(name: str) -> Session:
@@ -166,12 +166,12 @@ def test_the_command_reads_models_and_says_which(tmp_path: Path, models: dict[st
     files = []
     for name in ("1", "3", "4"):
         files.append(tmp_path / f"m{name}.yaml")
-        la.calibrate(ARM, touches(name).take(slice(0, None, 2))).save(files[-1])
+        la.calibrate(ARM, touches(name).take(slice(0, None, 4))).save(files[-1])
     kind, origin = kind_from(ARM, files)
     assert set(kind.noise) == {"touch"}
     assert 5e-5 < kind.noise["touch"] < 1e-3
     out = tmp_path / "model.yaml"
-    words = [str(EXAMPLE / "arm.yaml"), str(EXAMPLE / "panda_2.csv")]
+    words = [str(EXAMPLE / "arm.yaml"), str(EXAMPLE / "panda_7.csv")]
     done = CliRunner().invoke(
         command, [*words, "-o", str(out), "--kind-of", *map(str, files), "--json"]
     )
@@ -185,6 +185,7 @@ def test_the_command_reads_models_and_says_which(tmp_path: Path, models: dict[st
     assert "unexpected: further.yaml" in refused.output
 
 
+@pytest.mark.usefixtures("few_names")
 def test_a_diagnosis_expects_what_the_kind_has(tmp_path: Path, models: dict[str, Model]) -> None:
     """Few rows at one place; what is written holds errors of the drawing, and no direction."""
     whole = touches("4")

@@ -149,7 +149,7 @@ class GainOfTwin(JointGain):
 @pytest.mark.parametrize(
     ("kinds", "names"),
     [
-        ((JointGain, Stranger), {"joint_gain"}),
+        pytest.param((JointGain, Stranger), {"joint_gain"}, marks=pytest.mark.long),
         ((JointGain, Twin), {"joint_gain", "twin"}),
         pytest.param((GainOfTwin, Stranger), {"gain_of_twin", "stranger"}, marks=pytest.mark.long),
     ],

@@ -17,7 +17,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.compliances import LinkBending
-from longarm_comp.core.effects.drive_errors import GuideCurvature
+from longarm_comp.core.effects.drive_errors import GuideCurvature, JointGain
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.plays import SlidePlay, TelescopeClearance
 from longarm_comp.core.effects.slow_changes import BaseSettling
@@ -111,7 +111,8 @@ def test_a_diagnosis_names_it_and_its_size(name: str) -> None:
     truth, effect = SLIDES[name]
     q = poses(140)
     seen = truth(q) + np.random.default_rng(4).normal(0.0, 3e-4, (len(q), 3))
-    found = diagnose(arm(), Session.record(q, seen), seed=1)
+    kinds = (LinkBending, GuideCurvature, SlidePlay, JointGain)
+    found = diagnose(arm(), Session.record(q, seen), seed=1, kinds=kinds)
     (finding,) = found.findings
     assert finding.name == name
     assert finding.where == (effect.where,)
@@ -131,6 +132,7 @@ def test_a_declared_guide_has_its_own_effects(demo_arm_path) -> None:
     assert GuideCurvature.rows(demo) == [3, 7]
 
 
+@pytest.mark.long
 def test_sinking_and_a_drift_of_the_camera_are_a_set() -> None:
     rng = np.random.default_rng(4)
     q = poses(160)
@@ -144,6 +146,7 @@ def test_sinking_and_a_drift_of_the_camera_are_a_set() -> None:
     assert found.verdict == "set"
 
 
+@pytest.mark.long
 def test_a_drift_is_told_from_a_bent_guide() -> None:
     rng = np.random.default_rng(1)
     q = poses(120)

@@ -42,7 +42,9 @@ def of_truth(
     )
 
 
-@pytest.mark.parametrize(("gain", "named"), [(1.6e-3, True), (2e-4, False)])
+@pytest.mark.parametrize(
+    ("gain", "named"), [(1.6e-3, True), pytest.param(2e-4, False, marks=pytest.mark.long)]
+)
 def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool) -> None:
     """0.03 mm in 2000 rows of 0.35 mm of noise is four times the noise of their mean.
 
@@ -57,6 +59,7 @@ def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool)
         assert low < gain < high
 
 
+@pytest.mark.long
 def test_a_place_that_the_rows_tell_stays_beside_a_far_larger_one() -> None:
     gains = drives.JointGain(at(2, 0.02) + at(1, 2e-3))
     (found,) = diagnose(ARM, session([gains], n=2000), kinds=(JointGain,)).findings
@@ -65,7 +68,10 @@ def test_a_place_that_the_rows_tell_stays_beside_a_far_larger_one() -> None:
 
 @pytest.mark.parametrize(
     ("levels", "names"),
-    [(3, {"gear_eccentricity", "servo_quantisation"}), (0, {"gear_eccentricity"})],
+    [
+        (3, {"gear_eccentricity", "servo_quantisation"}),
+        pytest.param(0, {"gear_eccentricity"}, marks=pytest.mark.long),
+    ],
 )
 def test_few_positions_leave_a_function_of_the_joint_open(levels: int, names: set[str]) -> None:
     """Any two numbers through three positions: steps of some size and an eccentric gear alike."""
@@ -187,7 +193,8 @@ def test_steps_are_found_where_the_poses_stand_between_two() -> None:
     assert found.search.chosen_terms[0].steps_per_turn == 180  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.long), 10])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [2, 10])
 def test_rows_in_which_a_switch_is_undecided_get_no_name(seed: int) -> None:
     """Play whose threshold is a little off left rows that turned gravity would put right."""
     rows = session_of(DEMO, seed, Backlash(6, gate=0.1, blend=0.05, width=0.03))
@@ -211,7 +218,7 @@ def test_a_threshold_between_those_that_are_tried_is_found() -> None:
     "instrument",
     [
         None,
-        "camera",
+        pytest.param("camera", marks=pytest.mark.long),
         pytest.param("tracker", marks=pytest.mark.long),
         "total_station",
         "touch",

@@ -29,6 +29,7 @@ from longarm_comp.core.effects.slow_changes import (
     ThermalSoftening,
 )
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.discover.bank import make_banks
 from longarm_comp.core.identify.discover.causes import (
     Cause,
     describe_doubts,
@@ -150,6 +151,7 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:
     assert not cause.compensated  # no command knows the column
 
 
+@pytest.mark.long
 def test_a_stop_begins_where_it_begins() -> None:
     """The slide above the joint turns about the same axis."""
     cause = alone(SMALL, RubberStop(joint=1, begins=0.8, holds=0.1))
@@ -177,6 +179,7 @@ def test_a_function_does_not_take_a_true_name() -> None:
     assert [f.credible for f in found.found] == [("camera_drift",)]
 
 
+@pytest.mark.long
 def test_a_name_that_imitates_a_cause_is_not_named() -> None:
     """Tilting bearings imitate a curved window so well that no structure is left."""
     setting = set_up(DEMO, "window_glass", "grid", 2, ROWS)
@@ -196,6 +199,7 @@ def test_a_name_that_imitates_a_cause_is_not_named() -> None:
     assert off_by[1] < 0.5 * off_by[0]
 
 
+@pytest.mark.long
 def test_what_follows_the_warmth_is_no_drift() -> None:
     """The camera's drift is on offer, and what is seen follows the temperature."""
     rows = measured(SMALL, (), ROWS, 3)
@@ -332,6 +336,21 @@ def test_seats_that_flip_in_few_rows_are_no_outliers() -> None:
     assert found.verdict == "partly" and "load_6" in cause.inputs
 
 
+# ------------------------------------------------------------------ what is on offer
+
+
+def test_both_sides_depend_on_what_was_recorded_and_the_camera_on_what_it_sees() -> None:
+    """A window, a lens, the warmth: found where they hide in `make long`."""
+    rows = measured(DEMO, (), 40, 1)
+    ours, axes, views = make_banks(calibrated(DEMO, rows))
+    assert {"t_s", "warmth"} < set(ours.functions.inputs.by_name)
+    assert "weight" in {spot.component for spot in ours.places}
+    assert {spot.component for spot in axes.places} == set("xyz")
+    seen = {"seen_x", "seen_y", "seen_z", "t_s", "temperature_c"}
+    assert set(axes.functions.inputs.by_name) == seen
+    assert "distance" in {spot.component for spot in views.places}
+
+
 # ------------------------------------------------------------------ what the data cannot tell
 
 
@@ -373,6 +392,7 @@ def test_a_ramp_fills_the_gap_of_the_data() -> None:
 # ------------------------------------------------------------------ recorded columns
 
 
+@pytest.mark.long
 def test_the_diagnosis_names_the_driver_and_not_the_noise(rng: np.random.Generator) -> None:
     """x += 4 mm sin(6 pump_bar) in 140 rows: 2.8 mm that were the noise of x."""
     rows = session(n=140)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
+from few_effects import FEW
 from hidden_arm import SIGMA, at, session, tip, white
 from small_arm import ARM
 
@@ -17,7 +19,9 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import LIBRARY
-from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoQuantisation
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.identify.candidate_states import find_smallest_sizes
 from longarm_comp.core.identify.diagnose import diagnose
@@ -32,7 +36,7 @@ LAG = (drives.FrictionHysteresis(at(2, 0.006)),)
 
 @pytest.fixture(scope="module")
 def gain() -> Diagnosis:
-    return diagnose(ARM, session(GAIN))
+    return diagnose(ARM, session(GAIN), kinds=FEW)
 
 
 def names(found: Diagnosis) -> set[str]:
@@ -48,18 +52,18 @@ def value(found: Diagnosis, parameter: str, where: str) -> float:
 
 
 # 1
-def test_shuffled_residuals_are_noise(rng: np.random.Generator) -> None:
+def test_shuffled_residuals_are_noise(gain: Diagnosis, rng: np.random.Generator) -> None:
     whole = session(GAIN)
-    left = fit_model(diagnose(ARM, whole, kinds=()).model, whole).residual
+    left = fit_model(gain.models["calibrated"], whole).residual
     order = rng.permutation(len(whole))
     mixed = dataclasses.replace(whole, xyz=Model(ARM).tip(whole.q) + left[order])
-    found = diagnose(ARM, mixed)
+    found = diagnose(ARM, mixed, kinds=FEW)
     assert (found.verdict, found.findings) == ("noise", ())
 
 
 @pytest.fixture(scope="module")
 def nothing() -> Diagnosis:
-    return diagnose(ARM, session())
+    return diagnose(ARM, session(), kinds=FEW)
 
 
 # 2
@@ -71,7 +75,7 @@ class Renamed(JointGain):
 def test_names_and_order_do_not_matter(gain: Diagnosis, rng: np.random.Generator) -> None:
     whole = session(GAIN)
     mixed = whole.take(rng.permutation(len(whole)))
-    kinds = tuple(Renamed if kind is JointGain else kind for kind in reversed(LIBRARY))
+    kinds = tuple(Renamed if kind is JointGain else kind for kind in reversed(FEW))
     again = diagnose(ARM, mixed, kinds=kinds)
     renamed = {"zebra" if name == "joint_gain" else name for name in names(gain)}
     assert names(again) == renamed
@@ -108,8 +112,12 @@ def test_geometry_errors_alone_are_no_effect() -> None:
 
 
 # 5
-def test_without_the_true_family_no_wrong_name_is_sure() -> None:
-    kinds = tuple(k for k in LIBRARY if k not in (JointGain, GearEccentricity))
+OTHERS = (BearingTilt, JointCompliance, Backlash, FrictionHysteresis, ServoQuantisation)
+
+
+@pytest.mark.parametrize("library", [OTHERS, pytest.param(LIBRARY, marks=pytest.mark.long)])
+def test_without_the_true_family_no_wrong_name_is_sure(library: Sequence[type[Effect]]) -> None:
+    kinds = tuple(k for k in library if k not in (JointGain, GearEccentricity))
     found = diagnose(ARM, session([drives.JointGain(at(1, 0.05))]), kinds=kinds)
     assert found.verdict != "named"
     assert found.verdict != "noise"
@@ -117,15 +125,18 @@ def test_without_the_true_family_no_wrong_name_is_sure() -> None:
 
 # 6
 def test_aliases_on_three_levels_stay_a_set() -> None:
-    found = diagnose(ARM, session(GAIN, n=90, levels=3))
+    found = diagnose(ARM, session(GAIN, n=90, levels=3), kinds=FEW)
     assert found.verdict == "set"
     assert names(found) >= {"joint_gain", "gear_eccentricity"}
 
 
 # 7
-def test_dose_decides_between_invisible_set_and_named(nothing: Diagnosis) -> None:
+@pytest.mark.parametrize("kinds", [FEW, pytest.param(LIBRARY, marks=pytest.mark.long)])
+def test_dose_decides_between_invisible_set_and_named(
+    nothing: Diagnosis, kinds: Sequence[type[Effect]]
+) -> None:
     found = {0.0: nothing} | {
-        dose: diagnose(ARM, session([drives.JointGain(at(1, dose))], n=150))
+        dose: diagnose(ARM, session([drives.JointGain(at(1, dose))], n=150), kinds=kinds)
         for dose in (0.006, 0.1)
     }
     assert {dose: d.verdict for dose, d in found.items()} == {
@@ -179,7 +190,7 @@ def test_a_commanded_arm_lands_closer_and_leaves_nothing_to_find(gain: Diagnosis
     assert missed["with_effects"] < 0.5 * missed["calibrated"] < 0.5 * missed["nominal"]
     assert missed["with_effects"] < SIGMA
     again = Session.record(command, reached + white(rng, n), approach=side)
-    found = diagnose(ARM, again, model=gain.model)
+    found = diagnose(ARM, again, model=gain.model, kinds=FEW)
     assert (found.verdict, found.findings) == ("noise", ())
 
 
@@ -203,10 +214,11 @@ def outlying(rng: np.random.Generator, n: int) -> np.ndarray:
     "noise", [correlated, pytest.param(tailed, marks=pytest.mark.long), outlying]
 )
 def test_ugly_noise_is_no_effect(noise: object) -> None:
-    found = diagnose(ARM, session(noise=noise))  # type: ignore[arg-type]
+    found = diagnose(ARM, session(noise=noise), kinds=FEW)  # type: ignore[arg-type]
     assert (found.verdict, found.findings) == ("noise", ())
 
 
+@pytest.mark.long
 def test_an_effect_is_found_among_outliers() -> None:
     found = diagnose(ARM, session(GAIN, noise=outlying))
     assert "joint_gain" in names(found)

@@ -14,8 +14,9 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkBending
-from longarm_comp.core.effects.drive_errors import JointGain
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import model_tolerance
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -124,7 +125,8 @@ def test_a_rigid_arm_stays_rigid() -> None:
 def test_what_else_is_off_is_in_the_model_too_and_what_is_not_stays_out() -> None:
     """Gains of two joints, each too small to be a finding."""
     off = declared_model(ARM).plus(JointGain(2, gain=2e-4), JointGain(4, gain=2e-4))
-    diagnosis = diagnose(ARM, rows_of(off, 120), test=rows_of(off, 60, seed=6))
+    kinds = (JointGain, GearEccentricity, *ELASTIC)
+    diagnosis = diagnose(ARM, rows_of(off, 120), test=rows_of(off, 60, seed=6), kinds=kinds)
     assert diagnosis.verdict == "noise"
     added = {t.key for t in diagnosis.model.terms if not t.geometry and not t.elastic}
     assert {("joint_gain", "joint 2"), ("joint_gain", "joint 4")} <= added and len(added) < 6
@@ -158,7 +160,7 @@ def test_what_is_a_little_off_needs_no_recorded_column(monkeypatch: pytest.Monke
     warmth = 20.0 + 8.0 * np.sin(np.arange(120) / 9.0)
     grown = rows.xyz * (1.0 + 1.1e-5 * (warmth - 20.0)[:, None])
     rows = dataclasses.replace(rows, xyz=grown, columns={"temperature_c": warmth})
-    search = diagnose(ARM, rows).search
+    search = diagnose(ARM, rows, kinds=(ThermalGrowth, JointGain, *ELASTIC)).search
     assert "thermal_growth" in {c.name for c in search.candidates}
     # now its column would move the rows
     monkeypatch.setattr(model_tolerance, "BACKGROUND_REST", 1.0)

@@ -16,9 +16,8 @@ SOFTNESS = np.radians(0.14) / 1.28
 LOWEST, HIGHEST = np.radians([[-60, -30, -50, -180, -75, -180], [60, 50, 20, 180, 55, 180]])
 
 
-@pytest.mark.parametrize(
-    ("arm", "seed"), [(PALLETISER, 0), pytest.param(COUPLED, 1, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("arm", "seed"), [(PALLETISER, 0), (COUPLED, 1)])
 def test_a_soft_joint_is_found_where_all_weight_is_at_the_wrist(arm: Arm, seed: int) -> None:
     """With one mass for all joints it was a function, which errs by 0.3 and 0.4 mm elsewhere."""
     made, coupled = truth(np.random.default_rng(seed)), arm is COUPLED

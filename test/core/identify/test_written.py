@@ -133,6 +133,11 @@ def test_a_diagnosis_says_what_it_found_without_a_name(stopped: DiagnosisResult)
     assert (found.verdict, found.findings) == ("partly", ())
     assert (found.written, found.left_out) == ("with_functions", False)
     (cause,) = found.causes
+    (term,) = cause.terms
+    (factor,) = term.of.factors  # type: ignore[union-attr]
+    assert (factor.of, factor.word) == ("q2", "above")
+    assert factor.threshold == pytest.approx(0.8, abs=0.02)
+    assert abs(cause.amounts[0].value) == pytest.approx(0.1, rel=0.05)
     assert cause.sentence in stopped.summary
     assert "behaves like a contact, a stop or a taut cable" in stopped.summary
     assert found.none_of_these == pytest.approx(1.0)

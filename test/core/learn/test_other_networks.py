@@ -16,7 +16,7 @@ import torch
 from cli_shell import Shell
 from page_lines import lines
 from places import ROOT
-from quick_predictor import rows
+from quick_predictor import quick_predictor, rows
 
 from bench.smooth import rms_mm
 from longarm_comp.core.errors import InputError
@@ -157,7 +157,7 @@ def test_damaged_files_never_get_through(learned: Predictor, tmp_path: Path) -> 
 def test_the_ending_says_which_network_it_is(learned: Predictor, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.safetensors for a network of others"):
         save(learned, tmp_path / "predictor.npz")
-    own = train(rows().q, rows().residual, hidden=3, ensemble=1, init="xavier")
+    own, _ = quick_predictor()
     with pytest.raises(InputError, match=r"\.npz for the paper's"):
         save(own, tmp_path / "predictor.safetensors")
 
@@ -218,6 +218,7 @@ def test_training_takes_the_threads_of_others_only_for_a_while() -> None:
     assert torch.get_num_threads() == before
 
 
+@pytest.mark.long
 def test_the_page_runs_as_it_is_written(shell: Shell) -> None:
     """docs/your_own_network.md, with one network instead of five."""
     for words in lines("docs/your_own_network.md"):

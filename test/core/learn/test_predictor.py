@@ -57,6 +57,7 @@ def test_same_seed_same_predictor_and_another_seed_another(data):
     assert not np.array_equal(first.weights, other.weights)
 
 
+@pytest.mark.long
 def test_control_start_does_as_well_after_back_propagation(data):
     settings = {"hidden": 12, "ensemble": 3}
     by_init = {
