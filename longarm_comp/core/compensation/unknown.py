@@ -46,7 +46,7 @@ def unknown_circumstances(
         beyond_session(model, q, context),
     )
     words = zip(*(why for _, why in each), strict=True)
-    spread = np.sqrt(np.sum([sd**2 for sd, _ in each], axis=0))
+    spread = np.sqrt(sum(sd**2 for sd, _ in each))
     return spread, ["; ".join(filter(None, why)) for why in words]
 
 
