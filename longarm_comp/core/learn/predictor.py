@@ -138,7 +138,7 @@ class Predictor:
     def mean_and_variance(self, x: Array) -> tuple[Array, Array]:
         """Return mean and epistemic variance, (N, 3) m and m^2, at standardised inputs (N, d)."""
         outputs = self.members.outputs(x)
-        mean = outputs.mean(axis=0)
+        mean = outputs.sum(axis=0) / len(outputs)
         variance = ((outputs - mean) ** 2).sum(axis=0) / max(1, len(outputs) - 1)
         for start in range(0, len(x), 1024):
             rows = slice(start, start + 1024)
