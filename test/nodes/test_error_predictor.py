@@ -295,12 +295,12 @@ def test_the_error_computed_from_the_served_file_is_that_of_the_service(
     first = alike()
     np.testing.assert_array_equal(told[-1], first)
     assert len(told) < 13  # inside the domain alone
+    before = path.read_bytes()
     save(train(q, -residual, Context(tuple(side.T), warm), **learn), path)
     assert not np.allclose(alike(), first)
-    good = path.read_bytes()
-    path.write_bytes(b"no predictor")
-    assert ServedPredictor.find(said[-1].data, arm) is None  # another file than it was told of
-    path.write_bytes(good)
+    second = said[-1].data
+    path.write_bytes(before)
+    assert ServedPredictor.find(second, arm) is None  # another file than it was told of
     with pytest.raises(NoAnswer, match="'both'"):
         here.ask(q[0], known, deflection=False)
     here.on_served(said[-1], time.monotonic() - 60.0)  # its sender may be gone by now
