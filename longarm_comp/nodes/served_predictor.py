@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.expansion import Expansion
-from longarm_comp.core.errors import LongarmError
+from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import file_hash
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import load
@@ -29,15 +30,14 @@ class ServedPredictor:
     @classmethod
     def read(cls, path: str, arm: Arm, model_hash: str | None = None) -> ServedPredictor:
         """Read a file that is not changed meanwhile; it must belong to the arm and the model."""
-        digest = ""
-        while digest != (digest := file_hash(path)):
-            predictor = load(
-                path,
-                arm_hash=arm.hash,
-                joint_names=arm.joint_names,
-                model_hash=model_hash,
-                model=f"the model in use: {(model_hash or 'none')[:12]}",
-            )
+        digest, model = "", f"the model in use: {(model_hash or 'none')[:12]}"
+        load_of_arm = partial(load, path, arm_hash=arm.hash, joint_names=arm.joint_names)
+        try:
+            while digest != (digest := file_hash(path)):
+                predictor = load_of_arm(model_hash=model_hash, model=model)
+        except OSError as error:
+            allowed = "a readable file"
+            raise InputError(path, "predictor file", error.strerror, allowed) from error
         return cls(predictor, digest)
 
     @classmethod

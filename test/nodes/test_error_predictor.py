@@ -26,10 +26,11 @@ from longarm_comp.core.files import file_hash
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.others import load_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
-from longarm_comp.core.learn.predictor_file import save
+from longarm_comp.core.learn.predictor_file import load, save
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes import served_predictor
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
 from longarm_comp.nodes.served_predictor import ServedPredictor
@@ -313,6 +314,42 @@ def test_the_error_computed_from_the_served_file_is_that_of_the_service(
         here.ask(q[0], known)
     with pytest.raises(NoAnswer, match="model_hash"):
         service.ask(q[0], known)
+
+
+def test_a_file_that_cannot_be_read_here_is_asked_for(
+    arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "predictor.npz"
+    save(trained(arm, BIAS), path)
+    told = ServedPredictor.read(str(path), arm).describe(str(path))
+    assert ServedPredictor.find(told, arm) is not None
+
+    def refuse(path: str) -> str:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(served_predictor, "file_hash", refuse)
+    assert ServedPredictor.find(told, arm) is None
+    path.unlink()
+    monkeypatch.undo()
+    assert ServedPredictor.find(told, arm) is None
+
+
+def test_a_file_that_changes_while_it_is_read_is_read_again(
+    arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "predictor.npz"
+    last = trained(arm, -BIAS)
+    save(trained(arm, BIAS), path)
+
+    def load_and_replace(*given: object, **more: object) -> Predictor:
+        found = load(*given, **more)
+        save(last, path)
+        return found
+
+    monkeypatch.setattr(served_predictor, "load", load_and_replace)
+    found = ServedPredictor.read(str(path), arm)
+    assert found.file_hash == file_hash(path)
+    np.testing.assert_array_equal(found.predictor.weights, last.weights)
 
 
 def test_every_joint_has_a_side_of_its_own(
