@@ -2,9 +2,9 @@
 
 Processes: `kinematics`, `error_predictor` with a trained predictor, the echo, and this one.
 Blocks of calls alternate, so that all sides are measured under the same load.  The p50 of a target
-is divided into shares.  DDS is the echo.  The predictor is the round trip of its service times the
-requests of a target.  The inverse kinematics is the whole compensation, computed here with a known
-error.  The node is the remainder (threads, executors, messages).
+is divided into shares.  DDS is the echo.  The predictor is its computation, as `kinematics` does
+it too, times the questions of a target.  The inverse kinematics is the whole compensation, computed
+here with a known error.  The node is the remainder (threads, executors, messages).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Figures:
 
     Attributes:
         ms: (blocks, calls) of each call of `Calls`, by name.
-        questions: requests to the predictor per target.
+        questions: learned errors that are looked up per target.
         rate, echo_rate: targets per second, one a burst.
     """
 
@@ -99,7 +99,7 @@ def answer_under_flood() -> Result:
 
 
 def share(of: str) -> Result:
-    """Share of a target: the echo (dds), requests to the predictor, compensation with a known
+    """Share of a target: the echo (dds), the learned error (predictor), compensation with a known
     error (ik), the remainder (node)."""
     f, note = figures(), "of target_pose to joint_trajectory, p50"
     further = {"questions_per_target": f.questions} if of == "predictor" else {}
@@ -163,7 +163,7 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
             nodes: list[Any] = []
 
             def calls_on(kind: Any) -> Any:
-                nodes.append(kind(arm, space))
+                nodes.append(kind(arm, space, predictor))
                 return nodes[-1]
 
             try:

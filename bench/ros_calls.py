@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +25,9 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message, pose_message
+from longarm_comp.nodes.served_predictor import ServedPredictor
 from longarm_interfaces.msg import Compensation
-from longarm_interfaces.srv import Compensate, PredictError
+from longarm_interfaces.srv import Compensate
 
 _POSES = 400
 _DEPTH = QoSProfile(depth=100)  # above the bursts: a queue on the way that overflows loses targets
@@ -34,10 +37,10 @@ _PATIENCE_S = 10.0
 class Calls:
     """Timed calls. Each starts after the answer to the one before has been published."""
 
-    def __init__(self, arm: Arm, namespace: str) -> None:
+    def __init__(self, arm: Arm, namespace: str, predictor: Path) -> None:
         self._client = ArmClient(arm, namespace, name="caller")
         node = self._client.node
-        self._arm = arm
+        self._arm, self._learned = arm, ServedPredictor.read(str(predictor), arm)
         self._targets = slow_path(arm, _POSES)
         at = Header(frame_id="base")
         self._poses = [PoseStamped(header=at, pose=pose_message(m)) for m in self._targets]
@@ -152,10 +155,11 @@ class Calls:
         return self._call(self._echo_compensate, request)[0]
 
     def predict(self, i: int) -> float:
-        """`predict_error` alone."""
+        """The learned error alone, as `kinematics` computes it for a target."""
         spread = 0.3 * (self._arm.upper - self._arm.lower) * np.sin(i + np.arange(self._arm.n))
-        joints = joints_message(self._arm, self._arm.mid + spread)
-        return self._call(self._predict, PredictError.Request(joints=joints))[0]
+        begin = time.perf_counter()
+        self._learned.expand(self._arm.mid + spread, (0.0,) * self._arm.n, math.nan, math.nan)
+        return time.perf_counter() - begin
 
     def compute(self, i: int) -> float:
         """The computation of `kinematics` for a target, with a known learned error."""
@@ -173,7 +177,7 @@ class Calls:
         return time.perf_counter() - begin, future.result()
 
     def predictions_per_target(self, count: int) -> float:
-        """Number of requests to the predictor per target."""
+        """Number of learned errors that are looked up per target."""
         graph.PREDICTED_ERROR.subscription(self._client.node, self._on_prediction)
         self._client.spin(1.0)
         before = self._predicted

@@ -19,7 +19,13 @@ from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.errors import LongarmError
-from longarm_comp.nodes.messages import FARTHEST, joints_message, pose_message, vector_message
+from longarm_comp.nodes.messages import (
+    FARTHEST,
+    fill,
+    joints_message,
+    pose_message,
+    vector_message,
+)
 from longarm_interfaces.msg import Compensation
 from longarm_interfaces.srv import Compensate
 
@@ -109,11 +115,15 @@ class Answer:
         return None if self.arrival is None else self.arrival.outcome
 
 
+_RECORD, _RESPONSE, _POSE = Compensation(), Compensate.Response(), PoseStamped()
+
+
 def compensation_message(answer: Answer, arm: Arm, base_frame: str) -> Compensation:
     """Make the message with the full record of one target."""
     context = Context() if answer.arrival is None else answer.arrival.context
     sides = {float(side) for side in context.approach}
-    published = Compensation(
+    published = fill(
+        _RECORD,
         header=Header(stamp=answer.stamp, frame_id=base_frame),
         accepted=answer.accepted,
         target=answer.target.pose,
@@ -137,7 +147,7 @@ def compensation_message(answer: Answer, arm: Arm, base_frame: str) -> Compensat
 def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
     """Make the response to the request of one target."""
     success = answer.status.success
-    response = Compensate.Response(success=success, **_shared_fields(answer, arm, base_frame))
+    response = fill(_RESPONSE, success=success, **_shared_fields(answer, arm, base_frame))
     if success and answer.arrival is not None:
         response.command = joints_message(arm, answer.arrival.outcome.command, answer.stamp)
         response.approach = [int(side) for side in answer.arrival.move.side]
@@ -156,7 +166,7 @@ def _shared_fields(answer: Answer, arm: Arm, base_frame: str) -> dict[str, Any]:
     return fields | {
         "ideal": joints_message(arm, outcome.ideal, stamp),
         "predicted_error": vector_message(outcome.predicted_error),
-        "pseudo_target": PoseStamped(header=header, pose=pseudo),
+        "pseudo_target": fill(_POSE, header=header, pose=pseudo),
         "sigma": float(np.max(outcome.sigma)),
         "in_domain": bool(outcome.in_domain),
         "passes": int(outcome.passes),

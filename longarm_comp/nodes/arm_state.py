@@ -24,10 +24,12 @@ from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import (
     driver_words,
     efforts_of,
+    error_message,
     joints_of,
     motion_of,
     path_of,
     tilt_of,
+    vector_message,
 )
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode
@@ -75,7 +77,10 @@ class ArmState:
         self.base_frame = prefix_of(node) + p.get("base_frame", "base")
         self.worker = node.worker(capacity)
         caller = self.worker.caller(graph.PREDICT_ERROR)
-        self.predictor = PredictorClient(caller, self.arm, p["predictor_timeout_s"])
+        self._errors = graph.PREDICTED_ERROR.publisher(node)
+        timeout_s = p["predictor_timeout_s"]
+        self.predictor = PredictorClient(caller, self.arm, timeout_s, self._publish_error)
+        self.worker.hear(graph.SERVED, self.predictor.on_served)
         self.driver = DriverLink(self)
         node.health.parts["messages"] = node.tally.report
         self.joint_listeners: list[Callable[[np.ndarray, float], object]] = []
@@ -129,6 +134,11 @@ class ArmState:
         """The model in use, the readings (n,) and the circumstances; None while not known."""
         q, context = self.joints, self.known_context()
         return None if q is None or context is None else (self.files.loaded.model, q, context)
+
+    def _publish_error(self, error: np.ndarray) -> None:
+        if self._errors.get_subscription_count():
+            told = error_message(vector_message(error), self.stamp, self.base_frame)
+            self._errors.publish(told)
 
     def _on_inclination(self, message: Imu) -> None:
         try:

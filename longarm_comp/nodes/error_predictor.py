@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
-from geometry_msgs.msg import Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
-from std_msgs.msg import Header
+from std_msgs.msg import String
 
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import LongarmError
-from longarm_comp.core.files import file_hash
-from longarm_comp.core.learn.predictor import Predictor
-from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
-from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
+from longarm_comp.nodes.messages import error_message, joints_of, sides_of, vector_message
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode, program
 from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.served_predictor import BEAT_S, ServedPredictor
 from longarm_comp.nodes.worker import Reply
 from longarm_interfaces.srv import PredictError
 
@@ -38,13 +34,6 @@ PARAMS = (
 _OUTSIDE = "outside the training data"
 
 
-@dataclass(frozen=True)
-class _Loaded:
-    predictor: Predictor
-    hash: str
-    model_hash: str
-
-
 class _ErrorPredictor(ArmNode):
     """The node, which answers requests on one thread and loads files on another."""
 
@@ -54,12 +43,15 @@ class _ErrorPredictor(ArmNode):
         self._model = ModelFiles(p["arm"], p["model"])
         self._arm = self._model.arm
         self._path, self._base_frame = p["predictor"], prefix_of(self) + p["base_frame"]
-        self._loaded: _Loaded | None = None
-        self._fault = ""
+        self._loaded: ServedPredictor | None = None
+        self._fault = self._of_model = ""
         self.tally.counts |= {"answered": 0, _OUTSIDE: 0, "refused": 0}
         asked, files = self.worker(100), self.worker(4)
-        self._reload()
         self._errors = graph.PREDICTED_ERROR.publisher(self)
+        self._served = graph.SERVED.publisher(self)
+        self._reload()
+        # On the thread that reloads: what was told last is what is served
+        steady_timer(self, BEAT_S, lambda: files.submit_once(self._tell))
         self.on_request(graph.RELOAD, files, lambda request: self._reload())
         self.on_change((self._path, p["model"]), files, self._reload)
         self.health.parts["predictor"] = self._report
@@ -85,23 +77,26 @@ class _ErrorPredictor(ArmNode):
             response.message = f"{type(error).__name__}: {error}"
         reply(response)
         if response.success:
-            header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self._base_frame)
-            self._errors.publish(Vector3Stamped(header=header, vector=response.error))
+            stamp = self.get_clock().now().to_msg()
+            self._errors.publish(error_message(response.error, stamp, self._base_frame))
 
     def _predict(
-        self, loaded: _Loaded, request: PredictError.Request, response: PredictError.Response
+        self,
+        loaded: ServedPredictor,
+        request: PredictError.Request,
+        response: PredictError.Response,
     ) -> None:
         q = joints_of(request.joints, self._arm, "predict_error")
         side = sides_of(request.approach, request.joints.name, self._arm, "predict_error")
-        columns = {"temperature_c": request.temperature_c, "payload_kg": request.payload_kg}
-        found = loaded.predictor.expand(q, Context(tuple(side.tolist()), columns))
+        sides = tuple(side.tolist())
+        found = loaded.expand(q, sides, request.temperature_c, request.payload_kg)
         response.success = response.in_domain = found.in_domain
         response.error = vector_message(found.error)
-        response.sigma = float(found.sigma.max())
-        response.message = loaded.hash if found.in_domain else found.reason
+        response.sigma = float(found.sigma[0])
+        response.message = loaded.file_hash if found.in_domain else found.reason
         response.jacobian = found.jacobian.ravel()
         response.reach = found.reach
-        response.beside_deflection = loaded.predictor.provenance.beside_deflection
+        response.beside_deflection = loaded.beside_deflection
         self.tally.count("answered" if found.in_domain else _OUTSIDE, "")
         self.tally.last = found.reason or self.tally.last
 
@@ -115,28 +110,27 @@ class _ErrorPredictor(ArmNode):
         self._model.reload()
         model = self._model.loaded.file_hash
         try:
-            predictor = load(
-                self._path,
-                arm_hash=self._arm.hash,
-                joint_names=self._arm.joint_names,
-                model_hash=model,
-                model=f"the model in use: {model[:12] or 'none'}",
-            )
-            digest = file_hash(self._path)
-            self._loaded = _Loaded(predictor, digest, model)
+            self._loaded = ServedPredictor.read(self._path, self._arm, model)
         except LongarmError as error:
             self._fault = str(error)
-            if self._loaded is not None and self._loaded.model_hash != model:
+            if self._of_model != model:
                 self._loaded = None
             return False, self._fault
-        self._fault = ""
-        return True, f"{self._path} {self._loaded.hash[:12]}"
+        finally:
+            self._tell()
+        self._fault, self._of_model = "", model
+        return True, f"{self._path} {self._loaded.file_hash[:12]}"
+
+    def _tell(self) -> None:
+        """Tell which file is served; nothing where none is."""
+        told = self._loaded.describe(self._path) if self._loaded else ""
+        self._served.publish(String(data=told))
 
     def _report(self) -> Report:
         network = self._loaded.predictor.network if self._loaded else None
         facts = {
             "file": self._path,
-            "sha256": self._loaded.hash if self._loaded else "",
+            "sha256": self._loaded.file_hash if self._loaded else "",
             **({"network": f"{network.name}, with torch"} if network else {}),
             **self.tally.facts,
         }

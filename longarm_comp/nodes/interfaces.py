@@ -158,6 +158,8 @@ MOTION = Topic("motion", Motion, 2000, RELIABLE)
 WITHDRAWN = Topic("withdrawn", String, 10, RELIABLE)
 DRIVER_STATE = Topic("servo_driver/state", DriverState, 1, RELIABLE, latched=True)
 PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, 20, RELIABLE)
+# SHA-256 and path of the predictor file that is served, five times a second; empty: none
+SERVED = Topic("error_predictor/serves", String, 1, RELIABLE)
 # tip as cameras or tracker see it, in the frame of its header; position NaN: marker lost
 TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, 20, RELIABLE)
 # the same in the base frame; as it came where nobody knows the place of its frame

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
+from typing import Any, TypeVar
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -13,6 +15,7 @@ from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     Quaternion,
     Vector3,
+    Vector3Stamped,
     WrenchStamped,
 )
 from sensor_msgs.msg import Imu, JointState
@@ -35,6 +38,20 @@ STRONGEST = 1e6
 """Largest force (N) or torque (N m) that is believed of a sensor."""
 
 
+Message = TypeVar("Message")
+
+
+def fill(blank: Message, **fields: Any) -> Message:
+    """Return a copy of a message with other fields; its class would make all their defaults too."""
+    made = copy(blank)
+    for name, value in fields.items():
+        setattr(made, name, value)
+    return made
+
+
+_JOINTS = JointState()
+
+
 def pose_message(target: np.ndarray) -> Pose:
     """Make the message of a (4, 4) pose, or of a (3,) position with the identity as orientation."""
     x, y, z = position_of(target).tolist()
@@ -55,10 +72,16 @@ def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
     return Vector3(x=x, y=y, z=z)
 
 
+def error_message(error: Vector3, stamp: Time, frame: str) -> Vector3Stamped:
+    """Make the message of a predicted error."""
+    return Vector3Stamped(header=Header(stamp=stamp, frame_id=frame), vector=error)
+
+
 def joints_message(arm: Arm, q: np.ndarray, stamp: Time | None = None) -> JointState:
     """Make a message of joints (n,), rad or m, with their names."""
     header = Header() if stamp is None else Header(stamp=stamp)
-    return JointState(header=header, name=list(arm.joint_names), position=[float(v) for v in q])
+    position = np.asarray(q, float).tolist()
+    return fill(_JOINTS, header=header, name=list(arm.joint_names), position=position)
 
 
 def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:

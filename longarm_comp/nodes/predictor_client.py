@@ -1,4 +1,4 @@
-"""The client of the `predict_error` service: the learned error, computed by another process."""
+"""The learned error: computed from the file that `error_predictor` serves, or asked of it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
+from std_msgs.msg import String
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -16,6 +17,7 @@ from longarm_comp.core.compensation.expansion import Expansion, Nearby
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.nodes.messages import joints_message
+from longarm_comp.nodes.served_predictor import BEAT_S, ServedPredictor
 from longarm_comp.nodes.worker import ServiceCaller
 from longarm_interfaces.srv import PredictError
 
@@ -26,31 +28,59 @@ class NoAnswer(JobError):  # noqa: N818
     """No predictor answered in time, or it has no file loaded."""
 
 
+_SERVED_S = 5.0 * BEAT_S
+"""What was not told for so long need not be true any more, s: then `predict_error` is asked."""
 _PROBE_S = 0.5, 4.0
 """First and longest patience with a probe, s: it doubles, as a busy machine answers late."""
 
 
 class PredictorClient:
-    """Calls `predict_error` in the thread of the caller.
+    """Computes as `error_predictor` would, or calls `predict_error` in the thread of the caller.
 
-    A predictor *answers* once it has answered a question, until a question is not answered in
-    time or it leaves the graph. While it does not, `probe` asks for it in the background, so that
-    the very next target after its return is compensated with it.
+    While `error_predictor` tells which file it serves, and this file can be read here, there is no
+    question to another process. Else a predictor *answers* once it has answered a question, until
+    a question is not answered in time or it leaves the graph. While it does not, `probe` asks for
+    it in the background, so that the very next target after its return is compensated with it.
 
     Args:
         timeout_s: without an answer within this time there is no predictor.
+        tell: called with every error (3,) m that is computed here, inside the domain.
 
     Attributes:
         file_hash: hash of the file of the predictor that answered last.
     """
 
-    def __init__(self, caller: ServiceCaller, arm: Arm, timeout_s: float) -> None:
-        self._caller, self._arm, self._timeout_s = caller, arm, timeout_s
+    def __init__(
+        self,
+        caller: ServiceCaller,
+        arm: Arm,
+        timeout_s: float,
+        tell: Callable[[np.ndarray], None] = lambda error: None,
+    ) -> None:
+        self._caller, self._arm, self._timeout_s, self._tell = caller, arm, timeout_s, tell
+        self._told, self._told_s = "", -math.inf
+        self._read: ServedPredictor | None = None
         self._silent = False  # a question was not answered in time
         self._probe: int | None = None
         self._probed_s, self._patience_s = 0.0, _PROBE_S[0]
-        self.answers = False
+        self._answers = False
         self.file_hash = ""
+
+    def on_served(self, message: String, sent: float) -> None:
+        """Read the file that `error_predictor` serves, if it is another one than before."""
+        if message.data != self._told:
+            self._told, self._read = message.data, ServedPredictor.find(message.data, self._arm)
+        self._told_s = sent
+
+    @property
+    def _served(self) -> ServedPredictor | None:
+        """The predictor that is served, if it is known here and now."""
+        return self._read if time.monotonic() - self._told_s <= _SERVED_S else None
+
+    @property
+    def answers(self) -> bool:
+        """True if the next question will be answered, by all that is known."""
+        return self._answers or self._served is not None
 
     def compensate_with(
         self, method: Method, compensate: Callable[[Nearby | None], Found]
@@ -63,7 +93,7 @@ class PredictorClient:
             why a predictor that the method needs was not used.
         """
         why = ""
-        if method.learned and self._caller.present:
+        if method.learned and (self._served or self._caller.present):
             try:  # mostly one call a target
                 found = compensate(Nearby(partial(self.ask, deflection=method.physics)))
                 return found, self.file_hash, ""
@@ -82,11 +112,19 @@ class PredictorClient:
         Raises:
             NoAnswer: no predictor runs, it has no file, or it does not answer in time.
         """
+        known = [float(context.column(k, math.nan)) for k in ("temperature_c", "payload_kg")]
+        if (served := self._served) is not None:
+            found = served.expand(q, context.of_all("approach", self._arm.n), *known)
+            if found.in_domain:
+                _check_physics(served.beside_deflection, deflection)
+                self.file_hash = served.file_hash
+                self._tell(found.error)
+            return found
         request = PredictError.Request(
             joints=joints_message(self._arm, q),
             approach=np.array(context.approach, np.int8),
-            temperature_c=float(context.column("temperature_c", math.nan)),
-            payload_kg=float(context.column("payload_kg", math.nan)),
+            temperature_c=known[0],
+            payload_kg=known[1],
         )
         if not self._look():
             raise NoAnswer("no error_predictor is running")
@@ -99,9 +137,8 @@ class PredictorClient:
             raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
         if not answer.success and math.isnan(answer.sigma):
             raise NoAnswer(answer.message)
-        if answer.success and answer.beside_deflection != deflection:
-            fits = Method.learned_beside(deflection=answer.beside_deflection)
-            raise NoAnswer(f"its predictor was trained for method {fits.value!r}")
+        if answer.success:
+            _check_physics(answer.beside_deflection, deflection)
         self.file_hash = answer.message if answer.success else self.file_hash
         n, e = self._arm.n, answer.error
         expanded = len(answer.jacobian) == 3 * n and len(answer.reach) == n
@@ -136,5 +173,12 @@ class PredictorClient:
         return True
 
     def _note(self, *, answers: bool, silent: bool) -> None:
-        self.answers, self._silent = answers, silent
+        self._answers, self._silent = answers, silent
         self._probe, self._patience_s = None, _PROBE_S[0]
+
+
+def _check_physics(beside_deflection: bool, deflection: bool) -> None:
+    """Raise `NoAnswer` where a predictor learned what another physics leaves."""
+    if beside_deflection != deflection:
+        fits = Method.learned_beside(deflection=beside_deflection)
+        raise NoAnswer(f"its predictor was trained for method {fits.value!r}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,11 +26,14 @@ from longarm_comp.core.files import file_hash
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.others import load_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
-from longarm_comp.core.learn.predictor_file import save
+from longarm_comp.core.learn.predictor_file import load, save
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes import served_predictor
 from longarm_comp.nodes.messages import joints_message
+from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_comp.nodes.served_predictor import ServedPredictor
 from longarm_interfaces.srv import Compensate, PredictError
 
 BIAS = np.array([0.002, -0.001, 0.004])
@@ -81,6 +85,7 @@ def test_a_network_of_others_is_served_and_said(
         np.reshape(answer.jacobian, (3, arm.n))[:, :3].diagonal(), 0.05, atol=5e-3
     )
     assert not any(answer.reach)
+    assert ServedPredictor.find(f"{file_hash(path)} {path}", arm) is None  # it takes torch
     stage.spin(lambda: "small, with torch" in str(said))
 
 
@@ -127,6 +132,11 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
     error = first.predict(command[None]).error[0]
     np.testing.assert_allclose(model.tip(command) + error, target[:3, 3], atol=3e-5)
 
+    before = len(handed_out)
+    assert stage.call(compensate, request).success
+    stage.spin(lambda: len(handed_out) > before)  # whoever computed it
+    assert handed_out[-1].header.frame_id == "base"
+
     stories = stage.collect(graph.COMPENSATION)
     far = Compensate.Request(
         target=posed(model.pose(arm.upper)), seed=joints_message(arm, arm.upper)
@@ -150,9 +160,16 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
     assert not answer.success and str(path) in answer.message
     assert stage.call(ask, question(arm, arm.mid)).success  # the last good one is kept
 
-    # a predictor that hangs: the first target waits for it, the others do not, and it comes back
+    # one that hangs is asked a second later: one target waits for it, the others do not
+    told = []
+
+    def lost() -> bool:
+        told.append(stage.call(compensate, request))
+        return bool(told[-1].status == Compensate.Response.NO_PREDICTOR)
+
     predictor.send_signal(signal.SIGSTOP)
-    told = [stage.call(compensate, request) for _ in range(5)]
+    stage.spin(lost)
+    told = [told[-1], *(stage.call(compensate, request) for _ in range(4))]
     predictor.send_signal(signal.SIGCONT)
     assert {answer.status for answer in told} == {Compensate.Response.NO_PREDICTOR}
     assert "did not answer within" in told[0].message
@@ -219,6 +236,120 @@ def test_a_predictor_that_learned_the_sag_too_is_not_added_to_it(
     stage.call(change, SetParameters.Request(parameters=[Parameter(name="method", value=value)]))
     answer = stage.call(compensate, request)
     assert answer.status == Compensate.Response.SUCCESS, answer.message
+
+
+class Asked:
+    """A client of the service, as `PredictorClient` wants it; without one nobody is asked."""
+
+    def __init__(self, stage: Bench, client: object = None) -> None:
+        self._stage, self._client, self.present = stage, client, client is not None
+
+    def send(self, request: PredictError.Request) -> PredictError.Request:
+        return request
+
+    def answer(self, request: PredictError.Request, within_s: float) -> PredictError.Response:
+        return self._stage.call(self._client, request)
+
+
+def test_the_error_computed_from_the_served_file_is_that_of_the_service(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    model, path = tmp_path / "model.yaml", tmp_path / "predictor.npz"
+    save_model(model, store(declared_model(arm)))
+    rng = np.random.default_rng(7)
+    q = arm.mid + 0.2 * (arm.upper - arm.lower) * (rng.random((120, arm.n)) - 0.5)
+    side = rng.choice([-1.0, 1.0], (120, arm.n))
+    warm = {"temperature_c": rng.uniform(15.0, 25.0, 120)}
+    residual = 2e-3 * side[:, :3] + 1e-4 * warm["temperature_c"][:, None] * [1, 0, 1]
+    origin = Provenance(arm.hash, "", arm.joint_names, {"model_hash": file_hash(model)})
+    learn = {"init": "xavier", "ensemble": 2, "hidden": 4, "provenance": origin}
+    save(train(q, residual, Context(tuple(side.T), warm), **learn), path)
+    said = stage.collect(graph.SERVED, "twice")
+    files = {"arm": demo_arm_path, "model": model, "predictor": path, "watch_period_s": 0.1}
+    stage.start("error_predictor", files, namespace="twice")
+    ask, told = stage.node.create_client(PredictError, "/twice/predict_error"), []
+    service = PredictorClient(Asked(stage, ask), arm, 300.0)
+    here = PredictorClient(Asked(stage), arm, 0.5, told.append)
+
+    known = Context(tuple(side[0].tolist()), {"temperature_c": 21.0})
+
+    def serves(digest: str) -> None:
+        stage.spin(lambda: said and said[-1].data.partition(" ")[0] == digest)
+        here.on_served(said[-1], time.monotonic() + 1e6)  # however long the test takes
+
+    def alike() -> np.ndarray:
+        """Compare them, and return the error at the first row."""
+        serves(file_hash(path))
+        inside = set()
+        for k, columns in enumerate(({"temperature_c": 21.0}, {}, {"payload_kg": 0.5})):
+            for joints in (q[k], arm.upper):
+                for sides in (tuple(side[k].tolist()), ()):
+                    context = Context(sides, columns)
+                    found, answer = here.ask(joints, context), service.ask(joints, context)
+                    for name, value in vars(answer).items():
+                        np.testing.assert_array_equal(getattr(found, name), value, err_msg=name)
+                    inside.add(found.in_domain)
+        assert inside == {True, False}
+        assert here.file_hash == service.file_hash == file_hash(path)
+        return here.ask(q[0], known).error
+
+    first = alike()
+    np.testing.assert_array_equal(told[-1], first)
+    assert len(told) < 13  # inside the domain alone
+    before = path.read_bytes()
+    save(train(q, -residual, Context(tuple(side.T), warm), **learn), path)
+    assert not np.allclose(alike(), first)
+    second = said[-1].data
+    path.write_bytes(before)
+    assert ServedPredictor.find(second, arm) is None  # another file than it was told of
+    with pytest.raises(NoAnswer, match="'both'"):
+        here.ask(q[0], known, deflection=False)
+    here.on_served(said[-1], time.monotonic() - 60.0)  # its sender may be gone by now
+    with pytest.raises(NoAnswer, match="no error_predictor"):
+        here.ask(q[0], known)
+    assert not here.answers
+    save_model(model, store(declared_model(arm).rigid))
+    serves("")  # it lacks its model: nothing is served, and nothing computed here
+    with pytest.raises(NoAnswer, match="no error_predictor"):
+        here.ask(q[0], known)
+    with pytest.raises(NoAnswer, match="model_hash"):
+        service.ask(q[0], known)
+
+
+def test_a_file_that_cannot_be_read_here_is_asked_for(
+    arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "predictor.npz"
+    save(trained(arm, BIAS), path)
+    told = ServedPredictor.read(str(path), arm).describe(str(path))
+    assert ServedPredictor.find(told, arm) is not None
+
+    def refuse(path: str) -> str:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(served_predictor, "file_hash", refuse)
+    assert ServedPredictor.find(told, arm) is None
+    path.unlink()
+    monkeypatch.undo()
+    assert ServedPredictor.find(told, arm) is None
+
+
+def test_a_file_that_changes_while_it_is_read_is_read_again(
+    arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "predictor.npz"
+    last = trained(arm, -BIAS)
+    save(trained(arm, BIAS), path)
+
+    def load_and_replace(*given: object, **more: object) -> Predictor:
+        found = load(*given, **more)
+        save(last, path)
+        return found
+
+    monkeypatch.setattr(served_predictor, "load", load_and_replace)
+    found = ServedPredictor.read(str(path), arm)
+    assert found.file_hash == file_hash(path)
+    np.testing.assert_array_equal(found.predictor.weights, last.weights)
 
 
 def test_every_joint_has_a_side_of_its_own(

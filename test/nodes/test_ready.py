@@ -74,7 +74,7 @@ def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(
 
     predictor.send_signal(signal.SIGKILL)
     predictor.wait()
-    assert seen.ask().status == STATUS.NO_PREDICTOR
+    stage.spin(lambda: seen.ask().status == STATUS.NO_PREDICTOR)
     seen.says("targets", "no error_predictor answers", level=b"\1")
     stage.start("error_predictor", files)
     seen.says("targets", "compensating")  # found without a target

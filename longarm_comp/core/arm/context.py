@@ -88,6 +88,8 @@ class Context:
         columns = {k: v for k, v in self.columns.items() if k not in (CLOCK, ORDER)}
         if ended_s is not None:
             columns[CLOCK] = ended_s
+        elif len(columns) == len(self.columns):
+            return self
         return dataclasses.replace(self, columns=columns)
 
     def payload_kg(self, declared: float) -> Scalar:
@@ -115,6 +117,8 @@ class Context:
 
     def take(self, rows: np.ndarray | slice | int) -> Context:
         """Return the context of some of N postures; a scalar that holds for all stays a scalar."""
+        if not self.differs:
+            return self
 
         def of(value: Any) -> Any:
             return np.asarray(value)[rows] if _of_each(value) else value
@@ -142,9 +146,7 @@ class Context:
             return every
 
         fields: dict[str, Iterable[Any]] = {}
-        history = [value for name in PER_JOINT for value in getattr(self, name)]
-        every = [*history, *self.columns.values(), *self.labels.values()]
-        if not any(map(_of_each, every)):
+        if not self.differs:
             return [self] * count
         for f in dataclasses.fields(self):
             held = getattr(self, f.name)
@@ -155,6 +157,13 @@ class Context:
             fields[f.name] = [dict(zip(held, row, strict=True)) for row in each] if named else each
         made = zip(*fields.values(), strict=True)
         return [Context(**dict(zip(fields, values, strict=True))) for values in made]
+
+    @cached_property
+    def differs(self) -> bool:
+        """True if a quantity has a value for each of N postures."""
+        history = [value for name in PER_JOINT for value in getattr(self, name)]
+        every = [*history, *self.columns.values(), *self.labels.values()]
+        return not {*map(type, every)} <= {float, str} and any(map(_of_each, every))
 
     @cached_property
     def layout(self) -> Layout:
@@ -216,6 +225,9 @@ class Layout:
         values = [value for name in PER_JOINT for value in getattr(context, name)]
         values += [context.columns[name] for name in self.columns]
         rows = np.empty((count, len(values)))
+        if not context.differs:
+            rows[:] = values
+            return rows
         for k, value in enumerate(values):
             rows[:, k] = value
         return rows

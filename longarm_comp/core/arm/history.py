@@ -126,8 +126,8 @@ class History:
             points: (k, n) way-points; the joints come to rest at the last.
             start: (n,) where the joints stood; None: nobody knows, nor how they came there.
         """
-        path = points if start is None else np.vstack([start, points])
-        ways = np.diff(path, axis=0).T.tolist()
+        path = points if start is None else np.concatenate([start[None], points])
+        ways = (path[1:] - path[:-1]).T.tolist()
         legs = np.zeros_like(self.legs) if start is None else self.legs
         sides, made = self.approach.astype(float), np.zeros_like(self.legs)
         for joint, held in enumerate(legs.tolist()):

@@ -16,14 +16,14 @@ LENGTH_TOLERANCE = 1e-3
 
 def is_unit(quaternion: np.ndarray) -> bool:
     """Tell whether x, y, z, w are finite and of length 1 within `LENGTH_TOLERANCE`."""
-    length = float(np.linalg.norm(quaternion))
+    length = math.hypot(*quaternion.tolist())
     return math.isfinite(length) and abs(length - 1.0) <= LENGTH_TOLERANCE
 
 
 def compute_rotation(quaternion: np.ndarray) -> np.ndarray:
     """Return the rotation matrix (3, 3) of x, y, z, w; the length is taken out first."""
     q = np.asarray(quaternion, dtype=float)
-    x, y, z, w = q / np.linalg.norm(q)
+    x, y, z, w = (q / np.linalg.norm(q)).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

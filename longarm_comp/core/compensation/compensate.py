@@ -40,6 +40,7 @@ from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model
+from longarm_comp.math.points import lengths
 
 
 def physics_of(model: Model, method: Method) -> Model:
@@ -205,12 +206,12 @@ class _Batch:
                 self.reason[k] = "no predictor: compensated with physics only"
             return
         for passes in range(options.max_passes + 1 if going else 0):
-            found = self.predictor.predict(self.q[going], self._context_of(going))
-            size = np.linalg.norm(found.error, axis=1)
-            change = np.linalg.norm(found.error - self.error[going], axis=1)
+            here = _index_of(going)
+            found = self.predictor.predict(self.q[here], self._context_of(going))
+            size, change = lengths(found.error), lengths(found.error - self.error[here])
             inside = found.in_domain & np.isfinite(size)
-            self.error[going], self.sigma[going] = found.error, found.sigma
-            self.in_domain[going] = inside
+            self.error[here], self.sigma[here] = found.error, found.sigma
+            self.in_domain[here] = inside
             reasons = found.reason or [""] * len(going)
             each = zip(going, size.tolist(), change.tolist(), inside.tolist(), reasons, strict=True)
             unsettled = []
@@ -231,7 +232,7 @@ class _Batch:
             # A pseudo-target lies next to its target: look near its joints only
             pseudo = pseudo_targets(self.target, self.error)
             failed = self._search(unsettled, pseudo, min(options.starts, 3))
-            self.passes[unsettled] += 1
+            self.passes[_index_of(unsettled)] += 1
             for k, missed in failed.items():
                 self.status[k] = Status.UNREACHABLE
                 self.reason[k] = describe_miss("pseudo-target", missed)
@@ -341,6 +342,11 @@ class _Batch:
 
     def _context_of(self, rows: Sequence[int]) -> Context:
         return self.context.take(np.asarray(rows) if len(rows) > 1 else rows[0])
+
+
+def _index_of(rows: list[int]) -> list[int] | slice:
+    """Return an index of rows; that of one is a slice, which is quicker than an array."""
+    return rows if len(rows) > 1 else slice(rows[0], rows[0] + 1)
 
 
 _PHYSICS_ONLY = (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)

@@ -10,6 +10,7 @@ refused.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -78,7 +79,12 @@ class Placement:
 
     def carry_from_model(self, place: np.ndarray) -> np.ndarray:
         """Carry places (..., 3) or (..., 4, 4) of the model to the frame of the target, m."""
-        return carry_place(np.linalg.inv(self.motion), place)
+        return carry_place(self._back, place)
+
+    @cached_property
+    def _back(self) -> np.ndarray:
+        """The model's frame in the frame of the target, (4, 4)."""
+        return np.linalg.inv(self.motion)
 
     @property
     def measurements(self) -> np.ndarray:

@@ -45,8 +45,10 @@ def unknown_circumstances(
         uncertain_payload(model, q, context),
         beyond_session(model, q, context),
     )
+    if not any(any(why) for _, why in each):
+        return each[0]
     words = zip(*(why for _, why in each), strict=True)
-    spread = np.sqrt(np.sum([sd**2 for sd, _ in each], axis=0))
+    spread = np.sqrt(sum(sd**2 for sd, _ in each))
     return spread, ["; ".join(filter(None, why)) for why in words]
 
 
@@ -135,7 +137,7 @@ def uncertain_payload(
     model: Model, q: np.ndarray, context: Context
 ) -> tuple[np.ndarray, list[str]]:
     """Estimate how far the tip depends on a payload known to `SD` only: as `unknown_history`."""
-    sd = np.broadcast_to(np.asarray(context.column(SD, 0.0)), len(q))
+    sd = np.broadcast_to(context.columns[SD], len(q)) if SD in context.columns else np.zeros(0)
     if not sd.any():
         return np.zeros((len(q), 3)), [""] * len(q)
     columns, kg = context.columns, context.payload_kg(0.0)

@@ -214,8 +214,11 @@ def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
 
 def characteristic_length(model: Model) -> float:
     """Return the weight of a radian of tool angle in metres: a quarter of the stretched arm."""
-    size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
-    return max(0.25 * size, 0.01)
+    if "length" not in model.memo:
+        size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
+        model.memo["length"] = max(0.25 * size, 0.01)
+    length: float = model.memo["length"]
+    return length
 
 
 MOST_KERNELS = 8

@@ -55,7 +55,7 @@ class _Task:
 
     def run(self, target: np.ndarray, seed: np.ndarray, context: Context | None) -> _Found | None:
         """Search from the seed alone; None if the target or the seed is invalid."""
-        if seed.shape != self.kernel.arm.mid.shape:
+        if seed.shape != (self.kernel.arm.n,):
             return None
         try:
             workspace = self.spare.pop()

@@ -207,7 +207,7 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
     finite = np.isfinite(targets).all(axis=tuple(range(1, targets.ndim)))
     turned = np.ones(len(targets), bool)
     if targets.ndim == 3 and not position_only:
-        T = np.where(finite[:, None, None], targets, 0.0)
+        T = targets if finite.all() else np.where(finite[:, None, None], targets, 0.0)
         columns = axes_of(T).T  # of one target as floats, which are quicker than arrays of one
         skew = skewness(columns[:, 0].tolist() if len(T) == 1 else columns)
         turned &= skew < REACHED**2
@@ -257,7 +257,10 @@ def checked_seed(
         raise InputError(where, "seed", f"shape {given.shape}", allowed)
     if not np.isfinite(given).all():
         raise InputError(where, "seed", given, "finite joint values")
-    return np.array(np.clip(np.broadcast_to(given, (count, arm.n)), *arm.bounds))
+    made = np.empty((count, arm.n))
+    made[:] = given
+    low, high = arm.bounds
+    return np.minimum(np.maximum(made, low, out=made), high, out=made)
 
 
 def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:

@@ -53,27 +53,34 @@ class TanhMembers:
     weights: Array  # (M, D)
 
     @cached_property
+    def _layers(self) -> tuple[Array, Array]:
+        """Weights V (M, d+1, H) and W (M, H+1, k)."""
+        v, w = self.shape.split(self.weights)
+        return v, w
+
+    @cached_property
     def _mean(self) -> tuple[Array, Array]:
         """The mean of all members as one network: V (d+1, M H), and W without its bias (M H, k)."""
-        v, w = self.shape.split(self.weights)
+        v, w = self._layers
         return np.concatenate(v, axis=1), np.concatenate(w[:, :-1]) / len(w)
 
     def outputs(self, x: Array) -> Array:
         """Return outputs (M, N, k) of inputs (N, d)."""
-        v, w = self.shape.split(self.weights)
+        v, w = self._layers
         made: Array = np.tanh(_with_ones(x) @ v) @ w[:, :-1] + w[:, -1:]
         return made
 
     def jacobian(self, x: Array) -> Array:
         """Return slopes (N, k, D) of the first member's outputs by its weights."""
-        v, w = self.shape.split(self.weights[0])
+        v, w = (layer[0] for layer in self._layers)
         x1, k = _with_ones(x), self.shape.outputs
         z = np.tanh(x1 @ v)
         back = (1.0 - z * z)[:, None] * w[:-1].T  # (N, k, H)
-        by_v = x1[:, None, :, None] * back[:, :, None]
-        by_w = _with_ones(z)[:, None, :, None] * np.eye(k)[:, None]
-        parts = [part.reshape(len(x), k, -1) for part in (by_v, by_w)]
-        made: Array = np.concatenate(parts, axis=2)
+        made = np.zeros((len(x), k, self.shape.size))
+        by_v, by_w = self.shape.split(made)
+        np.multiply(x1[:, None, :, None], back[:, :, None], out=by_v)
+        each = np.arange(k)  # a weight of W moves its own output alone
+        by_w[:, each, :-1, each], by_w[:, each, -1, each] = z, 1.0
         return made
 
     def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:

@@ -30,6 +30,7 @@ from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows
 from longarm_comp.core.learn.network import NetworkShape, TanhMembers
+from longarm_comp.math.points import lengths
 
 if TYPE_CHECKING:
     from longarm_comp.core.learn.others import NetworkKind, TorchMembers
@@ -111,6 +112,10 @@ class Predictor:
         Context that is absent or NaN is replaced by its training mean, and ``sigma`` is widened by
         its influence.
         """
+        return self._predict(q, context)[0]
+
+    def _predict(self, q: Array, context: Context | None) -> tuple[Prediction, Array]:
+        """Predict; return the standardised inputs (N, d) too."""
         q, known = check_rows("predict", q, context)
         if q.shape[1] != self.encoding.joints:
             raise InputError("predict", "q", f"{q.shape[1]} joints", f"{self.encoding.joints}")
@@ -121,18 +126,19 @@ class Predictor:
         low, high = self.encoding.box
         outside = (raw < low) | (raw > high)  # NaN, not known, is neither
         unsure = largest > self.variance_limit
-        useless = np.linalg.norm(sigma, axis=1) >= np.linalg.norm(self.alone)
+        useless = lengths(sigma) >= lengths(self.alone)
         away = unsure | outside.any(axis=1)
         inside = ~(away | useless) & self.gain.helps
         reason = [""] * len(q)
         for row in np.flatnonzero(~inside):
             reason[row] = self._reason(raw[row], outside[row], largest[row], sigma[row])
-        return Prediction(error, sigma, inside, reason, largest / self.variance_limit, away)
+        found = Prediction(error, sigma, inside, reason, largest / self.variance_limit, away)
+        return found, x
 
     def mean_and_variance(self, x: Array) -> tuple[Array, Array]:
         """Return mean and epistemic variance, (N, 3) m and m^2, at standardised inputs (N, d)."""
         outputs = self.members.outputs(x)
-        mean = outputs.mean(axis=0)
+        mean = outputs.sum(axis=0) / len(outputs)
         variance = ((outputs - mean) ** 2).sum(axis=0) / max(1, len(outputs) - 1)
         for start in range(0, len(x), 1024):
             rows = slice(start, start + 1024)
@@ -179,10 +185,9 @@ class Predictor:
 
     def expand(self, q: Array, context: Context | None = None) -> Expansion:
         """Predict at joints (n,) and around them."""
-        encoding, context = self.encoding, context or Context()
-        found = self.predict(q[None], context)
-        x = encoding.encode(q[None], context)[1][0]
-        slope, step = self.members.slope(x, encoding.moved, LINEAR_M / self.scale)
+        encoding = self.encoding
+        found, x = self._predict(q[None], context)
+        slope, step = self.members.slope(x[0], encoding.moved, LINEAR_M / self.scale)
         moved, width = encoding.kept[encoding.moved], encoding.scale[encoding.moved]
         jacobian, reach = np.zeros((3, len(q))), np.zeros(len(q))
         jacobian[:, moved] = self.scale * slope / width

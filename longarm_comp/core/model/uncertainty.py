@@ -26,7 +26,7 @@ LEVEL = 0.9
 YIELDS = 0.5
 """How much every part of an arm may yield, in what a soft part does, before any row is asked."""
 _NORMAL = NormalDist().inv_cdf(LEVEL)
-_log_gamma = np.vectorize(math.lgamma, otypes=[float])  # SciPy loads for half a second
+_log_gamma = np.frompyfunc(math.lgamma, 1, 1)  # SciPy loads for half a second
 _Identity = tuple[object, ...]
 
 
@@ -92,7 +92,7 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     Returns:
         (...) m each.
     """
-    square = np.trace(covariance, axis1=-2, axis2=-1)
+    square = np.einsum("...ii", covariance)
     variance = 2.0 * np.einsum("...ij,...ji->...", covariance, covariance)
     if mean is not None:
         square = square + (mean**2).sum(-1)
@@ -100,7 +100,8 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     # Least variance of a squared length over its square: less changes no digit that is printed
     shape = square**2 / np.maximum(variance, 1e-9 * square**2 + 1e-300)
     shape = np.maximum(shape, 1e-300)
-    expected = np.sqrt(square / shape) * np.exp(_log_gamma(shape + 0.5) - _log_gamma(shape))
+    rise = np.asarray(_log_gamma(shape + 0.5) - _log_gamma(shape), float)
+    expected = np.sqrt(square / shape) * np.exp(rise)
     spread = variance / np.maximum(9.0 * square**2, 1e-300)
     within = np.sqrt(square * (1.0 - spread + _NORMAL * np.sqrt(spread)) ** 3)
     return np.where(square == 0, 0.0, expected), within
