@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit, fdtri
+from scipy.special import expit, fdtri, logsumexp, softmax
 from scipy.stats import norm
 
 from longarm_comp.core.calibration import linear
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import (
     BEFOREHAND,
     MAD,
@@ -22,6 +23,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.model import Model
 
 ENOUGH_REPEATS = 15
@@ -37,6 +39,8 @@ MOST_STEPS = 60
 """Of the noise and the size of the library's effects together."""
 LEAST_ROWS = 12
 """Rows from which the shape of their scatter tells something: two covariances of six numbers."""
+SHARES = np.linspace(0.02, 1.0, 50)
+"""Shares of the sensor that are tried."""
 TURNING = math.log(20.0)
 """Log odds, before the rows, that nothing scatters with the tool: one session in twenty."""
 APART = 4.5
@@ -145,6 +149,8 @@ def share_of_sensor(fit: ModelFit) -> SensorShare:
         tip = np.broadcast_to(fit.model.tip_frame(fit.posture).matrix(), (len(fit.weights), 4, 4))
         by_tip = np.einsum("nji,nj->ni", tip[kept, :3, :3], residual)
         found.append(_share_by_shape(residual, by_tip))
+        zeros = FitColumns(fit).prior_columns(JointZero.for_arm(fit.model.arm))[kept, :3]
+        found.append(_share_by_joints(residual, zeros))
         found += map(_share_by_groups, (residual, by_tip))
     return min(found)
 
@@ -165,6 +171,30 @@ def _share_by_shape(residual: np.ndarray, by_tip: np.ndarray) -> SensorShare:
     whole = float(expit(TURNING + logs[0] - logs[1]))
     share = whole + (1.0 - whole) * float(3.0 * spread[0] / spread.sum())
     return SensorShare(share, whole, "turns with the tool, as no sensor's noise does")
+
+
+def _share_by_joints(residual: np.ndarray, columns: np.ndarray) -> SensorShare:
+    """Judge it by the postures: joints that do not come back scatter as far as their levers reach.
+
+    The residual is normal with one covariance; or the sensor scatters alike in all directions, and
+    each joint by its unit besides. All shares are equally likely beforehand.
+
+    Args:
+        residual: (N, 3) m.
+        columns: (N, 3, n) m for a unit of each joint.
+    """
+    levers = columns @ columns.transpose(0, 2, 1)
+    reach, ways = np.linalg.eigh(levers / max(float(np.trace(levers.mean(axis=0))) / 3.0, 1e-30))
+    square = np.einsum("nji,nj->ni", ways, residual) ** 2
+    variance = SHARES[:, None, None] + (1.0 - SHARES[:, None, None]) * np.maximum(reach, 0.0)
+    size = np.maximum((square / variance).mean(axis=(1, 2)), 1e-30)
+    logs = -0.5 * (square.size * np.log(size) + np.log(variance).sum(axis=(1, 2)))
+    spread = np.maximum(np.linalg.eigvalsh(residual.T @ residual / len(residual)), 1e-30)
+    one = -0.5 * len(residual) * float(np.log(spread).sum())
+    chances = softmax(logs)
+    whole = float(expit(TURNING + one - logsumexp(logs) + math.log(len(SHARES))))
+    share = whole + (1.0 - whole) * float(chances @ SHARES)
+    return SensorShare(share, whole, "grows with the joints' levers, as no sensor's noise does")
 
 
 def _share_by_groups(residual: np.ndarray) -> SensorShare:

@@ -127,6 +127,18 @@ def test_rows_about_two_middles_are_no_sensors_noise() -> None:
     assert 0.01 < promised < 0.03
 
 
+def test_joints_that_do_not_come_back_are_no_sensors_noise() -> None:
+    """Each scatters by 3 mrad, a slide by 0.75 mm: the tip the more, the farther it is out."""
+    unit = np.where(ARM.slides, 0.75e-3, 3e-3)
+    for seed in range(4):
+        rows = session(n=80, seed=seed)
+        turned = rows.q + unit * np.random.default_rng(seed).standard_normal(rows.q.shape)
+        off = Model(ARM).tip(turned) - Model(ARM).tip(rows.q)
+        found = share_of_sensor(calibrated(dataclasses.replace(rows, xyz=rows.xyz + off)))
+        assert found.share < 0.3 and found.whole < 0.05
+        assert found.sign.startswith("grows with the joints' levers")
+
+
 @pytest.mark.parametrize("kind", ["normal", "uniform", "wave", "tails", "coarse", "depth"])
 def test_noise_about_one_middle_is_the_sensors(kind: str) -> None:
     rng = np.random.default_rng(1)
