@@ -32,7 +32,6 @@ STUDIES = (
     Entry("poses", "poses", "Which poses to measure: grid, Sobol, I-optimal."),
     Entry("coverage", "coverage", "How often a stated 90 % radius holds."),
     Entry("load", "load", "How well servo loads tell a payload, by servo."),
-    Entry("conditions", "conditions", "Trained in one condition, commanded in another."),
     Entry("day", "day", "A day of work: wear, warmth, changing payloads."),
     Entry("path", "path", "Planned paths, before and after compensation."),
     Entry("readings", "readings", "What joint readings bring: names, tip, trim."),

@@ -39,6 +39,7 @@ COMMANDS = {
     "paper": "study table1 --paper-setting --arms 10",
     "coverage": "study coverage --data {data} --arms 8",
     "day": "study day --arms 12 --fast",
+    "poses": "study poses --arms 6",
     "measurements": "study measurements --arms 4",
     "realisable": "study realisable",
     "discover": "study discover --no-network",
@@ -145,6 +146,10 @@ TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
         "studies.md", ("commanded", "poses", "minutes", "not served", "day", "p95",
                        "0-2 h", "2-4 h", "4-6 h", "6-8 h"),
         lambda found: [list(row.values()) for row in found["rows"]],
+    ),
+    "poses": (
+        "studies.md", ("effect", "poses", "grid", "Sobol", "I-optimal"),
+        of("effect", "poses", "grid_mm", "sobol_mm", "i-optimal_mm"),
     ),
     "measurements": (
         "studies.md", ("rows", "pose", "position", "distance", "touch"),

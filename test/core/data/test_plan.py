@@ -11,6 +11,7 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.arm.parts import Payload
 from longarm_comp.core.data.plan import (
     Plan,
     grid,
@@ -123,14 +124,15 @@ def test_the_callers_further_draws_do_not_depend_on_the_sides() -> None:
 
 @pytest.mark.parametrize("alike", [False, True])
 def test_poses_file_round_trip(tmp_path: Path, alike: bool) -> None:
-    plan = dataclasses.replace(grid(ARM, 9, 1), payload_kg=np.linspace(0, 0.4, 9))
+    carries = ARM.model_copy(update={"payload": Payload(mass_kg=0.2, frame=4)})
+    plan = dataclasses.replace(grid(carries, 9, 1), payload_kg=np.linspace(0, 0.4, 9))
     if alike:
         plan = dataclasses.replace(plan, approach=np.repeat([1, 0, -1], 3))
     write_poses(plan, tmp_path / "poses.csv")
     header = (tmp_path / "poses.csv").read_text().splitlines()[0].split(",")
     assert ("approach" in header) == alike
     assert ("approach_q4" in header) != alike
-    back = read_poses(tmp_path / "poses.csv", ARM)
+    back = read_poses(tmp_path / "poses.csv", carries)
     assert (back.q == plan.q).all()
     assert (back.approach == plan.approach).all()
     assert back.payload_kg is not None
