@@ -254,6 +254,18 @@ def test_a_hot_or_alarmed_servo_is_a_fault_also_before_the_first_move(torque: bo
         assert [s.goals[5] for s in steps if s.goals] == [at] * torque
 
 
+def test_a_cable_that_is_out_for_a_while_before_the_first_move_is_no_fault(rig: Rig) -> None:
+    """Nothing is sent then; and nothing is taken either until every servo answers."""
+    rig.run(0.1)
+    rig.follower.hold_at({5: rig.states[5].position_ticks})
+    rig.run(1.0, hide=(5, 9))
+    assert rig.follower.state is FollowerState.IDLE
+    with pytest.raises(JobError, match="no fresh reading"):
+        rig.send((4.0, {"slide": 0.09}))
+    rig.run(0.1)
+    rig.send((4.0, {"slide": 0.09}))
+
+
 @pytest.mark.parametrize(
     ("off", "speed", "load", "stands"),
     [

@@ -316,6 +316,17 @@ def test_a_stop_frees_every_servo_that_hears_though_a_new_driver_finds_one_silen
     assert rig.call(graph.RESET, Trigger.Request()).success
     rig.is_in(DriverState.READY)
 
+    rig.emulator.unplug()  # the stop reaches no servo, and the driver dies
+    assert not rig.call(graph.ESTOP, SetBool.Request(data=True)).success
+    rig.process.kill()
+    rig.process.wait(timeout=300)
+    rig.emulator.faults.silent.add(2)
+    rig.emulator.start()
+    assert rig.driving()
+    rig.start()
+    rig.stage.spin(rig.free)
+    rig.emulator.faults.silent.clear()
+
 
 def test_where_no_stop_can_be_kept_the_arm_is_held_and_it_is_said(
     fresh: Rig, tmp_path: Path
