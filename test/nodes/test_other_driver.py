@@ -14,6 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from cli_shell import Shell
 from nodes_bench import Bench
 from small_arm import ARM
+from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
@@ -101,6 +102,28 @@ def test_a_joint_short_of_its_command_is_named_with_its_gap_and_what_helps(
             client.arrive(path, pace)
         if max(off) < 0.01:
             client.arrive(path, Pace(dwell_s=0.1, tolerance=0.009))
+
+
+@pytest.mark.parametrize("ours", [False, True])
+def test_a_session_asks_only_our_driver_for_a_long_way_at_once(ros_domain: int, ours: bool) -> None:
+    """Our driver keeps limits of speed; of another's controller nobody knows any."""
+    with ArmClient(ARM) as client:
+        joints, sent = graph.JOINT_STATES.publisher(client.node), list[JointTrajectory]()
+        graph.JOINT_TRAJECTORY.subscription(client.node, sent.append)
+        if ours:
+            driver = graph.DRIVER_STATE.publisher(client.node)
+            client.until(lambda: client.node.count_publishers(driver.topic_name), 60.0, "driver")
+        else:
+            with pytest.raises(JobError, match="no joint_states"):
+                client.send(ARM.upper[None])
+        client.node.create_timer(0.02, lambda: joints.publish(joints_message(ARM, ARM.lower)))
+        client.until(lambda: client.joints is not None, 60.0, "joints")
+        path = np.array([ARM.mid, ARM.upper])
+        client.until(lambda: sent or (client.send(path, 0.5, 0.1) and False), 60.0, "a trajectory")
+        due = [seconds(point.time_from_start) for point in sent[0].points]
+        slow = times_at_reduced_speed(Model(ARM), ARM.lower, path, 0.5, 0.1)
+        assert due == pytest.approx([0.5, 1.0] if ours else slow)
+        assert slow[-1] > 2.0
 
 
 def test_a_joint_that_moves_within_a_wide_tolerance_is_not_at_rest(ros_domain: int) -> None:

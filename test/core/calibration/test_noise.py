@@ -14,6 +14,7 @@ from small_arm import ARM
 
 from longarm_comp.core.calibration.noise import (
     _share_by_groups,
+    _share_by_joints,
     noise_from_residual,
     share_of_sensor,
 )
@@ -155,6 +156,14 @@ def test_noise_about_one_middle_is_the_sensors(kind: str) -> None:
         assert _share_by_groups(1e-4 * noise).share > 0.99
     few = [_share_by_groups(rng.standard_normal((12, 3))).whole for _ in range(40)]
     assert np.mean(few) > 0.9
+
+
+def test_an_arm_that_does_not_come_back_is_no_ones_first_thought() -> None:
+    """One session in twenty, before its rows: even noise is the sensor's."""
+    rng = np.random.default_rng(1)
+    draws = [rng.standard_normal((2, 12, 3, 5)) for _ in range(60)]
+    few = [_share_by_joints(noise[:, :, 0], columns).whole for noise, columns in draws]
+    assert np.mean(few) > 0.98
 
 
 @pytest.mark.parametrize("uneven", [(1.0, 1.0, 1.0), (1.0, 1.0, 8.0)], ids=["even", "depth"])
