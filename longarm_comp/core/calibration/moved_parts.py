@@ -12,6 +12,7 @@ from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
+from scipy.special import gammaln
 from scipy.stats import f
 
 from longarm_comp.core.calibration import linear
@@ -44,8 +45,12 @@ def refuse_moved_parts(fit: ModelFit) -> None:
     fitted = np.linalg.qr(np.vstack([a, np.eye(a.shape[1])]))[0][: len(a)]
     residual -= fitted @ (fitted.T @ residual)
     square, equations = float(residual @ residual), int(rows.measured.sum())
-    found, least, tried = None, 0.0, len(rows) * (len(rows) + 1) / 2
     terms = [k for k, t in enumerate(fit.model.terms) if isinstance(t, BasePose | TipOffset)]
+    found, tried = None, len(rows) * (len(rows) + 1) / 2 * max(len(terms), 1)
+    # A move must explain more than gross errors of single rows do
+    in_rows = fitted.reshape(len(rows), fit.width, -1), residual.reshape(len(rows), fit.width)
+    least = _worth_of_gross_errors(*in_rows, rows.measured.sum(axis=1), fit.effective)
+    least -= math.log(tried)
     for k in terms:
         mine = [i for i, slot in enumerate(fit.slots) if slot.term == k]
         free = equations - fit.effective - len(mine)
@@ -62,7 +67,7 @@ def refuse_moved_parts(fit: ModelFit) -> None:
         left = float(((residual - moved @ shift) ** 2).sum())
         chance = f.sf((square - left) / len(mine) / (left / free), len(mine), free)
         worth = free * math.log(left / square) + len(mine) * math.log(equations)
-        if worth < least and chance * tried * len(terms) < SIGNIFICANT:
+        if worth < least and chance * tried < SIGNIFICANT:
             least = worth
             last = "on" if end == len(rows) else f"to {rows.index[end - 1]}"
             found = (
@@ -82,6 +87,32 @@ def refuse_moved_parts(fit: ModelFit) -> None:
             "groups by a column group (the base), or by another marker there",
             session=fit.session.source,
         )
+
+
+def _worth_of_gross_errors(
+    fitted: np.ndarray, residual: np.ndarray, equations: np.ndarray, effective: float
+) -> float:
+    """Return the change of the log evidence (as a price, 0 or less) if the worst rows are gross.
+
+    Each then has a place of its own, as many parameters as equations.
+
+    Args:
+        fitted: (N, d, p) orthonormal basis of what the parameters of the fit explain.
+        residual: (N, d).
+        equations: (N,) numbers of equations.
+        effective: number of parameters of the fit.
+    """
+    count, number, whole = len(residual), int(equations.sum()), float((residual**2).sum())
+    left_over = np.eye(residual.shape[1]) - fitted @ fitted.transpose(0, 2, 1)
+    own = np.linalg.solve(left_over + 1e-9 * np.eye(residual.shape[1]), residual[..., None])[..., 0]
+    falls = (residual * own).sum(axis=1)
+    worst = np.argsort(-falls)[: count // 4]
+    left = np.maximum(whole - np.cumsum(falls[worst]), 1e-3 * whole)
+    taken, gross = np.cumsum(equations[worst]), np.arange(1, len(worst) + 1)
+    choices = gammaln(count + 1) - gammaln(gross + 1) - gammaln(count - gross + 1)
+    free = np.maximum(number - effective - taken, 1.0)
+    worth = free * np.log(left / whole) + taken * math.log(number) + choices
+    return float(min(worth.min(initial=0.0), 0.0))
 
 
 Falls = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -164,6 +164,16 @@ def test_an_arm_that_stayed_was_not_moved(made: Model) -> None:
     refuse_moved_parts(fitted)
 
 
+@pytest.mark.parametrize("rows", [(40,), (40, 41)])
+def test_one_or_two_gross_errors_are_no_move(made: Model, rows: tuple[int, ...]) -> None:
+    """Wherever the base stood, it would meet so few rows: they must not pass for a move."""
+    session = anywhere(made)
+    xyz = session.xyz.copy()
+    xyz[list(rows)] += [0.002, 0.0, 0.001]
+    *_, (_, fitted) = fit_stages(Model(PALLETISER), dataclasses.replace(session, xyz=xyz))
+    refuse_moved_parts(dataclasses.replace(fitted, weights=np.ones(len(session))))
+
+
 @pytest.mark.usefixtures("few_names")
 def test_both_commands_name_the_rows_that_they_set_aside(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
