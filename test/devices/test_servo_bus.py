@@ -70,21 +70,10 @@ def test_a_speed_limit_below_one_unit_is_not_no_limit(rig: Rig) -> None:
     assert 2048.0 < emulator.positions()[1] < 2100.0  # a unit of speed is 1 or 16 ticks/s
 
 
-def test_switching_on_never_moves_a_servo(rig: Rig) -> None:
-    emulator, bus = rig
-    bus.torque(IDS, on=True)
-    bus.write_goal({2: 1500})
-    assert _until(lambda: abs(emulator.positions()[2] - 1500) < 0.5)
-    bus.torque(IDS, on=False)
-    emulator.push(2, 1800.0)
-    bus.torque(IDS, on=True)
-    assert all(emulator.torques_on().values())
-    time.sleep(0.1)
-    assert emulator.positions()[2] == pytest.approx(1800.0, abs=0.51)
-
-
-@pytest.mark.parametrize("lost", [1, 3])
-def test_a_servo_that_missed_its_goal_is_not_switched_on(rig: Rig, lost: int) -> None:
+@pytest.mark.parametrize("lost", [0, 1, 3])
+def test_switching_on_never_moves_a_servo_also_one_that_missed_its_goal(
+    rig: Rig, lost: int
+) -> None:
     """It would go to the goal that it had before: a frame that writes is not acknowledged."""
     emulator, bus = rig
     bus.torque(IDS, on=True)

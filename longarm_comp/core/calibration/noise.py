@@ -39,8 +39,8 @@ MOST_STEPS = 60
 """Of the noise and the size of the library's effects together."""
 LEAST_ROWS = 12
 """Rows from which the shape of their scatter tells something: two covariances of six numbers."""
-SHARES = np.linspace(0.02, 1.0, 50)
-"""Shares of the sensor that are tried."""
+SHARES = np.linspace(0.0, 0.95, 20)
+"""Shares of the arm in what scatters that are tried; all are equally likely beforehand."""
 TURNING = math.log(20.0)
 """Log odds, before the rows, that nothing scatters with the tool: one session in twenty."""
 APART = 4.5
@@ -186,14 +186,14 @@ def _share_by_joints(residual: np.ndarray, columns: np.ndarray) -> SensorShare:
     levers = columns @ columns.transpose(0, 2, 1)
     reach, ways = np.linalg.eigh(levers / max(float(np.trace(levers.mean(axis=0))) / 3.0, 1e-30))
     square = np.einsum("nji,nj->ni", ways, residual) ** 2
-    variance = SHARES[:, None, None] + (1.0 - SHARES[:, None, None]) * np.maximum(reach, 0.0)
+    variance = 1.0 + SHARES[:, None, None] * (np.maximum(reach, 0.0) - 1.0)
     size = np.maximum((square / variance).mean(axis=(1, 2)), 1e-30)
     logs = -0.5 * (square.size * np.log(size) + np.log(variance).sum(axis=(1, 2)))
     spread = np.maximum(np.linalg.eigvalsh(residual.T @ residual / len(residual)), 1e-30)
     one = -0.5 * len(residual) * float(np.log(spread).sum())
     chances = softmax(logs)
     whole = float(expit(TURNING + one - logsumexp(logs) + math.log(len(SHARES))))
-    share = whole + (1.0 - whole) * float(chances @ SHARES)
+    share = whole + (1.0 - whole) * float(chances @ (1.0 - SHARES))
     return SensorShare(share, whole, "grows with the joints' levers, as no sensor's noise does")
 
 

@@ -33,6 +33,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.left_out import LeftOut
 from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
 from longarm_comp.core.calibration.noise import (
+    SHARES,
     lag_correlation,
     repeat_scatter,
     rows_as_one,
@@ -153,7 +154,6 @@ ROWS = 200
 """
 WIDTHS = (0.25, 0.5, 1.0)
 """Over which part of an input's range the process is alike."""
-SHARES = np.linspace(0.0, 0.95, 20)
 _NOTHING = 1e-8  # of the largest: rounding
 
 
