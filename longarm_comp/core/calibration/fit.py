@@ -1,17 +1,19 @@
 """Robust joint fit of a model to a session: geometry and effects together.
 
-Gauss-Newton on the posterior mode.  A step that would raise the cost is shortened along a parabola
+Gauss-Newton on the posterior mode. A step that would raise the cost is shortened along a parabola
 that follows the curvature of the model: of a load and the compliance under it the rows tell hardly
-more than the product (geodesic acceleration; Transtrum and Sethna 2012, arXiv 1201.5885).  Every
-parameter has a prior (a tolerance), which holds the gauge freedoms of a redundant geometry. The
-prior of an unknown placement lies around its start, so that what the rows do not determine stays
-there. Sign bounds are kept exactly. Rows that no model of this kind explains get weight 0, decided
-anew at every step but the first, in which all rows count.
+more than the product (geodesic acceleration; Transtrum and Sethna 2012, arXiv 1201.5885). Where
+that does not help either, it is damped (Levenberg 1944, Marquardt 1963). Every parameter has a
+prior (a tolerance), which holds the gauge freedoms of a redundant geometry. The prior of an unknown
+placement lies around its start, so that what the rows do not determine stays there. Sign bounds are
+kept exactly. Rows that no model of this kind explains get weight 0, decided anew at every step but
+the first, in which all rows count.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -24,8 +26,12 @@ from longarm_comp.core.model.model import Model, Slot
 
 CLOSE = 0.01
 """A fit has converged when its last step was below so many standard errors."""
-SHORTEST = 1e-3
-"""Share of a Gauss-Newton step below which no shorter one is tried."""
+SHARES = (1.0, 0.5, 0.25)
+"""Shares of the parabola that are tried; only the first while the noise is not known, because goals
+are far then, and a damped step gets nearer."""
+LEAST_DAMPING, MOST_DAMPING, DAMPING_FACTOR = 1e-6, 1e3, 30.0
+"""Shares of the normal equations' diagonal that a damped step adds to it: the least, the most, and
+from one to the next."""
 STALLED = 3
 """Steps without gain after which a fit ends with the best values it had: where loads and what they
 bend are fitted together, steps may go around the solution for ever."""
@@ -106,7 +112,6 @@ def _fit_parts(
     problem = _JointProblem(parts, own)
     scale, centre, now = problem.scale, problem.centre, problem.start
     converged, step = False, 0
-    adapting = any(part.sigma is None or part.fixed is None for part in parts)
     cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, GAUSS_NEWTON_STEPS + 1):
         for part in parts:
@@ -118,21 +123,22 @@ def _fit_parts(
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
-        goal = centre + posterior.u * scale
-        step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
+        goal = np.clip(centre + posterior.u * scale, *problem.limits)
+        error = np.sqrt(np.diag(posterior.covariance)) * scale
+        step_size = np.abs(goal - now) / error
         expected = square + posterior.u @ (gram @ posterior.u + posterior.u - 2.0 * moment)
         near = bool((step_size <= 1.0).all())
-        now, cost = problem.step_towards(goal, now, gram, moment, near)
+        if not problem.knows_noise:  # costs of two steps are of two noises
+            best, least = now, problem.compute_cost(now)
+        now, cost = problem.step_towards(goal, now, gram, moment, near, close * error)
         holds = near and cost <= expected + AMISS
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
             if not holds:
                 part.update_design()
-        if holds and (step_size <= close).all() and (step > 2 or not adapting):
+        if holds and (step_size <= close).all() and (step > 2 or problem.knows_noise):
             converged = True
             break
-        if adapting:
-            continue
         stalled = 0 if cost < least - GAIN else stalled + 1
         if cost < least:
             best, least = now, cost
@@ -183,6 +189,8 @@ class _JointProblem:
         ends = [[s.parameter.lower, s.parameter.upper] for s in slots]
         self.limits = np.array(ends).reshape(-1, 2).T
         self.bounds = (self.limits - self.centre) / self.scale
+        self.knows_noise = all(p.sigma is not None and p.fixed is not None for p in parts)
+        self.damping = 0.0
 
     def normal_equations(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Return matrix (p, p) and right side (p,) in units of the priors, and the square of the
@@ -196,7 +204,7 @@ class _JointProblem:
             square += float(y @ y)
         return gram, moment, square
 
-    def _compute_cost(self, values: np.ndarray) -> float:
+    def compute_cost(self, values: np.ndarray) -> float:
         prior = (((values - self.centre) / self.scale) ** 2).sum()
         return sum(part.compute_cost() for part in self.parts) + float(prior)
 
@@ -205,15 +213,23 @@ class _JointProblem:
             part.move_to(values[part.own_places], near)
 
     def step_towards(
-        self, goal: np.ndarray, now: np.ndarray, gram: np.ndarray, moment: np.ndarray, near: bool
+        self,
+        goal: np.ndarray,
+        now: np.ndarray,
+        gram: np.ndarray,
+        moment: np.ndarray,
+        near: bool,
+        least: np.ndarray,
     ) -> tuple[np.ndarray, float]:
-        """Go towards a goal (p,) as far as this does not raise the cost.
+        """Go towards a goal (p,) without raising the cost.
 
-        The way is straight, or else the parabola that follows the model's curvature.
+        The way is straight, or else the parabola that follows the model's curvature, or else that
+        of a damped step, which goes less far the less the rows tell of a direction.
 
         Args:
             gram, moment: the normal equations that the goal solves.
             near: whether the goal is near; then fewer load passes are needed.
+            least: (p,) a step that is not worth a try, unless it is the goal itself.
 
         Returns:
             The values (p,) reached, and their cost.
@@ -221,31 +237,53 @@ class _JointProblem:
         Raises:
             JobError: the fit is not finite however short the step.
         """
-        before, failed = self._compute_cost(now), None
-        share, aside = 1.0, None
-        while share > SHORTEST:
-            values = now + share * (goal - now) + (0.0 if aside is None else share**2 * aside)
-            values = np.clip(values, *self.limits)
+        before, failed = self.compute_cost(now), None
+        for values in self._list_steps(goal, now, gram, moment, near):
+            if values is not goal and (np.abs(values - now) <= least).all():
+                break
             try:
                 self._move_to(values, near)
-                after = self._compute_cost(values)
+                after = self.compute_cost(values)
                 if after <= before + AMISS:
+                    damping = self.damping / DAMPING_FACTOR
+                    self.damping = damping if damping >= LEAST_DAMPING else 0.0
                     return values, after
-                if aside is None:
-                    self._move_to(now, near)
-                    bend = np.zeros(len(now))
-                    for part in self.parts:
-                        step = (goal - now)[part.own_places]
-                        bend[part.own_places] += part.project_curvature(
-                            step, self.scale[part.own_places], near
-                        )
-                    bent = linear.solve_products(gram, moment - bend, *self.bounds).u
-                    aside = self.centre + bent * self.scale - goal
-                    continue
             except JobError as error:
                 failed = error
-            share *= 0.5
         if failed is not None:
             raise failed
+        self.damping = 0.0
         self._move_to(now, near)
         return now, before
+
+    def _list_steps(
+        self, goal: np.ndarray, now: np.ndarray, gram: np.ndarray, moment: np.ndarray, near: bool
+    ) -> Iterator[np.ndarray]:
+        """Yield the values (p,) to try in turn, as `step_towards`."""
+        if self.damping == 0.0:
+            yield goal
+            aside = np.zeros(len(now))
+            with contextlib.suppress(JobError):
+                bend = self._project_curvature(goal, now, near)
+                aside = self._solve_within(gram, moment - bend) - goal
+            for share in SHARES if self.knows_noise else SHARES[:1]:
+                yield np.clip(now + share * (goal - now) + share**2 * aside, *self.limits)
+        begun, diagonal = (now - self.centre) / self.scale, np.diag(gram) + 1.0
+        self.damping = max(self.damping, LEAST_DAMPING)
+        while self.damping <= MOST_DAMPING:
+            damped = self.damping * diagonal
+            yield self._solve_within(gram + np.diag(damped), moment + damped * begun)
+            self.damping *= DAMPING_FACTOR
+
+    def _solve_within(self, gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
+        u = linear.solve_products(gram, moment, *self.bounds).u
+        return np.clip(self.centre + u * self.scale, *self.limits)
+
+    def _project_curvature(self, goal: np.ndarray, now: np.ndarray, near: bool) -> np.ndarray:
+        """Return (p,) the right side's change by half the second derivative along the way."""
+        self._move_to(now, near)
+        bend = np.zeros(len(now))
+        for part in self.parts:
+            step, scale = ((goal - now)[part.own_places], self.scale[part.own_places])
+            bend[part.own_places] += part.project_curvature(step, scale, near)
+        return bend

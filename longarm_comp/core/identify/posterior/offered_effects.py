@@ -343,10 +343,7 @@ class OfferedEffects:
 
         Where it is not on offer there, its first offer is returned.
         """
-        there: dict[str, Term] = {}
-        for offer in self.candidates:
-            for term in offer.terms if offer.name == name else ():
-                there.setdefault(term.where, term)
+        there = self._first_term[name]
         if not all(t.where in there for t in at):
             return self.candidates[self._first_number[name]]
         terms = []
@@ -355,6 +352,15 @@ class OfferedEffects:
             forms = {field: value for field, value in mine.forms.items() if field in term.forms}
             terms.append(dataclasses.replace(term, **forms))  # type: ignore[arg-type]
         return Candidate(name, tuple(terms))
+
+    @cached_property
+    def _first_term(self) -> dict[str, dict[str, Term]]:
+        """The first term on offer of every name at each place."""
+        made: dict[str, dict[str, Term]] = {}
+        for offer in self.candidates:
+            for term in offer.terms:
+                made.setdefault(offer.name, {}).setdefault(term.where, term)
+        return made
 
     @cached_property
     def _first_number(self) -> dict[str, int]:
