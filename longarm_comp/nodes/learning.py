@@ -98,6 +98,11 @@ class Learning:
         if learner.unexplained:
             said = "something changed that no known effect explains: run longarm diagnose"
             return Report(WARN, said, facts)
+        if learner.disagreeing >= _MANY:
+            said = (
+                f"{learner.disagreeing} of the last sightings seem wrong: look at marker and camera"
+            )
+            return Report(WARN, said, facts)
         now = [f"{n.text}, since {datetime.fromtimestamp(n.since_s):%H:%M}" for n in learner.now]
         found = "; ".join(now)
         state = "frozen" if learner.frozen else "learning"
@@ -106,4 +111,6 @@ class Learning:
         return Report(OK, f"{state}: {found or 'nothing changed'}", facts)
 
 
+_MANY = 5
+"""Of the last twenty sightings: so many seem wrong by chance once in 40,000 times."""
 _OFF = "nothing is learned at work: its parameter `learning` is false"

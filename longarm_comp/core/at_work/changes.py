@@ -1,4 +1,7 @@
-"""The possible changes of an arm at work: every effect at every place, and its parameters."""
+"""The possible changes of an arm at work: every effect at every place, and its parameters.
+
+Of the geometry a joint's zero may slip, and the base or the tip may be knocked.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,8 @@ class Parameters:
         slots = (*model.slots, *slots_of(model.arm, absent))
         at: dict[Key, list[int]] = {}
         for k, slot in enumerate(slots):
-            if slot.owner.searched and not slot.owner.geometry and not slot.owner.passing:
+            owner = slot.owner
+            if owner.slips or (owner.searched and not owner.geometry and not owner.passing):
                 at.setdefault(slot.owner.key, []).append(k)
         keys = tuple(at)
         places = np.full((len(keys), max(map(len, at.values()), default=0)), -1)

@@ -3,6 +3,9 @@
 Where something changed, the posterior splits into one for each effect that may have changed
 (generalised pseudo-Bayes; Tugnait 1982, Automatica 18). Each goes on as a Kalman filter of its own,
 in which further changes can begin.  Their weights follow from how well each predicts.
+
+A sighting that surprises may be wrong.  Then two go on, one with it and one without it, until later
+sightings decide (multiple hypotheses; Reid 1979, IEEE Trans. Automatic Control 24).
 """
 
 from __future__ import annotations
@@ -24,6 +27,12 @@ MOST = 4
 """Explanations that are carried along: each costs as much time as the first."""
 DOUBT = 0.01
 """Probability that a sighting is wrong, and with which explanations may be forgotten."""
+SURPRISE = -math.log(DOUBT)
+"""Surprise from which on a sighting may be wrong: it is as rare as a wrong one."""
+_PATIENCE = 10
+"""Sightings for which both are kept that differ about one that surprised."""
+_HOPELESS = 1e-20
+"""Probability below which they are not: no ten sightings would raise it again."""
 _FEWEST, _LATEST = 2, 15
 """Sightings of a change after which posteriors part: at least, as one alone may be wrong; at last,
 as its jump is then known four times better than by one."""
@@ -42,11 +51,35 @@ class _PastChange:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One explanation: its weight, its posterior, and the changes that are certain, in order."""
+    """One explanation.
+
+    Attributes:
+        weight: its probability.
+        known: its posterior.
+        changes: the changes that are certain, in order.
+        left_out: number of sightings that are wrong by it.
+        age: sightings since another explanation differs about one that surprised.
+    """
 
     weight: float
     known: RecursivePosterior
     changes: tuple[_PastChange, ...] = ()
+    left_out: int = 0
+    age: int = _PATIENCE
+
+    def judge(self, row: Row) -> Iterator[tuple[float, Branch]]:
+        """Yield the explanation with a sighting taken in, and without one that may be wrong.
+
+        Each comes with the log of its weight times the likelihood of the sighting.
+        """
+        known, weight = self.known.update(row), math.log(self.weight)
+        wrong = known.surprise > SURPRISE
+        age = 0 if wrong else self.age + 1
+        taken = dataclasses.replace(self, known=known, age=age)
+        yield weight + math.log1p(-DOUBT) + known.log_likelihood, taken
+        if wrong:
+            doubt = weight + math.log(DOUBT) + row.log_doubt(self.known.expected)
+            yield doubt, dataclasses.replace(self, left_out=self.left_out + 1, age=age)
 
     def split(self) -> Iterator[Branch]:
         """Yield one branch for each effect that may have changed, or only this one while the
@@ -77,7 +110,12 @@ class Branch:
                         before=tuple(known.mean[own].tolist()),
                     ),
                 )
-            yield Branch(self.weight * float(chance[c]) / whole, known.given_change(c), changes)
+            yield dataclasses.replace(
+                self,
+                weight=self.weight * float(chance[c]) / whole,
+                known=known.given_change(c),
+                changes=changes,
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +123,11 @@ class Explanations:
     """All explanations, with weights that sum to 1."""
 
     branches: tuple[Branch, ...]  # the most probable first
-    log_likelihood: float = 0.0  # of the last sighting
+
+    @property
+    def left_out(self) -> int:
+        """Number of sightings that are wrong by the most probable explanation."""
+        return self.branches[0].left_out
 
     @property
     def space(self) -> Parameters:
@@ -94,29 +136,26 @@ class Explanations:
 
     def update(self, row: Row) -> Explanations:
         """Return the explanations weighed again with one more sighting."""
-        each = [(b, b.known.update(row)) for b in self.branches]
-        logs = np.array([math.log(b.weight) + known.log_likelihood for b, known in each])
+        each = [judged for b in self.branches for judged in b.judge(row)]
+        logs = np.array([log for log, _ in each])
         top = float(logs.max())
-        likelihood = top + math.log(float(np.exp(logs - top).sum()))
-        weights = np.exp(logs - likelihood).tolist()
+        weights = (np.exp(logs - top) / np.exp(logs - top).sum()).tolist()
         made = [
             part
-            for (b, known), w in zip(each, weights, strict=True)
-            if w > NEGLIGIBLE
-            for part in Branch(w, known, b.changes).split()
+            for (_, b), w in zip(each, weights, strict=True)
+            if w > (_HOPELESS if b.age < _PATIENCE else NEGLIGIBLE)
+            for part in dataclasses.replace(b, weight=w).split()
         ]
         if len(made) > MOST:  # of each set of changes the most probable one, with all weight
-            merged: dict[frozenset[Key], Branch] = {}
+            merged: dict[tuple[frozenset[Key], int], Branch] = {}
             for b in sorted(made, key=lambda b: b.weight):
-                keys = frozenset(c.key for c in b.changes)
+                keys = frozenset(c.key for c in b.changes), b.left_out
                 whole = b.weight + (merged[keys].weight if keys in merged else 0.0)
                 merged[keys] = dataclasses.replace(b, weight=whole)
             made = list(merged.values())
         kept = sorted(made, key=lambda b: -b.weight)[:MOST]
         whole = sum(b.weight for b in kept)
-        return Explanations(
-            tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept), likelihood
-        )
+        return Explanations(tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept))
 
     @cached_property
     def expected(self) -> np.ndarray:
@@ -126,13 +165,14 @@ class Explanations:
     @cached_property
     def covariance(self) -> tuple[np.ndarray, np.ndarray]:
         """The positions (p,) of the uncertain parameters, and their covariance (p, p)."""
-        active = np.unique(np.concatenate([b.known.active for b in self.branches]))
+        active = np.unique(np.concatenate([b.known.spread[0] for b in self.branches]))
         made = np.zeros((len(active), len(active)))
         for b in self.branches:
-            own = np.isin(active, b.known.active)
+            places, covariance = b.known.spread
+            own = np.isin(active, places)
             off = (b.known.expected - self.expected)[active]
             made += b.weight * np.outer(off, off)
-            made[np.ix_(own, own)] += b.weight * b.known.covariance
+            made[np.ix_(own, own)] += b.weight * covariance
         return active, made
 
     @cached_property
@@ -143,6 +183,16 @@ class Explanations:
         lower, upper = (bound[active] for bound in self.space.bounds)
         made[active] = most_probable_within(self.expected[active], covariance, lower, upper)
         return made
+
+    @property
+    def disputed(self) -> bool:
+        """True if the last sighting may be wrong by the most probable explanation."""
+        return self.branches[0].age == 0
+
+    @property
+    def grown(self) -> float:
+        """How much the square of the errors that no parameter explains has grown."""
+        return sum(b.weight * b.known.grown for b in self.branches)
 
     @property
     def unexplained(self) -> float:

@@ -18,17 +18,20 @@ from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.explanations import DOUBT, Branch, Explanations
+from longarm_comp.core.at_work.explanations import Branch, Explanations
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.plan import random_joints
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 from longarm_comp.core.yaml_file import Declared
 
+LATELY = 20
+"""Last sightings, of which the report says how many disagree."""
 POOL = 256
 """Poses that are looked at: a power of 2, as Sobol's points are even then; 25 ms."""
 
@@ -107,7 +110,9 @@ class Learner:
     step_m: float = STEP_M  # largest correction of the tip where a sighting saw it
     sightings: int = 0  # taken in
     doubtful: int = 0  # left out
-    pending: tuple[Explanations, Row, float] | None = None
+    lately: tuple[int, ...] = ()  # `doubtful` after each of the last `LATELY` sightings
+    older: int = 1  # versions from before what is known
+    in_doubt: bool = False  # whether the last one is disputed or unexplained: then no model moves
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
@@ -121,6 +126,13 @@ class Learner:
         """The record of how good the served model is."""
         assert self.model.uncertainty is not None
         return self.model.uncertainty
+
+    @property
+    def given(self) -> ModelUncertainty:
+        """The record of the model before any learning."""
+        record = self.versions[0].model.uncertainty
+        assert record is not None  # checked by `of`
+        return record
 
     def learn(
         self, q: np.ndarray, context: Context, tip: np.ndarray, variance: np.ndarray, t_s: float
@@ -140,43 +152,58 @@ class Learner:
         point, columns = known.space.columns(self.model, q, context)
         at = known.space.values(self.model)
         (spread,), _ = unknown_history(self.model, q[None], context)
-        noise = np.maximum(self.record.noise, np.diag(variance)) + np.diag(spread**2)
+        noise = np.maximum(self.given.noise, np.diag(variance)) + np.diag(spread**2)
         # By how much the equation is not linear up to what is known
         bent = known.space.at(known.within_bounds).measured(q, context) - point
         bent = bent - columns @ (known.within_bounds - at)
-        noise = noise + self.record.structure + np.outer(bent, bent)
+        noise = noise + self.given.structure + np.outer(bent, bent)
         value = tip - point + columns @ at
         row = Row(t_s, columns, value, noise, float(np.linalg.norm(point)))
-        known, pending, doubtful = _take_in(known, row, self.pending)
+        doubtful = self.doubtful - known.left_out
+        known = known.update(row)
+        doubtful += known.left_out
+        older = self.older if self.known else len(self.versions)
         after = dataclasses.replace(
             self,
             known=known,
-            pending=pending,
             sightings=self.sightings + 1,
-            doubtful=self.doubtful + doubtful,
+            doubtful=doubtful,
+            lately=(*self.lately, doubtful)[-LATELY:],
+            older=older,
         )
-        if known is self.known:
-            return after
-        versions, said = self.versions, {n.where for n in self.named}
+        versions = (
+            self.versions[:older]
+            + tuple(  # without changes that were none
+                v
+                for v in self.versions[older:]
+                if v.named and known.places.get(v.named.where, 0) > 0.5
+            )
+        )
+        said = {v.named.where for v in versions if v.named}
         for where, chance in known.places.items():  # at which something has surely changed
             if where not in said and chance >= CREDIBLE:
                 served = self._model_at(known, known.within_bounds)
                 versions = (*versions, Version(t_s, served, _name_change(known, where)))
         after = dataclasses.replace(after, versions=versions)
-        # Serve the mean over all explanations, in a bounded step
+        # Serve the mean over all explanations, in a bounded step, once sightings agree
         wanted = known.within_bounds - at
         step = float(np.linalg.norm(columns @ wanted))
-        scatter = math.sqrt(float(np.trace(self.record.noise + self.record.structure)))
-        if step < WORTH * scatter:
+        scatter = math.sqrt(float(np.trace(self.given.noise + self.given.structure)))
+        in_doubt = known.disputed or known.unexplained > 0.5
+        if step < WORTH * scatter and not (in_doubt or self.in_doubt):
             return after
-        share = self._share_of_step(known.space.at(known.within_bounds), q, context)
-        return dataclasses.replace(after, model=self._model_at(known, at + share * wanted))
+        share = 0.0
+        if not in_doubt:
+            share = self._share_of_step(known.space.at(known.within_bounds), q, context)
+        model = self._model_at(known, at + share * wanted)
+        return dataclasses.replace(after, model=model, in_doubt=in_doubt)
 
     def _share_of_step(self, wanted: Model, q: np.ndarray, context: Context) -> float:
         """Choose the share, 0 to 1, of the step to another model that one sighting may make.
 
         The tip moves by at most `step_m` where it was seen, at joints q (n,).  Elsewhere it moves
-        no farther than the radius in which it was promised, where that is more.
+        no farther than the radius that the given model promised there, where that is more: what
+        is promised meanwhile grows with every doubt.
         """
         poses = np.concatenate([q[None], random_joints(self.model.arm, DRAWN)])
         there = _at_all(context, len(poses))
@@ -185,24 +212,30 @@ class Learner:
         bound = np.full(len(poses), self.step_m)
         far = 1 + np.flatnonzero(moved[1:] > self.step_m)
         if len(far):
-            miss = expected_miss(self.model, poses[far], _at_all(context, len(far)), now[far])
+            there, begun = _at_all(context, len(far)), self.versions[0].model
+            miss = expected_miss(begun, poses[far], there, now[far])
             bound[far] = np.maximum(self.step_m, miss.sizes[1])
         return min(1.0, float((bound / np.maximum(moved, 1e-12)).min()))
 
     def _model_at(self, known: Explanations, values: np.ndarray) -> Model:
         """Build the model with values (q,), and record how far the parameters may be from them."""
         model = known.space.at(values)
+        given = self.given
         active, covariance = known.covariance
         off = (known.within_bounds - values)[active]
-        slots = tuple(known.space.slots[k].identity for k in active)
-        given = self.versions[0].model.uncertainty
-        assert given is not None  # checked by `of`
+        slots = [known.space.slots[k] for k in active]
         held = {term.key for term in model.terms}
+        changed = {s.owner.key: s.owner for s in slots if isinstance(s.owner, Effect)}
+        absent = {term.key: term for term in given.absent} | changed
+        absent = {key: term for key, term in absent.items() if key not in held}
+        kept = [k for k, s in enumerate(slots) if s.owner.key in held or s.owner.key in absent]
+        left = covariance + np.outer(off, off)
         record = dataclasses.replace(
             self.record,
-            slots=slots,
-            factor=factor_of(covariance + np.outer(off, off)),
-            absent=tuple(t for t in given.absent if t.key not in held),
+            slots=tuple(slots[k].identity for k in kept),
+            factor=factor_of(left[np.ix_(kept, kept)]),
+            structure=known.grown * (given.structure + given.noise) - given.noise,
+            absent=tuple(absent.values()),
         )
         return dataclasses.replace(model, uncertainty=record)
 
@@ -229,7 +262,7 @@ class Learner:
         there = dataclasses.replace(_at_all(context, len(q)), **came)
         tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
         off = np.array(tips[1:]) - tips[0]
-        precision = np.linalg.inv(self.record.noise + self.record.structure)
+        precision = np.linalg.inv(self.given.noise + self.given.structure)
         odds = 0.5 * np.einsum("rij,jk,rik->ri", off, precision, off)
         which, best = np.unravel_index(int(odds.argmax()), odds.shape)
         if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):
@@ -254,6 +287,11 @@ class Learner:
         )
 
     @property
+    def disagreeing(self) -> int:
+        """Number of the last sightings that are left out because they seem wrong."""
+        return self.lately[-1] - self.lately[0] if self.lately else 0
+
+    @property
     def unexplained(self) -> bool:
         """True if a change that no known effect explains calls for a diagnosis."""
         return self.known is not None and self.known.unexplained >= CREDIBLE
@@ -264,13 +302,13 @@ class Learner:
 
     def thaw(self) -> Learner:
         """Learn again, from the model that is served."""
-        return dataclasses.replace(self, frozen=False, known=None, pending=None)
+        return dataclasses.replace(self, frozen=False, known=None)
 
     def undo(self) -> Learner:
         """Serve the version before the last, and stop learning until `thaw`."""
         kept = self.versions[:-1] or self.versions
         return dataclasses.replace(
-            self, model=kept[-1].model, versions=kept, known=None, pending=None, frozen=True
+            self, model=kept[-1].model, versions=kept, known=None, frozen=True
         )
 
 
@@ -320,30 +358,3 @@ def _begin(model: Model, record: ModelUncertainty, context: Context) -> Explanat
     active = np.array([space.position[name] for name in fitted], dtype=int)
     known = RecursivePosterior.begin(space, space.values(model), active, factor @ factor.T)
     return Explanations((Branch(1.0, known),))
-
-
-def _take_in(
-    known: Explanations, row: Row, pending: tuple[Explanations, Row, float] | None
-) -> tuple[Explanations, tuple[Explanations, Row, float] | None, bool]:
-    """Take a row in, unless it is doubtful.
-
-    A doubtful row before it is taken in with it if both agree.
-
-    Returns:
-        What is known; a doubtful row that still waits, with what was known before it and its log
-        likelihood as one that may be anywhere; and whether the row before is dropped for good.
-    """
-    after = known.update(row)
-    off = row.value - row.columns @ known.expected
-    square = float(off @ off) / row.reach**2
-    doubt = math.log(DOUBT) - 0.5 * square - 1.5 * math.log(2.0 * math.pi * row.reach**2)
-    if pending is not None:
-        before, first, first_doubt = pending
-        one = before.update(first)
-        both = one.update(row)
-        likelier = max(after.log_likelihood, doubt)
-        if one.log_likelihood + both.log_likelihood > first_doubt + likelier:
-            return both, None, False
-    if doubt > after.log_likelihood:
-        return known, (known, row, doubt), pending is not None
-    return after, None, pending is not None

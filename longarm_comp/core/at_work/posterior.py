@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,8 +27,8 @@ _AGAIN = 0.1
 SIZES = np.array([0.1, 0.3, 1.0, 3.0])
 """Of a change, in ordinary sizes of the parameter, equally likely: from what begins to
 show to what breaks."""
-_GROWN = 3.0
-"""Growth of the errors that stands for a change of no known effect."""
+_GROWN = np.array([3.0, 10.0, 30.0, 100.0])
+"""Growths of the errors, equally likely, that stand for a change of no known effect."""
 _ONSETS = 16
 """Times of a change that are carried along: over a thousand sightings by a factor of 1.6 apart."""
 NEGLIGIBLE = 1e-3
@@ -44,6 +45,16 @@ class Row:
     noise: np.ndarray  # (3, 3) m^2
     reach: float  # distance from the base, m
 
+    def log_doubt(self, expected: np.ndarray) -> float:
+        """Return the log density of a wrong sighting where parameters (q,) are expected.
+
+        A wrong one is off by any order of magnitude alike, from the scatter to the reach.
+        """
+        scatter = math.sqrt(float(np.trace(self.noise)))
+        off = max(float(np.linalg.norm(self.value - self.columns @ expected)), scatter)
+        orders = math.log(max(self.reach / scatter, math.e))
+        return -math.log(4.0 * math.pi * orders) - 3.0 * math.log(off)
+
 
 @dataclass(frozen=True, eq=False)
 class _PossibleChanges:
@@ -52,7 +63,7 @@ class _PossibleChanges:
     log_weight: np.ndarray  # (T, C) against "nothing changed"
     mean: np.ndarray  # (T, C, k) jump in ordinary sizes
     spread: np.ndarray  # (T, C, k, k) its covariance
-    unnamed: np.ndarray  # (T,) log weight of a change of no known effect
+    unnamed: np.ndarray  # (T, G) log weight of a change of no known effect, by growth
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +80,9 @@ class RecursivePosterior:
     response: np.ndarray  # (T, p, q) of the mean's error to a unit jump
     gram: np.ndarray  # (T, C, k, k),
     along: np.ndarray  # (T, C, k), of a jump in ordinary sizes, against the noise
-    growth: np.ndarray  # (T,) log Bayes factor of grown errors
+    growth: np.ndarray  # (T, G) log Bayes factors of grown errors
     log_likelihood: float = 0.0  # of the last sighting
+    surprise: float = 0.0  # how much less that is than the most that was possible
 
     @classmethod
     def begin(
@@ -92,7 +104,7 @@ class RecursivePosterior:
             response=np.zeros((0, len(active), len(space))),
             gram=np.zeros((0, c, k, k)),
             along=np.zeros((0, c, k)),
-            growth=np.zeros(0),
+            growth=np.zeros((0, len(_GROWN))),
         )
 
     def update(self, row: Row) -> RecursivePosterior:
@@ -114,7 +126,7 @@ class RecursivePosterior:
         mean[self.active] += gain @ off
         square = float(off @ inverse @ off)
         log_det = float(np.linalg.slogdet(2.0 * math.pi * spread)[1])
-        growth = 0.5 * square * (1.0 - _GROWN**-2) - 3.0 * math.log(_GROWN)
+        growth = 0.5 * square * (1.0 - _GROWN**-2) - 3.0 * np.log(_GROWN)
         covariance = self.covariance - gain @ carried.T
         after = dataclasses.replace(
             self,
@@ -125,9 +137,9 @@ class RecursivePosterior:
             response=response,
             gram=_add_onset(self.gram) + turned @ np.swapaxes(jump, -1, -2),
             along=_add_onset(self.along) + turned @ off,
-            growth=np.append(self.growth, 0.0) + growth,
+            growth=_add_onset(self.growth) + growth,
         )
-        likelihood = -0.5 * (square + log_det) + after.total - self.total
+        surprise = 0.5 * square + self.total - after.total
         if len(after.since) > _ONSETS:  # without the one that is least apart for its age
             count = after.count
             apart = (count[:-2] - count[2:]) / count[1:-1]
@@ -135,7 +147,9 @@ class RecursivePosterior:
             names = ("since", "count", "response", "gram", "along", "growth")
             thinner = {name: getattr(after, name)[kept] for name in names}
             after = dataclasses.replace(after, **thinner)
-        return dataclasses.replace(after, log_likelihood=likelihood)
+        return dataclasses.replace(
+            after, log_likelihood=-0.5 * log_det - surprise, surprise=surprise
+        )
 
     @cached_property
     def possible(self) -> _PossibleChanges:
@@ -169,7 +183,7 @@ class RecursivePosterior:
         if self.again.any():
             more = math.log(_AGAIN / self.again.sum())
             log_prior = np.where(self.again, np.maximum(log_prior, more), log_prior)
-        unnamed = self.growth + math.log(_HAZARD * UNNAMED)
+        unnamed = self.growth + math.log(_HAZARD * UNNAMED / len(_GROWN))
         return _PossibleChanges(factor + log_prior, middle, spread, unnamed)
 
     @property
@@ -190,6 +204,12 @@ class RecursivePosterior:
         """Probability that something changed that no known effect explains."""
         return float(np.exp(self.possible.unnamed - self.total).sum())
 
+    @property
+    def grown(self) -> float:
+        """How much the square of the errors has grown, on average over these growths and none."""
+        grown = np.exp(self.possible.unnamed - self.total).sum(axis=0)
+        return 1.0 + float(grown @ (_GROWN**2 - 1.0))
+
     def _jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a change's positions, its mean jump (k,), and how parameters follow it, (q, k)."""
         places = np.array(self.space.own(c))
@@ -208,25 +228,48 @@ class RecursivePosterior:
             made += self.probability[t, c] * (follows @ jump)
         return made
 
-    def given_change(self, c: int) -> RecursivePosterior:
-        """Return the posterior if an effect has changed: its onsets are merged, other changes begin
-        again."""
-        weight = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
-        likely = [t for t in range(len(weight)) if weight[t] > NEGLIGIBLE]
-        moved = {t: self._jump(t, c) for t in likely}
-        places = moved[likely[0]][0]
-        active = np.union1d(self.active, places).astype(int)
-        ends = {t: self.mean + follows @ jump for t, (_, jump, follows) in moved.items()}
-        mean = np.sum([weight[t] * end for t, end in ends.items()], axis=0) / weight[likely].sum()
+    @cached_property
+    def spread(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (p,) of what is not known exactly, and its covariance (p, p) over all possible
+        changes and none."""
+        likely = {(t, c): float(self.probability[t, c])
+                  for t, c in np.argwhere(self.probability > NEGLIGIBLE).tolist()}  # fmt: skip
+        return self._covariance_over(likely, self.expected)
+
+    def _covariance_over(
+        self, weights: Mapping[tuple[int, int], float], mean: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and covariance, as `spread`, over some changes (onset, effect).
+
+        Args:
+            weights: the probability of each; what is missing to 1 is that of no change.
+            mean: (q,) of the parameters over these.
+        """
+        changed = [self.space.own(c) for _, c in weights]
+        active = np.unique(np.concatenate([self.active, *changed])).astype(int)
         covariance = np.zeros((len(active), len(active)))
         before = np.isin(active, self.active)
         covariance[np.ix_(before, before)] = self.covariance
-        width = self.space.widths[places]
-        for t, (_, _, follows) in moved.items():
+        off = (self.mean - mean)[active]
+        covariance += max(1.0 - sum(weights.values()), 0.0) * np.outer(off, off)
+        for (t, c), weight in weights.items():
+            places, jump, follows = self._jump(t, c)
             own = self.possible.spread[t, c][: len(places), : len(places)]
-            off = (ends[t] - mean)[active]
-            carried = follows[active] * width
-            covariance += weight[t] * (carried @ own @ carried.T + np.outer(off, off))
+            carried = follows[active] * self.space.widths[places]
+            off = (self.mean + follows @ jump - mean)[active]
+            covariance += weight * (carried @ own @ carried.T + np.outer(off, off))
+        return active, covariance
+
+    def given_change(self, c: int) -> RecursivePosterior:
+        """Return the posterior if an effect has changed: its onsets are merged, other changes begin
+        again."""
+        chance = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
+        likely = {(t, c): float(p) for t, p in enumerate(chance) if p > NEGLIGIBLE}
+        whole = sum(likely.values())
+        weights = {at: p / whole for at, p in likely.items()}
+        jumps = {at: self._jump(*at) for at in weights}
+        mean = self.mean + sum(p * (jumps[at][2] @ jumps[at][1]) for at, p in weights.items())
+        active, covariance = self._covariance_over(weights, mean)
         again = self.again.copy()
         again[c] = True
         begun = RecursivePosterior.begin(self.space, mean, active, covariance)

@@ -56,6 +56,7 @@ class _Term:
         part: attribute of `Arm` that an arm with this effect must have: ``links``, ``camera``.
         needs: recorded inputs that every instance needs.
         geometry: whether it is always fitted, and never "named" by a diagnosis.
+        slips: whether a slip or a knock may change it while the arm works, though it is geometry.
         passing: whether it belongs to one fit only (where a touched point was) and is never
             written into model.yaml.
         seen_only: whether it moves the frame of the measurements, and gravity with it.
@@ -88,6 +89,7 @@ class _Term:
     part: ClassVar[str] = ""
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
+    slips: ClassVar[bool] = False
     passing: ClassVar[bool] = False
     seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False

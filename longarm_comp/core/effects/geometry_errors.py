@@ -33,6 +33,7 @@ class JointZero(JointTerm):
         "cable": "Reference the joint again; look for a cable that slipped or stretched.",
     }
     geometry = True
+    slips = True
     displaces_joint = True
 
     offset: float = parameter("rad", "joint value at command zero", prior=4e-3)

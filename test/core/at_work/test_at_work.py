@@ -21,6 +21,7 @@ from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
@@ -166,7 +167,12 @@ def test_a_doubtful_sighting_teaches_nothing() -> None:
     work = Work()
     calm = work.learned(Learner.of(fitted()), 5)
     fooled = work.learned(calm, 1, off=0.05)
-    assert fooled.model is calm.model
+    assert np.array_equal(fooled.model.values, calm.model.values)
+    q, context, _ = work.pose()
+    before, now = (
+        expected_miss(m, q, context, m.tip(q, context)).sizes[1] for m in (calm.model, fooled.model)
+    )
+    assert now > 3 * before
     after = work.learned(fooled, 3)
     assert after.doubtful == 1 and after.named == ()
     assert work.missed(after.model, 0.0) < 1e-4
