@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -57,6 +57,7 @@ PARAMS = (
         1e6,
     ),
     Param("max_correction_m", 0.05, "largest correction of a way-point", 1e-6, 1.0),
+    Param("max_start", 0.2, "a joint may stand so far from where a plan begins, rad, m", 0.0, 10.0),
     Param("position_only", False, "plans leave the orientation free"),
     Param(
         "max_turn_rad",
@@ -122,8 +123,8 @@ class _TrajectoryCompensator(ArmNode):
             if not p["acknowledged"] and not all(given):
                 raise InputError(where(self), name, p[name], f"{allowed}, above 0")
             found.append(np.array([value or np.inf for value in given]))
-        names = ("max_correction_m", "max_turn_rad", "turn_m", "max_longer", "position_only")
-        return PathLimits(MotionLimits(*found), **{name: p[name] for name in names})
+        motion = MotionLimits(*found)
+        return PathLimits(motion, **{f.name: p[f.name] for f in fields(PathLimits)[1:]})
 
     async def _serve(self, goal: Any) -> Any:
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory

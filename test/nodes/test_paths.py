@@ -184,10 +184,12 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     planner.ends(back, GoalStatus.STATUS_SUCCEEDED)
     assert len(controller.got) == 2 and len(controller.got[-1].trajectory.joint_names) == arm.n
 
-    aborted, old = GoalStatus.STATUS_ABORTED, Time(sec=1)
+    stands = np.where(np.arange(arm.n) == 1, arm.mid, end)
+    plan, aborted, old = ramp(stands, arm.mid), GoalStatus.STATUS_ABORTED, Time(sec=1)
     for given, words, code in (
         ({"names": ["elbow", *names[1:]]}, "elbow", TYPE.Result.INVALID_JOINTS),
-        ({"path": ramp(arm.mid, arm.upper)}, "way-point", TYPE.Result.INVALID_GOAL),
+        ({"path": ramp(stands, arm.upper)}, "way-point", TYPE.Result.INVALID_GOAL),
+        ({"path": plan + 0.3}, "from where the plan begins", TYPE.Result.INVALID_GOAL),
         ({"path": plan[:0]}, "without points", TYPE.Result.INVALID_GOAL),
         ({"path": np.full_like(plan, np.nan)}, "finite", TYPE.Result.INVALID_GOAL),
         ({"stamp": old}, "s old", TYPE.Result.INVALID_GOAL),
@@ -200,7 +202,7 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     result = planner.ends(planner.send(names, plan), aborted)
     assert result.error_code == TYPE.Result.PATH_TOLERANCE_VIOLATED and result.error_string == "off"
     controller.waits = True
-    goal = planner.send(names, plan)
+    goal = planner.send(names, plan[::-1])
     stage.spin(lambda: len(controller.got) == 4)
     goal.cancel_goal_async()
     assert "halted" in planner.ends(goal, GoalStatus.STATUS_CANCELED).error_string

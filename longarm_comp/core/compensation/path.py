@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.history import History
@@ -152,11 +153,22 @@ def compensate_path(
     if plan.joints is not None:
         joints = unwrap(model.arm, plan.joints, start if way.begun else None)
         way = replace(way, plan=replace(plan, joints=joints))
+        if way.begun:
+            _check_start(model.arm, start, joints[0], limits.max_start)
     try:
         return way.solve(seed)
     except _Unanswered as unanswered:
         made = replace(way, predictor=None).solve(seed)
         return replace(made, notes=(str(unanswered), *made.notes))
+
+
+def _check_start(arm: Arm, start: np.ndarray | None, begins: np.ndarray, most: float) -> None:
+    """Refuse a plan that begins at joints (n,) elsewhere: the way there was not planned."""
+    off = np.abs(np.asarray(start) - begins)
+    worst = int(off.argmax())
+    if off[worst] > most:
+        why = f"{arm.joint_names[worst]} stands {off[worst]:.3g} from where the plan begins"
+        raise PathRefused(Status.CORRECTION_TOO_LARGE, 0, f"{why}, allowed {most:g}")
 
 
 class _Unanswered(Exception):  # noqa: N818
@@ -255,12 +267,12 @@ class _Way:
 
     def _measure_corrections(self, joints: np.ndarray) -> np.ndarray:
         """Measure how far the declared arm's tip is moved, (k,) m; refuse where it is too far."""
-        wanted, first = ik.position_of(self.plan.targets), int(self.begun)
+        wanted = ik.position_of(self.plan.targets)
         rigid = Model(self.model.arm, elements_per_beam=1)
         meant = carry_place(self.plan.base, rigid.tip(joints))
         moved = np.linalg.norm(meant - wanted, axis=1)
-        row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
-        if first < len(moved) and moved[row] > self.limits.max_correction_m:
+        row = int(np.argmax(moved))
+        if moved[row] > self.limits.max_correction_m:
             why = f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * self.limits.max_correction_m:g} mm"
             raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
         return moved

@@ -115,6 +115,7 @@ class PathLimits:
         motion: of the joints; None: the controller keeps them itself.
         max_correction_m: most that the declared arm's tip may be moved, m.
         max_turn_rad: most that the orientation may be off where the joints cannot hold it.
+        max_start: most that a joint may stand from where the plan begins, rad or m.
         turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
             up without a kick.
         max_longer: share by which the path may take longer for the same; 0: planned times stay,
@@ -126,6 +127,7 @@ class PathLimits:
     motion: MotionLimits | None = None
     max_correction_m: float = np.inf
     max_turn_rad: float = 0.1
+    max_start: float = np.inf
     turn_m: float = VISIBLE_M
     max_longer: float = 1.0
     position_only: bool = False

@@ -201,6 +201,13 @@ def test_a_way_that_cannot_be_gone_is_refused_whole_and_in_words(arm: Arm, model
     plan = plan_of(arm)
     with pytest.raises(PathRefused, match=r"way-point \d+: correction_too_large: .* allowed 4 mm"):
         follow(model, plan, max_correction_m=4e-3)
+    for off, limits, words in (
+        (0.1, {"max_start": 0.09}, "stands 0.1 from where the plan begins, allowed 0.09"),
+        (0.1, {"max_correction_m": 0.05}, "mm, allowed 50 mm"),
+    ):
+        with pytest.raises(PathRefused, match=f"way-point 0: correction_too_large: .*{words}"):
+            follow(model, plan, start=plan.joints[0] + off * np.eye(arm.n)[0], **limits)
+    follow(model, plan, start=plan.joints[0] + 0.08 * np.eye(arm.n)[-1], max_start=0.09)
     edge = PlannedPath.of_joints(
         arm, plan.times, plan.joints + (arm.upper - plan.joints.max(axis=0))
     )
