@@ -255,14 +255,16 @@ class BringUp:
         wire = bus if self.sim else self.port
         port = {"bus.port": wire} if wire else {}
         emulated: dict[str, Any] = {}
+        learned: dict[str, Any] = {}
         if self.sim:
-            # Its stops are apart, so that a reset there ends none of a real arm
+            # Apart, so that a reset there ends no stop of a real arm, and teaches it nothing
             state = state_folder() / "simulated" / os.environ.get("ROS_DOMAIN_ID", "0")
             # Emulated servos have nothing stored: they are as from the factory
             stored = {name: 0 for name in driver if ".stored." in name}
             emulated = stored | _PATIENT | {"state": str(state)}
+            learned = {"learned_file": str(state / "model.at_work.json")}
         values: dict[str, Any] = {
-            "kinematics": arm | servos | model | trimmed | shaped,
+            "kinematics": arm | servos | model | trimmed | shaped | learned,
             "error_predictor": arm | model | _path("predictor", self.predictor),
             "servo_driver": arm | shaping | port | emulated,
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),

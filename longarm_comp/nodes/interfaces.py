@@ -160,6 +160,8 @@ DRIVER_STATE = Topic("servo_driver/state", DriverState, 1, RELIABLE, latched=Tru
 PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, 20, RELIABLE)
 # SHA-256 and path of the predictor file that is served, five times a second; empty: none
 SERVED = Topic("error_predictor/serves", String, 1, RELIABLE)
+# path of the file of what `kinematics` learned at work, whenever it is written; empty: nothing
+LEARNED = Topic("kinematics/learned", String, 1, RELIABLE, latched=True)
 # tip as cameras or tracker see it, in the frame of its header; position NaN: marker lost
 TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, 20, RELIABLE)
 # the same in the base frame; as it came where nobody knows the place of its frame

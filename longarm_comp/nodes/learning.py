@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from std_msgs.msg import String
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.errors import JobError
+from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.params import Param
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 PARAMS = (
     Param("learning", False, "the model learns from ordinary moves (docs/at_work.md)"),
     Param("learning_step_m", 2e-3, "largest correction of the tip where it was seen", 1e-6, 0.1),
+    Param("learned_file", "", "what was learned; by default *.at_work.json beside the model"),
 )
 
 
@@ -35,18 +39,26 @@ class Learning:
         self.learner: Learner | None = None
         self._update_ms, self._fault = 0.0, ""
         self._asked: PoseRequest | None = None
+        self._continued = 0
+        self._path = Path(
+            state.p["learned_file"]
+            or Path(state.p["model"] or "model.yaml").with_suffix(".at_work.json")
+        )
+        self._told = graph.LEARNED.publisher(state.node)
         self.begin()
 
     def begin(self) -> None:
         """Continue from the file, if it belongs to the model that was loaded."""
         if not self._state.p["learning"]:
+            self._told.publish(String())
             return
         from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
 
         loaded, step_m = self._files.given, self._state.p["learning_step_m"]
-        path = self._files.learned_path
-        self.learner = file.load(path, loaded.model, loaded.file_hash, step_m)
+        self.learner = file.load(self._path, loaded.model, loaded.file_hash, step_m)
+        self._continued = self.learner.sightings
         self._files.replace_model(self.learner.model)
+        self._tell(self.learner)
 
     def learn_from(self, rest: RestPose, context: Context, learned: np.ndarray | None) -> None:
         """Learn from a rest pose, less the error (3,) m that a predictor expects there."""
@@ -73,16 +85,21 @@ class Learning:
         return True, f"version {len(self.learner.versions)} is in use, and nothing is learned"
 
     def _take(self, after: Learner) -> None:
-        from longarm_comp.core.at_work import file
-
         before, self.learner, self._asked = self.learner, after, None
         if before is None or after.model is not before.model:
             self._files.replace_model(after.model)
+        self._tell(after)
+
+    def _tell(self, learner: Learner) -> None:
+        """Write what is known to the file, and tell other nodes which one it is."""
+        from longarm_comp.core.at_work import file
+
         try:
-            file.save(self._files.learned_path, after, self._files.given.file_hash)
+            file.save(self._path, learner, self._files.given.file_hash)
             self._fault = ""
         except JobError as error:
             self._fault = str(error)
+        self._told.publish(String(data=str(self._path.absolute())))
 
     def report(self) -> Report:
         learner = self.learner
@@ -92,6 +109,7 @@ class Learning:
             "doubtful": learner.doubtful,
             "version": len(learner.versions),
             "update, ms": round(self._update_ms, 1),
+            "of these before the start": self._continued,
         }
         if self._fault:
             return Report(WARN, f"not kept: {self._fault}", facts)

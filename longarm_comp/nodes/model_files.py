@@ -43,11 +43,10 @@ class ModelFiles:
             raise InputError("parameters", "arm", arm_path, "path of arm.yaml")
         self.arm = Arm.load(arm_path)
         self._path = model_path
-        self.learned_path = Path(model_path or "model.yaml").with_suffix(".at_work.json")
         self.rigid = Model(self.arm)
         self._of_commands = by_readings if trimmed else (lambda model: model)
         self.loaded = self.given = _LoadedModel(self._of_commands(declared_model(self.arm)))
-        self._fault, self._left_out = "", list[str]()
+        self._fault, self._left_out, self._unread = "", list[str](), ""
         self.loads = 0
         self.reload()
 
@@ -75,6 +74,25 @@ class ModelFiles:
         if model is not self.loaded.model:
             self.loaded = replace(self.loaded, model=model, learned=self.loaded.learned + 1)
 
+    def follow_learned(self, path: str) -> None:
+        """Serve what another node learned at work and keeps in a file; none: the file's model.
+
+        While that file cannot be read here, `refusal` says so: what the arm is like is not known.
+        """
+        from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
+
+        self._unread = ""
+        if not path:
+            self.replace_model(self.given.model)
+            return
+        try:
+            if not Path(path).exists():
+                raise InputError(path, "file", "missing", "what kinematics learned at work")
+            learned = file.load(path, self.given.model, self.given.file_hash)
+            self.replace_model(learned.model)
+        except LongarmError as error:
+            self._unread = str(error)
+
     @property
     def refusal(self) -> str:
         """The reason why no target is computed; empty where the model is as configured.
@@ -83,7 +101,7 @@ class ModelFiles:
         would go elsewhere.
         """
         lost = self._fault and not self.loaded.file_hash and Path(self._path).exists()
-        return f"the model cannot be used: {self._fault}" if lost else ""
+        return f"the model cannot be used: {self._fault}" if lost else self._unread
 
     def report(self) -> Report:
         facts = {"file": self._path, "sha256": self.loaded.file_hash, "loads": self.loads}

@@ -99,6 +99,7 @@ class _TrajectoryCompensator(ArmNode):
         self._arm, self._controller = self._state.arm, p["controller"]
         self._limits = self._limits_of(p)
         self._worker, self._driver = self._state.worker, self._state.driver
+        self._worker.hear(graph.LEARNED, lambda said, sent: self._files.follow_learned(said.data))
         self._fresh, self._stamps = Freshness(self, p["order_max_age_s"]), Stamps(self.get_clock())
         self._ticks, self._following = Ticks(self, 0.05), 0
         self._out = ActionClient(

@@ -22,9 +22,11 @@ from small_arm import ARM
 from std_srvs.srv import SetBool, Trigger
 from target_requests import pose
 
+from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.sessions.day import read_day
 from longarm_interfaces.srv import Compensate
 
@@ -128,8 +130,11 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
     with quick_arm(ARM, lambda q: True, arm.seen), recorded(bag):
         started(stage, tmp_path)
         work = Work(stage, arm)
+        files = stage.collect(graph.LEARNED)
         for _ in range(4):
             calm = work.serve()
+        assert files[-1].data == str(tmp_path / "model.at_work.json")
+        others = ModelFiles(str(tmp_path / "arm.yaml"), str(tmp_path / "model.yaml"))
         assert calm < 1e-4
         assert "nothing changed" in work.said()[0]
 
@@ -140,6 +145,17 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
             assert len(missed) <= 15, work.said()
         assert max(missed) > 5e-4  # it was there
         assert np.mean([work.serve() for _ in range(5)]) < 1e-4
+        others.follow_learned(files[-1].data)  # as the nodes do that plan paths
+        q, side = ARM.mid, np.ones(ARM.n)
+        legs = np.zeros((ARM.n, LEGS))
+        legs[:, 0] = side
+        came = Context(approach=tuple(side), legs=tuple(legs.ravel()))
+        told = others.loaded.model.tip(q, came)
+        assert np.linalg.norm(told - true_tip(q[None], side[None], GROWTH)[0]) < 1e-4
+        others.follow_learned("")
+        assert others.loaded.model is others.given.model and not others.refusal
+        others.follow_learned(str(tmp_path / "lost.json"))
+        assert "lost.json" in others.refusal
 
         stage.end_processes()
         started(stage, tmp_path)

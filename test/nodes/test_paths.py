@@ -24,6 +24,7 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from small_arm import ARM as SMALL
 from small_arm import AWAY
+from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from walking import Walk
 
@@ -197,6 +198,16 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
         result = planner.ends(planner.send(**({"names": names, "path": plan} | given)), aborted)
         assert words in result.error_string and result.error_code == code
     assert len(controller.got) == 2
+
+    learned = graph.LEARNED.publisher(stage.node)
+    learned.publish(String(data="/nowhere/model.at_work.json"))
+
+    def refused(why: str) -> bool:
+        return why in planner.ends(planner.send(names, plan + 0.3), aborted).error_string
+
+    stage.spin(lambda: refused("what kinematics learned at work"))
+    learned.publish(String())
+    stage.spin(lambda: refused("from where the plan begins"))
 
     controller.ends = aborted
     result = planner.ends(planner.send(names, plan), aborted)
