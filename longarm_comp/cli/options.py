@@ -102,7 +102,7 @@ floor = click.option(
 )
 
 
-def _namespace(_: click.Context, __: click.Parameter, given: str | None) -> str | None:
+def _check_namespace(_: click.Context, __: click.Parameter, given: str | None) -> str | None:
     """Check a namespace as the middleware takes it, without slashes at its ends."""
     if given is None:
         return None
@@ -116,7 +116,7 @@ def _namespace(_: click.Context, __: click.Parameter, given: str | None) -> str 
 
 def namespace_of(default: str | None, what: str) -> _Decorator:
     """Option ``--namespace`` with another default or another meaning."""
-    return click.option("--namespace", default=default, callback=_namespace, help=what)
+    return click.option("--namespace", default=default, callback=_check_namespace, help=what)
 
 
 namespace = namespace_of("", "Namespace of the arm.")
@@ -173,7 +173,7 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
     )(command)
 
 
-def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
+def _load_each(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
     if files:
         from longarm_comp.core.effects.catalogue import load_file
 
@@ -182,13 +182,13 @@ def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tup
     return files
 
 
-def _effects(expose: bool) -> _Decorator:
+def _effects_option(expose: bool) -> _Decorator:
     return click.option(
         "--effects",
         "effect_files",
         type=_PATH,
         multiple=True,
-        callback=_load,
+        callback=_load_each,
         expose_value=expose,
         metavar="FILE",
         help="Python file that defines further effects; it is executed. Repeat for more.",
@@ -221,9 +221,9 @@ known_network = click.option(
 )
 network_file = click.option("--network", type=_PATH, metavar="FILE", help=_NETWORK_FILE)
 """The same for a command that passes it on."""
-effects = _effects(expose=False)
+effects = _effects_option(expose=False)
 """Option ``--effects``: executes the files before the command, which does not get them."""
-effect_files = _effects(expose=True)
+effect_files = _effects_option(expose=True)
 """The same for a command that passes the files on; its parameter is `effect_files`."""
 
 

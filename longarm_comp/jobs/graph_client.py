@@ -53,16 +53,16 @@ class Call:
     def __init__(self, client: Any, request: Any, *, again: bool) -> None:
         self._client, self._request, self._again = client, request, again
         self._asked: list[Any] = []
-        self._send(_ASK_AGAIN_S[0])
+        self._send_request(_ASK_AGAIN_S[0])
 
-    def _send(self, pause_s: float) -> None:
+    def _send_request(self, pause_s: float) -> None:
         self._sent, self._pause = time.monotonic(), pause_s
         self._asked.append(self._client.call_async(self._request))
 
     def answer(self) -> Any:
         """Return the response; None while there is none."""
         if self._again and time.monotonic() - self._sent > self._pause:
-            self._send(min(2.0 * self._pause, _ASK_AGAIN_S[1]))
+            self._send_request(min(2.0 * self._pause, _ASK_AGAIN_S[1]))
         return next((future.result() for future in self._asked if future.done()), None)
 
     def close(self) -> None:

@@ -140,7 +140,7 @@ class Plant:
         values = self.config.servos.values(self.emulator.positions())
         return np.array([values[name] for name in self.config.arm.joint_names])
 
-    def _upwards(self, of: Callable[[Motor], float]) -> Array:
+    def _signed_upwards(self, of: Callable[[Motor], float]) -> Array:
         """Return (n,) signed by the joint's direction, from what servos have signed by theirs."""
         turned = self.emulator.each(of)
         return np.array([np.sign(j.travel) * turned[j.servo_id] for j in self._servos])
@@ -152,8 +152,8 @@ class Plant:
 
     def tip_pose(self, t_s: float) -> Array:
         """Return (4, 4) true tip in the base frame. It is published only for evaluation."""
-        q, side = self.joints(), self._upwards(lambda motor: motor.approach)
-        wound = self._upwards(lambda motor: motor.wound)
+        q, side = self.joints(), self._signed_upwards(lambda motor: motor.approach)
+        wound = self._signed_upwards(lambda motor: motor.wound)
         ticks = self.emulator.each(lambda motor: motor.way)
         way = np.array([j.travel * ticks[j.servo_id] for j in self._servos])
         known = np.concatenate([q, side, wound, way, [self.temperature_c(t_s)]])
@@ -180,10 +180,10 @@ class Plant:
             if np.linalg.norm(away) <= _SEATED_M:
                 return name
             if np.linalg.norm(away) <= _MOUTH_M and not any(self.emulator.torques_on().values()):
-                self._slide(away)
+                self._slide_joints(away)
         return ""
 
-    def _slide(self, away: Array) -> None:
+    def _slide_joints(self, away: Array) -> None:
         """The joints give way so that the tip moves by (3,) m."""
         q, step = self.joints(), 1e-5
         turned = q + step * np.eye(len(q))

@@ -52,11 +52,11 @@ class FaultyBus(ServoEmulator):
         """Another servo with the same id; both answer at once, and low wins."""
         self.twins = {servo_id: self._wire.device(servo_id, Motor(MotorSpec(), ticks))}
 
-    def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
+    def _answer_frame(self, frame: bytes) -> list[tuple[int, bytes]]:
         writes = frame[7 if self.protocol == "dynamixel" else 4] == SYNC_WRITE
         if writes and self.loses is not None and self.loses():
             return []
-        replies = super()._answers(frame)
+        replies = super()._answer_frame(frame)
         others = dict(self._wire.answer(frame, self.twins)) if replies else {}
         heard = [(0, frame)] if self.echo else []
         return heard + [

@@ -25,7 +25,7 @@ def check_mounting(views: Sequence[BoardView]) -> None:
     """
     if len(views) < _TOLD_FROM:
         return
-    quarters = round(np.degrees(_turn(views)) / 90) % 4
+    quarters = round(np.degrees(_find_turn(views)) / 90) % 4
     if quarters:
         how, by = ("upside down", 180) if quarters == 2 else ("on its side", 90)
         raise JobError(
@@ -46,7 +46,7 @@ def check_mounting(views: Sequence[BoardView]) -> None:
         )
 
 
-def _turn(views: Sequence[BoardView]) -> float:
+def _find_turn(views: Sequence[BoardView]) -> float:
     """Return the angle (rad) by which corners in the right pictures are turned against the left."""
     whole = 0j
     for view in views:

@@ -67,7 +67,7 @@ class FeetechWire(RegisterWire):
         return device.servo_id, b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
     def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
-        _refresh(device)
+        _refresh_memory(device)
         return 0, bytes(device.memory[address : address + length])
 
     def write(self, device: Device, address: int, data: bytes) -> int:
@@ -87,7 +87,7 @@ class FeetechWire(RegisterWire):
         if address <= _At.GOAL < end:
             if not motor.torque_on:
                 motor.switch(True)  # a goal wakes an STS servo up
-            goal = _clip_goal(device, _signed(device.get(_At.GOAL, 2), 15))
+            goal = _clip_goal(device, _from_sign_magnitude(device.get(_At.GOAL, 2), 15))
             if device.get(_At.MODE, 1) == _STEPS:
                 motor.goal = motor.position + goal
             elif device.get(_At.MODE, 1) == 0:
@@ -95,7 +95,7 @@ class FeetechWire(RegisterWire):
         return 0
 
 
-def _refresh(device: Device) -> None:
+def _refresh_memory(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
     device.put(_At.TORQUE, 1, int(motor.torque_on))
@@ -125,9 +125,9 @@ def _sign_magnitude(value: int, bit: int) -> int:
 
 
 def _offset(device: Device) -> int:
-    return _signed(device.get(_At.OFFSET, 2), 11)
+    return _from_sign_magnitude(device.get(_At.OFFSET, 2), 11)
 
 
-def _signed(raw: int, bit: int) -> int:
+def _from_sign_magnitude(raw: int, bit: int) -> int:
     size = raw & ((1 << bit) - 1)
     return -size if raw >> bit & 1 else size
