@@ -108,7 +108,11 @@ def calibrate_board(
     rest = [pair for i, pair in enumerate(kept) if i % _HELD_OUT_EVERY]
     out = kept[::_HELD_OUT_EVERY]
     other = calibrate_stereo(board, rest, size).rig
-    squares = [_find_board_errors(board, other, *pair) for pair in out]
+    squares = []  # m^2, of the distances of triangulated corners from the declared board
+    for pair in out:
+        ids, points = _shared_points(other, *pair)
+        turn, move = kabsch(board.points(ids), points, np.ones(len(ids)))
+        squares.append(np.sum((points - board.points(ids) @ turn.T - move) ** 2, axis=1))
     depths = [float(np.median(_shared_points(fit.rig, *pair)[1][:, 2])) for pair in kept]
     rms = 1e3 * float(np.sqrt(np.mean(np.concatenate(squares))))
     return BoardCalibration(fit, rms, len(out), (min(depths), max(depths)))
@@ -118,13 +122,6 @@ def _shared_points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.nd
     ids, left_px, right_px = left.shared_corners(right)
     points, _ = triangulate(rig, left_px, right_px)
     return ids, points
-
-
-def _find_board_errors(board: Target, rig: StereoRig, left: Corners, right: Corners) -> np.ndarray:
-    """Return squared distances (N,) m^2 of triangulated corners from the declared board."""
-    ids, points = _shared_points(rig, left, right)
-    turn, move = kabsch(board.points(ids), points, np.ones(len(ids)))
-    return np.sum((points - board.points(ids) @ turn.T - move) ** 2, axis=1)
 
 
 @dataclass(frozen=True)

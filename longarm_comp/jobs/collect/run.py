@@ -34,7 +34,7 @@ from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.stereo_bridge import MARKER_LOST
-from longarm_comp.sessions.bag import open_bag, read_visit
+from longarm_comp.sessions.bag import last_part, open_bag, read_visit
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
 
@@ -49,9 +49,9 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
     done: set[int] = set()
     command = np.zeros((0, n))
     with open_bag(path) as reader:
-        kept = [c for c in reader.connections if _last_name(c.topic) in _READ]
+        kept = [c for c in reader.connections if last_part(c.topic) in _READ]
         for connection, _, raw in reader.messages(connections=kept) if kept else ():
-            name = _last_name(connection.topic)
+            name = last_part(connection.topic)
             message: Any = message_types().deserialize_cdr(raw, _READ[name])
             try:
                 if name == _COMMAND_TOPIC:
@@ -67,10 +67,6 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
                 raise InputError(path, f"visit {index}", command.tolist(), allowed)
             done.add(index)
     return done
-
-
-def _last_name(topic: str) -> str:
-    return topic.rpartition("/")[2]
 
 
 _CIRCUMSTANCES_S = 5.0

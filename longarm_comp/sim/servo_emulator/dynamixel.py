@@ -116,7 +116,9 @@ class DynamixelWire(RegisterWire):
                 motor.goal = motor.position
             motor.switch(device.get(_At.TORQUE, 1) == 1)
         if address <= _At.GOAL < end and device.get(_At.MODE, 1) in (_POSITION, _EXTENDED):
-            motor.goal = float(_sign_of(device) * (_signed_at(device, _At.GOAL) - _offset(device)))
+            motor.goal = float(
+                _sign_of(device) * (_signed_at(device, _At.GOAL) - _signed_at(device, _At.OFFSET))
+            )
         if address <= _At.PROFILE_VELOCITY < end:
             motor.speed_limit = _profile_speed(device)
         return 0
@@ -135,17 +137,13 @@ def _sign_of(device: Device) -> int:
     return -1 if device.get(_At.DRIVE_MODE, 1) & _REVERSE else 1
 
 
-def _offset(device: Device) -> int:
-    return _signed_at(device, _At.OFFSET)
-
-
 def _signed_at(device: Device, address: int) -> int:
     return int.from_bytes(device.memory[address : address + 4], "little", signed=True)
 
 
 def _as_stored(device: Device, ticks: int) -> int:
     """Return a position of the encoder as the servo stores it."""
-    return (_sign_of(device) * ticks + _offset(device)) & 0xFFFFFFFF
+    return (_sign_of(device) * ticks + _signed_at(device, _At.OFFSET)) & 0xFFFFFFFF
 
 
 def _refresh_memory(device: Device) -> None:

@@ -87,7 +87,10 @@ class FeetechWire(RegisterWire):
         if address <= _At.GOAL < end:
             if not motor.torque_on:
                 motor.switch(True)  # a goal wakes an STS servo up
-            goal = _clip_goal(device, _from_sign_magnitude(device.get(_At.GOAL, 2), 15))
+            low, high = device.get(_At.MIN_ANGLE, 2), device.get(_At.MAX_ANGLE, 2)
+            low, high = (low, high) if high else (-30719, 30719)
+            asked = _from_sign_magnitude(device.get(_At.GOAL, 2), 15)
+            goal = float(max(low, min(high, asked)))
             if device.get(_At.MODE, 1) == _STEPS:
                 motor.goal = motor.position + goal
             elif device.get(_At.MODE, 1) == 0:
@@ -109,11 +112,6 @@ def _refresh_memory(device: Device) -> None:
     device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
     device.put(_At.STATUS, 1, _status_bits(motor))
     device.put(_At.MOVING, 1, int(motor.moving))
-
-
-def _clip_goal(device: Device, goal: int) -> float:
-    low, high = device.get(_At.MIN_ANGLE, 2), device.get(_At.MAX_ANGLE, 2)
-    return float(max(-30719, min(30719, goal)) if high == 0 else max(low, min(high, goal)))
 
 
 def _status_bits(motor: Motor) -> int:
