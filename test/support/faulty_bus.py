@@ -14,6 +14,14 @@ from longarm_comp.sim.servo_emulator.wire import Device
 SYNC_WRITE = 0x83
 
 
+def wait_until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
+    """Wait for ``done``; the limit is only there to end a broken test."""
+    end = time.monotonic() + limit_s
+    while not done() and time.monotonic() < end:
+        time.sleep(0.005)
+    return done()
+
+
 @dataclass
 class LineFaults(WireFaults):
     """Also late replies, and bytes that come ahead of the next reply."""
