@@ -104,7 +104,7 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 
 @contextmanager
 def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
-    """A progress bar on stderr, on a terminal. Call it with a text and the share, if it is known.
+    """Show a progress bar on stderr, on a terminal. Call it with a text and the share, if known.
 
     Where stderr is no terminal nothing is said, or with ``lines`` a line now and then.
     """

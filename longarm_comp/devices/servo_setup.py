@@ -161,7 +161,7 @@ class ServoSetup:
         self._go_to(name, start)
 
     def _go_to(self, name: str, goal: int) -> None:
-        """Lead one servo to a goal; ends when it rests there, or without it after a while.
+        """Lead one servo to a goal, until it rests there or a while has passed.
 
         The goals creep, so that a servo that takes no notice of the speed is slow too. One that is
         not on the way that was led so far is let go.

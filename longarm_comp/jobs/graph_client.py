@@ -109,7 +109,7 @@ class GraphClient:
         return found
 
     def wait(self, condition: Callable[[], Any], at_most_s: float) -> Any:
-        """Spin until a condition is truthy or the time is over; its last value."""
+        """Spin until a condition is truthy or the time is over; return its last value."""
         end = time.monotonic() + at_most_s
         while not (found := condition()):
             if self.stop.is_set():
@@ -121,7 +121,7 @@ class GraphClient:
 
     @contextmanager
     def putting_back(self) -> Iterator[None]:
-        """``stop`` ends no wait meanwhile: for what must be put back after an interruption."""
+        """Let ``stop`` end no wait meanwhile: for what must be put back after an interruption."""
         stop, self.stop = self.stop, threading.Event()
         try:
             yield

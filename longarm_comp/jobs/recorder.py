@@ -95,7 +95,7 @@ class Recorder:
         ]
 
     def _find_moment(self, topic: str, received: int, raw: bytes) -> int:
-        """Time (ns) of a message."""
+        """Return the time (ns) that a message is about."""
         if topic not in self._stamped:
             return received
         return moment(stamp_of_raw(raw), received)

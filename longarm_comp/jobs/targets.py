@@ -217,13 +217,13 @@ def choose_targets(
 
 
 def at_random(model: Model, rng: np.random.Generator) -> Draw:
-    """Draws where a model's tip is at random joints, in the base."""
+    """Return what draws where a model's tip is at random joints, in the base."""
     stands = base_of_graph(model)
     return lambda n: stands.carry_from_model(random_targets(model, n, rng))
 
 
 def one_by_one(targets: np.ndarray) -> Draw:
-    """Hands out (N, 3) targets of a file, m, in their order."""
+    """Return what hands out (N, 3) targets of a file, m, in their order."""
     left = iter(targets)
     return lambda n: np.array(list(itertools.islice(left, n))).reshape(-1, 3)
 

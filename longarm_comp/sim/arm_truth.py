@@ -114,7 +114,7 @@ class Walk:
         return walker, marks, torques
 
     def _walk_row(self, walker: Walker, row: int, torques: Array) -> None:
-        """Back through one row: frame, Tz with its rods, bearing, Rz, Tx with its rods, Rx."""
+        """Go back through one row: frame, Tz with its rods, bearing, Rz, Tx with its rods, Rx."""
         joint = self._arm.joints[row - 1]
         alpha, a, theta, d = self.rows[:, row - 1]
         motor = self._motor.get(row)
@@ -134,7 +134,7 @@ class Walk:
         walker.turn(0, alpha)
 
     def _walk_run(self, walker: Walker, row: int, role: str, size: Array) -> None:
-        """Back along the rods of a row's role and the rigid rest of its size (N,)."""
+        """Go back along the rods of a row's role and the rigid rest of its size (N,)."""
         beams = [b for b in self._arm.links if b.row == row and b.role == role]
         axis = 0 if role == "a" else 2
         sign = -1.0 if np.all(size < 0) else 1.0
@@ -163,7 +163,7 @@ class Walk:
     def _walk_beam(
         self, walker: Walker, axis: int, sign: float, beams: list[Beam], ends: Array, k: int
     ) -> None:
-        """One beam, divided at the beginnings of the bodies inside it."""
+        """Go back along one beam, divided at the beginnings of the bodies inside it."""
         first, second, torsion = beams[k].stiffness
         order = (torsion, first, second) if axis == 0 else (first, second, torsion)
         compliance = np.reshape(order, (3, 1)) ** -1.0
@@ -240,11 +240,11 @@ class TrueArm:
         self.steps, self.shear = steps, shear
 
     def tip(self, q: Array, context: TrueContext | None = None) -> Array:
-        """True tip in the base frame, (N, 3) m, for commanded joints (N, n) or (n,)."""
+        """Return the true tip in the base frame, (N, 3) m, for commanded joints (N, n) or (n,)."""
         return self.pose(q, context)[..., :3, 3]
 
     def pose(self, q: Array, context: TrueContext | None = None) -> Array:
-        """True tip frame in the base frame, (N, 4, 4), or (4, 4) for one posture."""
+        """Return the true tip frame in the base frame, (N, 4, 4), or (4, 4) for one posture."""
         pose = self.settled(q, context).pose
         return pose if np.ndim(q) == 2 else pose[0]
 

@@ -133,7 +133,7 @@ class CameraPair:
         return out
 
     def camera_infos(self) -> tuple[CameraInfo, CameraInfo]:
-        """Calibration of the raw images, left and right, as camera drivers publish it."""
+        """Return the raw images' calibration, left and right, as camera drivers publish it."""
         left, right, p_left, p_right = self._compute_rectification()
         return self._make_info(left, p_left), self._make_info(right, p_right)
 

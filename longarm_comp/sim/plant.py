@@ -105,13 +105,13 @@ class Plant:
         self._swing, self._swings = np.zeros(3), threading.Lock()
 
     def ring(self, t_s: float) -> None:
-        """The arm vibrates on, up to a time; call it often. It does nothing without damping."""
+        """Let the arm vibrate on up to a time; call it often. It does nothing without damping."""
         if self._ringing is not None:
             with self._swings:
                 self._swing = self._ringing.move_joints(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
-        """The play of some joints is so much (rad, m) larger than at the start from now on."""
+        """Make the play of some joints so much (rad, m) larger than at the start from now on."""
         names = self.config.arm.joint_names
         for joint, value in play.items():
             if joint not in names:
@@ -169,7 +169,7 @@ class Plant:
         return pose
 
     def contact(self, t_s: float) -> str:
-        """Name of the socket that the ball at the tip sits in, or blank.
+        """Return the name of the socket that the ball at the tip sits in, or blank.
 
         A ball in the mouth of a socket slides towards its bottom where the servos let the arm go,
         each joint by as little as it takes; after two or three calls it is there. Driven servos
@@ -184,7 +184,7 @@ class Plant:
         return ""
 
     def _slide_joints(self, away: Array) -> None:
-        """The joints give way so that the tip moves by (3,) m."""
+        """Let the joints give way so that the tip moves by (3,) m."""
         q, step = self.joints(), 1e-5
         turned = q + step * np.eye(len(q))
         tips = self._true.settled(np.vstack([q, turned])).pose[:, :3, 3]

@@ -56,7 +56,7 @@ class _Build:
             self._add_row(row)
 
     def _add_yielding(self, place: Place) -> None:
-        """A spring where hidden effects yield."""
+        """Add a spring where hidden effects yield."""
         whole = np.zeros((3, 3))
         for effect in self._hidden:
             gives = []
@@ -111,7 +111,7 @@ class _Build:
         self._add_frame(row)
 
     def _add_run(self, row: int, role: str, size: float) -> None:
-        """Along the rods of a row's role."""
+        """Add springs and masses along the rods of a row's role."""
         along = (1.0 if size >= 0.0 else -1.0) * self._turn[:, 0 if role == "a" else 2]
         beams = [b for b in self.arm.links if b.row == row and b.role == role]
         fixed = sum(b.length_m for b in beams if b.length_m != "rest")

@@ -230,7 +230,7 @@ def _solve_directions(
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product over the first axis."""
+    """Return the cross product over the first axis."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]

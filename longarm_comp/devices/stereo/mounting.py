@@ -58,8 +58,8 @@ def _find_turn(views: Sequence[BoardView]) -> float:
 
 
 def _off_px(views: Sequence[BoardView], shift: int) -> float:
-    """Median distance (px) of right corners from the epipolar lines of the left ones, if each left
-    picture belongs to the right one so many later; infinite where they have too few in common.
+    """Return the median distance (px) of right corners from the epipolar lines of the left ones, if
+    each left picture belongs to the right one so many later; infinite where too few are in common.
 
     The lines are fitted without knowing the cameras (Zhang, Determining the Epipolar Geometry,
     1998), so that lenses bend the corners off them by little.

@@ -125,7 +125,7 @@ class DynamixelWire(RegisterWire):
 
 
 def _profile_speed(device: Device) -> float:
-    """Speed limit of the profile, ticks/s; 0: none. Time-based: the way in so many ms."""
+    """Return the profile's speed limit, ticks/s; 0: none. Time-based: the way in so many ms."""
     profile = device.get(_At.PROFILE_VELOCITY, 4)
     if not device.get(_At.DRIVE_MODE, 1) & _TIME_BASED:
         return min(profile, device.get(_At.VELOCITY_LIMIT, 4)) * _SPEED_UNIT

@@ -134,7 +134,7 @@ class ServoEmulator:
 
     @contextlib.contextmanager
     def motor(self, servo_id: int) -> Iterator[Motor]:
-        """The mechanics of a servo at the present, to look at or to change."""
+        """Yield the mechanics of a servo at the present, to look at or to change."""
         with self._lock:
             self._advance_motors()
             yield self._devices[servo_id].motor

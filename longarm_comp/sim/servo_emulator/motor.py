@@ -72,7 +72,7 @@ class Motor:
         return round(self.seen)
 
     def turn(self, by: float) -> None:
-        """The horn turns by so many ticks."""
+        """Turn the horn by so many ticks."""
         self.position += by
         self.seen += self.follows * by
 
@@ -87,7 +87,7 @@ class Motor:
         return self.position - self._stood
 
     def switch(self, on: bool) -> None:
-        """Torque on or off; it stays off while there is an alarm."""
+        """Switch the torque; it stays off while there is an alarm."""
         self.torque_on = on and not self.alarms
 
     def clear_alarms(self) -> None:
