@@ -86,7 +86,7 @@ def _describe_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
         first, second, torsion = beam.stiffness
         bending = f"{first:.3g}" if first == second else f"{first:.3g} and {second:.3g}"
         stiff = f"EI {bending}, GJ {torsion:.3g} N m^2"
-        text = f"{_section(beam)}; {stiff}; {1e3 * beam.mass_kg:.4g} g"
+        text = f"{_describe_section(beam)}; {stiff}; {1e3 * beam.mass_kg:.4g} g"
         if isinstance(beam.section, Rect):
             text += _describe_standing(fell[across], float(np.linalg.norm(fell)))
         yield declared(f"arm.yaml: links.{beam.name}", text)
@@ -105,7 +105,7 @@ def _describe_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
         yield declared("arm.yaml: damping", f"there it rings at {hz[0]:.3g} Hz; {more}")
 
 
-def _section(beam: Beam) -> str:
+def _describe_section(beam: Beam) -> str:
     section = beam.section
     if section is None:
         return "EI and GJ as declared"
@@ -138,7 +138,7 @@ def check_folder(folder: Path) -> list[_FolderFinding]:
     folder = folder.parent if folder.name == ARM and folder.is_file() else folder
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")
-    arm, found = _load(folder / ARM, Arm.load)
+    arm, found = _load_file(folder / ARM, Arm.load)
     if arm is None:
         return found
     found += _check_arm(arm)
@@ -157,7 +157,7 @@ def check_folder(folder: Path) -> list[_FolderFinding]:
     return sorted(found + record, key=lambda finding: LEVELS.index(finding.level))
 
 
-def _load(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[_FolderFinding]]:
+def _load_file(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[_FolderFinding]]:
     if not path.is_file():
         how = "longarm init" if path.name == ARM else f"longarm init DIR --arm {ARM}"
         return None, [missing(path.name, f"no such file; {how} makes it")]
@@ -221,7 +221,7 @@ def _check_gravity(arm: Arm) -> _FolderFinding:
 
 def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
     path = folder / "servo_driver.yaml"
-    servos, found = _load(path, ServoConfig.load)
+    servos, found = _load_file(path, ServoConfig.load)
     if servos is None:
         return found
     found += [
@@ -251,7 +251,7 @@ def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[
     """
     read, found = {}, []
     for node in NODES[1:]:
-        given, faults = _load(folder / f"{node}.yaml", read_parameters)
+        given, faults = _load_file(folder / f"{node}.yaml", read_parameters)
         found += faults
         if given is not None:
             found += [

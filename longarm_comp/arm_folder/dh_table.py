@@ -102,10 +102,10 @@ class _Row(Closed):
         if not outer:
             return []
         if self.material not in MATERIALS:
-            raise InputError(_where(number), "material", self.material, ", ".join(MATERIALS))
+            raise InputError(_name_joint(number), "material", self.material, ", ".join(MATERIALS))
         if not length:
             allowed = f"0, because {role} is 0"
-            raise InputError(_where(number), f"tube_{role}", 1e3 * outer, allowed)
+            raise InputError(_name_joint(number), f"tube_{role}", 1e3 * outer, allowed)
         modulus, poisson, density = MATERIALS[self.material]
         slides = role == "d" and self.type == "prismatic"
         mass = density * math.pi / 4 * (outer**2 - inner**2) * length
@@ -123,7 +123,7 @@ class _Row(Closed):
         return [entry]
 
 
-def _where(number: int) -> str:
+def _name_joint(number: int) -> str:
     return f"init: joint {number}"
 
 
@@ -139,7 +139,7 @@ def arm_of(
             if not equals:
                 raise InputError("init", "--joint", word, "KEY=VALUE")
             row[key] = value
-        rows.append((number, parse_declared(_Row, row, _where(number))))
+        rows.append((number, parse_declared(_Row, row, _name_joint(number))))
     data: dict[str, Any] = {
         "name": name,
         "convention": "mdh_craig",

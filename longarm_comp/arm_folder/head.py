@@ -71,17 +71,17 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     position = middle - distance * axis - 0.5 * baseline * x
     if given:
         position = np.array(given.position_m)
-    at, along = _round(position, 3), _round(axis, 9)
+    at, along = _round_to(position, 3), _round_to(axis, 9)
     turn = quaternion.from_rotation(CameraPair(tuple(at), tuple(along)).left_in_base[:3, :3])
     marker = {"marker.tag_m": tag, "marker.gap_m": round(tag / 5, 6)}
     return {
-        "stereo_bridge": {"hand_eye.xyz": at, "hand_eye.quaternion": _round(turn, 12), **marker},
+        "stereo_bridge": {"hand_eye.xyz": at, "hand_eye.quaternion": _round_to(turn, 12), **marker},
         "simulated_arm": {
             "camera.position": at,
             "camera.axis": along,
             "camera.baseline_m": baseline,
             **marker,
-            "marker.mounting": _round(mounting, 9),
+            "marker.mounting": _round_to(mounting, 9),
         },
     }
 
@@ -114,7 +114,7 @@ def _choose_direction(
     return axis, quaternion.rotation_vector(quaternion.from_rotation(plate))
 
 
-def _round(values: np.ndarray, digits: int) -> list[Any]:
+def _round_to(values: np.ndarray, digits: int) -> list[Any]:
     return [round(float(v), digits) + 0.0 for v in values]
 
 
@@ -195,7 +195,7 @@ class View:
         """
         local = np.linalg.inv(self.left_in_base) @ tips
         tags = np.einsum("mij,tkj->mtki", local[:, :3, :3], self.tags) + local[:, None, None, :3, 3]
-        found = [self._inside(tags - [k * self.baseline_m, 0.0, 0.0]) for k in (0, 1)]
+        found = [self._find_inside(tags - [k * self.baseline_m, 0.0, 0.0]) for k in (0, 1)]
         both = (found[0] & found[1]).mean(axis=1) >= self.share
         middle = tags.mean(axis=(1, 2)) - [0.5 * self.baseline_m, 0.0, 0.0]
         normal = local[:, :3, :3] @ self.normal
@@ -208,7 +208,7 @@ class View:
                 left, right = (seen[k].mean() < self.share for seen in found)
                 who = "the left camera" if left else "the right camera"
                 who = who if left != right else "both cameras"
-                why.append(f"out of view of {who} ({self._where(middle[k])})")
+                why.append(f"out of view of {who} ({self._describe_side(middle[k])})")
             # A tag that is turned further from a camera is not found
             elif facing[k] < np.cos(np.radians(75.0)):
                 turned = np.degrees(np.arccos(np.clip(facing[k], -1.0, 1.0)))
@@ -220,22 +220,22 @@ class View:
                 why.append("")
         return why
 
-    def _project(self, points: np.ndarray) -> np.ndarray:
+    def _project_points(self, points: np.ndarray) -> np.ndarray:
         ahead = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         return np.asarray(self.focal_px * points[..., :2] / ahead + self.middle_px)
 
-    def _inside(self, tags: np.ndarray) -> np.ndarray:
+    def _find_inside(self, tags: np.ndarray) -> np.ndarray:
         """Tell (M, T) whether tags, corners (M, T, 4, 3) in the camera's frame, are all in view."""
-        pixels = self._project(tags)
+        pixels = self._project_points(tags)
         with np.errstate(invalid="ignore"):
             inside = (pixels >= 0.0) & (pixels <= np.array(self.size_px) - 1.0)
         return np.asarray(inside.all(axis=(-1, -2)))
 
-    def _where(self, point: np.ndarray) -> str:
+    def _describe_side(self, point: np.ndarray) -> str:
         """Say on which side of the images a point (3,) lies, from the middle of the cameras."""
         if point[2] <= 0.0:
             return "behind"
-        x, y = self._project(point)
+        x, y = self._project_points(point)
         width, height = self.size_px
         beside, above = abs(x - width / 2) / width, abs(y - height / 2) / height
         if beside >= above:

@@ -45,7 +45,7 @@ _NO_CAMERA = """What measures: tracker, total_station or touch; if absent, every
 measuring: tracker"""
 
 
-def _comment(text: str) -> list[str]:
+def _comment_lines(text: str) -> list[str]:
     return [f"# {line}" for line in text.splitlines()]
 
 
@@ -75,11 +75,11 @@ def arm_file(
         stereo = head_for(Arm.parse(whole, ARM))["simulated_arm"]
         place, axis = stereo["camera.position"], stereo["camera.axis"]
         whole["camera"] = {"position_m": place, "optical_axis": axis}
-    arm, lines = Arm.parse(whole, ARM), _comment(head)
+    arm, lines = Arm.parse(whole, ARM), _comment_lines(head)
     for key, value in whole.items():
         if value in ([], {}, None):
             continue
-        lines += _comment(_COMMENTS.get(key, ""))
+        lines += _comment_lines(_COMMENTS.get(key, ""))
         if isinstance(value, list) and value and isinstance(value[0], Mapping):
             lines.append(f"{key}:")
             for row in value:
@@ -94,7 +94,7 @@ def arm_file(
     no_payload = _NO_PAYLOAD.format(frame=arm.tip.frame)
     for key, text in (("links", no_links), ("payload", no_payload), ("camera", _NO_CAMERA)):
         if not whole.get(key):
-            lines += _comment(text)
+            lines += _comment_lines(text)
     return "\n".join(lines) + "\n", arm
 
 

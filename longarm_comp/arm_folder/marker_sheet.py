@@ -29,7 +29,7 @@ def lay_out_sheet(board: Printed) -> tuple[str, Figure]:
     """Return the smallest paper that the marker fits on, and the page in true size."""
     from matplotlib.figure import Figure
 
-    size, quiet = _size(board)
+    size, quiet = _measure_sheet(board)
     needed = size + 2 * (quiet + _RIM) + (0.0, _FOOT)
     paper = next((p for p, s in PAPERS.items() if (needed <= s).all()), None)
     if paper is None:
@@ -44,7 +44,7 @@ def lay_out_sheet(board: Printed) -> tuple[str, Figure]:
     if isinstance(board, CharucoTarget):  # as OpenCV draws it; its corners are whole pixels
         grid = board.square_m, board.tag_m, board.columns, board.rows
         cells = charuco_plate(*grid, board.dictionary).texture
-        _draw(axes, cells, left, top, *size)
+        _draw_cells(axes, cells, left, top, *size)
     else:
         pitch, side = 1e3 * (board.tag_m + board.gap_m), 1e3 * board.tag_m
         family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
@@ -52,7 +52,7 @@ def lay_out_sheet(board: Printed) -> tuple[str, Figure]:
             row, column = divmod(index, board.columns)
             tag, pixels = board.first_id + index, family.markerSize + 2
             cells = cv2.aruco.generateImageMarker(family, tag, pixels)
-            _draw(axes, cells, left + column * pitch, top - row * pitch, side, side)
+            _draw_cells(axes, cells, left + column * pitch, top - row * pitch, side, side)
     low = top - size[1] - quiet - 8.0
     what = f"{board.dictionary}, tag {1e3 * board.tag_m:g} mm"
     if isinstance(board, CharucoTarget):
@@ -82,7 +82,7 @@ def write_sheet(board: Printed, path: Path) -> str:
     return paper
 
 
-def _size(board: Printed) -> tuple[np.ndarray, float]:
+def _measure_sheet(board: Printed) -> tuple[np.ndarray, float]:
     """Return width and height, and the white about it, mm."""
     grid = np.array([board.columns, board.rows])
     if isinstance(board, CharucoTarget):
@@ -91,7 +91,9 @@ def _size(board: Printed) -> tuple[np.ndarray, float]:
     return 1e3 * (grid * pitch - board.gap_m), 200.0 * board.tag_m
 
 
-def _draw(axes: Axes, cells: np.ndarray, left: float, top: float, wide: float, high: float) -> None:
+def _draw_cells(
+    axes: Axes, cells: np.ndarray, left: float, top: float, wide: float, high: float
+) -> None:
     """Draw black and white cells; left, top: their corner, mm."""
     area = (left, left + wide, top - high, top)
     axes.imshow(

@@ -103,10 +103,10 @@ def head_at(folder: Path, session: str) -> np.ndarray:
     if entry is None or entry.facts.get("session") != session:
         file = folder / BRIDGE
         given = parameters_of("stereo_bridge", file)
-        return _pose(file, "hand_eye", [given[name] for name in _NAMES])
+        return _check_pose(file, "hand_eye", [given[name] for name in _NAMES])
     before = entry.facts.get("before")
     pair = (before.get("xyz"), before.get("quaternion")) if isinstance(before, dict) else ()
-    return _pose(folder / FILE, f"{BRIDGE}: facts.before", pair)
+    return _check_pose(folder / FILE, f"{BRIDGE}: facts.before", pair)
 
 
 def write_head(
@@ -122,9 +122,9 @@ def write_head(
     Returns:
         Names of the files that were written.
     """
-    xyz, turn = _numbers(pose)
+    xyz, turn = _round_pose(pose)
     values = dict(zip(_NAMES, (xyz, turn), strict=True))
-    old = dict(zip(("xyz", "quaternion"), _numbers(before), strict=True))
+    old = dict(zip(("xyz", "quaternion"), _round_pose(before), strict=True))
     entry = {**facts, "session": session, "before": old}
     # The last in place is the record: until then the same session may be given again
     made = {FILE: _with_entry(folder, BRIDGE, "stereo hand-eye", entry)}
@@ -137,7 +137,7 @@ def write_head(
     return [name for name in made if name != FILE]
 
 
-def _pose(file: Path, field: str, given: Sequence[Any]) -> np.ndarray:
+def _check_pose(file: Path, field: str, given: Sequence[Any]) -> np.ndarray:
     try:
         xyz, turn = (np.array(value, dtype=float) for value in given)
         good = xyz.shape == (3,) and turn.shape == (4,) and quaternion.is_unit(turn)
@@ -148,7 +148,7 @@ def _pose(file: Path, field: str, given: Sequence[Any]) -> np.ndarray:
     return quaternion.compute_pose(xyz, turn)
 
 
-def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:
+def _round_pose(pose: np.ndarray) -> tuple[list[float], list[float]]:
     turn = quaternion.from_rotation(pose[:3, :3])
     return [round(float(v), 7) for v in pose[:3, 3]], [round(float(v), 12) for v in turn]
 

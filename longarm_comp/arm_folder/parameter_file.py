@@ -30,7 +30,7 @@ def own_text(node: str) -> str:
 
 def read_parameters(path: Path) -> dict[str, Any]:
     """Read the values of a ROS parameter file, by dotted name."""
-    return _flat(ros_parameters(read_yaml(path), path))
+    return _flatten_tree(ros_parameters(read_yaml(path), path))
 
 
 def parameters_of(node: str, file: Path) -> dict[str, Any]:
@@ -47,13 +47,16 @@ def find_strangers(node: str, given: Mapping[str, Any]) -> Iterator[tuple[str, A
     for name, value in given.items():
         if name not in known:
             yield name, value, f"one of {', '.join(known)}"
-        elif (kind := _kind(known[name])) not in (_kind(value), _kind(value).replace("whole ", "")):
+        elif (kind := _kind_of(known[name])) not in (
+            _kind_of(value),
+            _kind_of(value).replace("whole ", ""),
+        ):
             yield name, value, f"{kind}, for instance {known[name]!r}"
 
 
-def _kind(value: Any) -> str:
+def _kind_of(value: Any) -> str:
     if isinstance(value, list):
-        numbers = all(_kind(v).endswith("number") for v in value)
+        numbers = all(_kind_of(v).endswith("number") for v in value)
         return f"{len(value)} numbers" if numbers else "a list"
     if isinstance(value, bool):
         return "true or false"
@@ -64,7 +67,7 @@ def _kind(value: Any) -> str:
 
 def own_parameters(node: str) -> dict[str, Any]:
     """Read the values of the package's own file of a node, by dotted name."""
-    return _flat(ros_parameters(parse_yaml(own_text(node), node), node))
+    return _flatten_tree(ros_parameters(parse_yaml(own_text(node), node), node))
 
 
 def ros_parameters(data: Any, where: object) -> dict[str, Any]:
@@ -92,11 +95,11 @@ def one_line(value: Any) -> str:
     return text.removesuffix("...\n").strip()
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flatten_tree(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        flat |= _flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+        flat |= _flatten_tree(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
     return flat
 
 

@@ -117,7 +117,7 @@ def servo_section(
 def _fit_servo(
     number: int, joint: Joint, model: ServoModel, reach_m: float, fastest: float
 ) -> dict[str, Any]:
-    """``reach_m``: of an arm whose joints sit on the servos' horns; 0: geared."""
+    """Fit a servo to a joint; ``reach_m``: of an arm on the servos' horns; 0: geared."""
     horn = reach_m > 0.0 and joint.type == "revolute"
     low, high = model.multi_turn
     middle = model.ticks_per_turn / 2  # of the first turn: stands there until the zero is measured

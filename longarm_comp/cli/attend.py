@@ -100,7 +100,7 @@ def reset(namespace: str, kept: bool, yes: bool) -> None:
         note(Attendant(client).reset())
 
 
-def _fault(name: str, parameter: str, metavar: str, what: str, example: str) -> click.Command:
+def _make_fault(name: str, parameter: str, metavar: str, what: str, example: str) -> click.Command:
     """Return the command of one fault, which a parameter of the simulated arm lists by name."""
 
     def spoil(name: str, back: bool, namespace: str) -> None:
@@ -120,9 +120,9 @@ def _fault(name: str, parameter: str, metavar: str, what: str, example: str) -> 
     return click.command(name)(named(back(options.namespace(spoil))))
 
 
-unplug = _fault("unplug", "unplugged", "JOINT", "the servo of JOINT does not answer", "joint2")
+unplug = _make_fault("unplug", "unplugged", "JOINT", "the servo of JOINT does not answer", "joint2")
 _BLIND = "the camera CAMERA (left or right) sees nothing"
-cover = _fault("cover", "covered", "CAMERA", _BLIND, "left")
+cover = _make_fault("cover", "covered", "CAMERA", _BLIND, "left")
 
 
 @click.command()

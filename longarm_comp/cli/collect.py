@@ -98,12 +98,12 @@ def collect(
     view = view_beside(arm)
     checks = plan_checks(bounded, todo, view=view, servos=servos_beside(arm, declared.joint_names))
     if dry_run:
-        _show(declared.name, todo, checks)
+        _show_plan(declared.name, todo, checks)
         return
     refuse_blocked(checks, todo, poses)
     assert output is not None
     how |= {"pace": pace(declared_model(declared), plan.q), "view": view}
-    done = _drive(bounded, todo, output, namespace, **how)
+    done = _drive_visits(bounded, todo, output, namespace, **how)
     print_json({"bag": output, **vars(done)})
     before = f", {done.before} before" if done.before else ""
     note(f"{done.made} visits made{before}, of {done.planned}; bag in {output}")
@@ -114,7 +114,7 @@ def collect(
         note(f"{len(done.blocked)} poses were not driven, because no way there is free: {why}")
 
 
-def _drive(
+def _drive_visits(
     arm: options.Arm, todo: Sequence[Visit], output: Path, namespace: str, **how: Any
 ) -> Collected:
     """Collect; where it ends early, say what is kept and what to do next."""
@@ -141,7 +141,7 @@ def _drive(
         return run.collect(client, todo, output, progress=follow, **how)
 
 
-def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None:
+def _show_plan(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None:
     from longarm_comp.jobs.collect.visits import blocked_visits
 
     count = len(todo)

@@ -108,11 +108,13 @@ def command(
     base = choose_physics(arm, model)
     form, output = options.form_of(like, output)
     given = (targets or path, *([form.read] if form else []))
-    wanted = read_targets(*given) if targets or path else Targets.one([_number(v) for v in numbers])
+    wanted = (
+        read_targets(*given) if targets or path else Targets.one([_to_number(v) for v in numbers])
+    )
     learned = load_predictor(predictor, arm, model) if predictor else None
     chosen = method_of(method, learned)
-    alike |= {"method": chosen, "seed": None if seed_q is None else _joints(seed_q, arm)}
-    alike["locked"] = [_place(v, arm) for v in locked]
+    alike |= {"method": chosen, "seed": None if seed_q is None else _parse_joints(seed_q, arm)}
+    alike["locked"] = [_find_place(v, arm) for v in locked]
     answers: Commands
     if path is None:
         answers = compensate(base, wanted, learned, run_up=run_up, realisable=realisable, **alike)
@@ -122,7 +124,7 @@ def command(
             note(text)
     answers.save(output, *([form.write] if form else []))
     commands = answers.lines()
-    rows = [_row(c, arm.n) for c in commands]
+    rows = [_make_row(c, arm.n) for c in commands]
     facts = {"output": output, "method": chosen.value, "frames": answers.frames}
     print_json({**facts, "commands": rows})
     if len(rows) == 1 and commands[0]["q1"] is not None:
@@ -138,14 +140,14 @@ def command(
     note(f"{len(commands)} commands in {output}{answers.promise}")
 
 
-def _number(text: str) -> float:
+def _to_number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
         raise InputError("compensate", "target", text, "numbers in m, or a known option") from None
 
 
-def _joints(text: str, arm: options.Arm) -> np.ndarray:
+def _parse_joints(text: str, arm: options.Arm) -> np.ndarray:
     try:
         q = np.array([float(v) for v in text.split(",")])
     except ValueError:
@@ -156,7 +158,7 @@ def _joints(text: str, arm: options.Arm) -> np.ndarray:
     return q
 
 
-def _place(joint: str, arm: options.Arm) -> int:
+def _find_place(joint: str, arm: options.Arm) -> int:
     """Place in q of a joint told by its name or the number of its DH row."""
     rows = map(str, arm.commanded)
     places = {word: k for words in (rows, arm.joint_names) for k, word in enumerate(words)}
@@ -165,7 +167,7 @@ def _place(joint: str, arm: options.Arm) -> int:
     return places[joint]
 
 
-def _row(line: dict[str, Any], n: int) -> dict[str, object]:
+def _make_row(line: dict[str, Any], n: int) -> dict[str, object]:
     names = ("index", "status", "frame", *(["reason"] if line["reason"] else []))
     run_up = [line[f"run_up_q{j}"] for j in range(1, n + 1)]
     figures = ("sigma_mm", "expected_mm", "p90_mm", "passes")

@@ -102,7 +102,7 @@ def fleet(folder: Path, output: Path, **how: Any) -> None:
     if all(arm.verdict == "failed" for arm in arms):
         raise JobError(f"no arm of {folder} could be diagnosed: {arms[0].summary}")
     print_json({"output": output, "arms": [arm.row for arm in arms]})
-    print_rows(f"{len(arms)} arms", [_cells(arm) for arm in arms])
+    print_rows(f"{len(arms)} arms", [_make_row(arm) for arm in arms])
     for arm in arms:
         if arm.verdict == "failed":
             note(f"{arm.name}: {arm.summary}")
@@ -114,7 +114,7 @@ def fleet(folder: Path, output: Path, **how: Any) -> None:
     note(f"page in {output / 'fleet.html'}; a diagnosis an arm and fleet.json beside it")
 
 
-def _cells(arm: Diagnosed) -> dict[str, Any]:
+def _make_row(arm: Diagnosed) -> dict[str, Any]:
     found: dict[str, list[str]] = {}
     for f in arm.findings:
         found.setdefault(f.effect, []).append(f.where + " (of the kind)" * f.of_kind)

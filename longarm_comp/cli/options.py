@@ -35,7 +35,7 @@ bag = path_argument("bag", "BAG")
 
 
 def arm(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Argument ``ARM``; the command gets the declared arm that the file holds."""
+    """Add the argument ``ARM``; the command gets the declared arm that the file holds."""
 
     @functools.wraps(function)
     def command(arm: Path, **rest: Any) -> Any:
@@ -74,12 +74,12 @@ as_json = click.option(
 
 
 def several(*added: _Decorator) -> _Decorator:
-    """Options as one decorator, in the order of the help."""
+    """Return options as one decorator, in the order of the help."""
     return lambda function: functools.reduce(lambda made, add: add(made), added[::-1], function)
 
 
 def kind_of(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Option ``--kind-of MODEL...``, last on the line; the command gets `kind_of`, all of them."""
+    """Add ``--kind-of MODEL...``, last on the line; the command gets `kind_of`, all of them."""
 
     @functools.wraps(function)
     def command(kind_of: Path | None, more: tuple[Path, ...], **rest: Any) -> Any:
@@ -102,7 +102,7 @@ floor = click.option(
 )
 
 
-def _namespace(_: click.Context, __: click.Parameter, given: str | None) -> str | None:
+def _check_namespace(_: click.Context, __: click.Parameter, given: str | None) -> str | None:
     """Check a namespace as the middleware takes it, without slashes at its ends."""
     if given is None:
         return None
@@ -115,15 +115,15 @@ def _namespace(_: click.Context, __: click.Parameter, given: str | None) -> str 
 
 
 def namespace_of(default: str | None, what: str) -> _Decorator:
-    """Option ``--namespace`` with another default or another meaning."""
-    return click.option("--namespace", default=default, callback=_namespace, help=what)
+    """Return the option ``--namespace`` with another default or another meaning."""
+    return click.option("--namespace", default=default, callback=_check_namespace, help=what)
 
 
 namespace = namespace_of("", "Namespace of the arm.")
 
 
 def pace(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options ``--sightings``, ``--within``, ``--dwell``, ``--move``, ``--arm-speed``.
+    """Add the options ``--sightings``, ``--within``, ``--dwell``, ``--move``, ``--arm-speed``.
 
     The command gets `pace`: of a model and postures (N, n), the `Pace` with a rest that the arm's
     ring needs there.
@@ -173,7 +173,7 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
     )(command)
 
 
-def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
+def _load_each(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
     if files:
         from longarm_comp.core.effects.catalogue import load_file
 
@@ -182,13 +182,13 @@ def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tup
     return files
 
 
-def _effects(expose: bool) -> _Decorator:
+def _effects_option(expose: bool) -> _Decorator:
     return click.option(
         "--effects",
         "effect_files",
         type=_PATH,
         multiple=True,
-        callback=_load,
+        callback=_load_each,
         expose_value=expose,
         metavar="FILE",
         help="Python file that defines further effects; it is executed. Repeat for more.",
@@ -221,29 +221,29 @@ known_network = click.option(
 )
 network_file = click.option("--network", type=_PATH, metavar="FILE", help=_NETWORK_FILE)
 """The same for a command that passes it on."""
-effects = _effects(expose=False)
+effects = _effects_option(expose=False)
 """Option ``--effects``: executes the files before the command, which does not get them."""
-effect_files = _effects(expose=True)
+effect_files = _effects_option(expose=True)
 """The same for a command that passes the files on; its parameter is `effect_files`."""
 
 
 def output(
     default: str | None, what: str, kind: Kind, beside: Callable[[Path], list[Path]] | None = None
 ) -> _Decorator:
-    """``-o PATH``; what of it may be overwritten says `outputs`."""
+    """Return the option ``-o PATH``; `outputs` says what of it may be overwritten."""
     # To click a default of None is a value, with which nothing is missing
     given: dict[str, Any] = {"required": True} if default is None else {"default": default}
     return written_option("-o/--output", what, kind, beside=beside, **given)
 
 
 def without(name: str, what: str) -> _Decorator:
-    """Option ``--no-NAME``; the parameter `name` is True unless it is given."""
+    """Return the option ``--no-NAME``; the parameter `name` is True unless it is given."""
     flag = f"--no-{name.replace('_', '-')}"
     return click.option(flag, name, is_flag=True, callback=lambda c, p, given: not given, help=what)
 
 
 def written_option(name: str, what: str, kind: Kind, **more: Any) -> _Decorator:
-    """An option that names a further file or folder to write."""
+    """Return an option that names a further file or folder to write."""
     return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind, **more)
 
 
@@ -255,7 +255,7 @@ like = path_option(
 
 
 def form_of(like: Path | None, output: Path) -> tuple[Any, Path]:
-    """The form to write in and the path to write to; a default path takes the form's ending."""
+    """Return the form to write in, and the path; a default path takes the form's ending."""
     if like is None:
         return None, output
     from click.core import ParameterSource

@@ -71,7 +71,7 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[objec
     for k, name in enumerate(header):
         table.add_column(name, justify="left" if k == 0 else "right")
     for row in rows:
-        table.add_row(*(escape(_cell(value)) for value in row))
+        table.add_row(*(escape(_format_cell(value)) for value in row))
     # A file or a pipe has no width: nothing is cut
     Console(width=None if sys.stdout.isatty() else 1000).print(table)
 
@@ -104,7 +104,7 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 
 @contextmanager
 def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
-    """A progress bar on stderr, on a terminal. Call it with a text and the share, if it is known.
+    """Show a progress bar on stderr, on a terminal. Call it with a text and the share, if known.
 
     Where stderr is no terminal nothing is said, or with ``lines`` a line now and then.
     """
@@ -134,9 +134,9 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
         yield update
 
 
-def _cell(value: object) -> str:
+def _format_cell(value: object) -> str:
     if isinstance(value, (float, np.floating)):
         return "" if math.isnan(value) else f"{value:.3f}"
     if isinstance(value, (list, tuple)):
-        return " .. ".join(_cell(part) for part in value)
+        return " .. ".join(_format_cell(part) for part in value)
     return "" if value is None else str(value)

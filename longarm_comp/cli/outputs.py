@@ -33,7 +33,7 @@ def with_marks(*marks: bytes) -> Kind:
     """Return a file in whose first or last bytes all of these stand."""
 
     def ours(path: Path) -> bool:
-        ends = _ends(path)
+        ends = _read_ends(path)
         return all(mark in ends for mark in marks)
 
     return ours
@@ -43,7 +43,7 @@ def table(*columns: str, without: str = "") -> Kind:
     """Return a table whose header begins with ``index`` and has these columns."""
 
     def ours(path: Path) -> bool:
-        header = _ends(path).split(b"\n")[0].decode("utf-8", "replace").strip().split(",")
+        header = _read_ends(path).split(b"\n")[0].decode("utf-8", "replace").strip().split(",")
         fits = header[0] == "index" and set(columns) <= set(header)
         return fits and without not in header
 
@@ -114,7 +114,7 @@ def diagnosis_files(path: Path) -> list[Path]:
     return [path / name for name in _DIAGNOSED]
 
 
-def _ends(path: Path) -> bytes:
+def _read_ends(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             head = file.read(_LOOKED_AT)
@@ -159,11 +159,11 @@ def guard_outputs(command: click.Command, name: str) -> click.Command:
         from longarm_comp.core.files import check_regular
 
         params = command.params
-        named = [(p, path) for p in params for path in _parts(given.get(p.name or ""), Path)]
+        named = [(p, path) for p in params for path in _find_parts(given.get(p.name or ""), Path)]
         for _, path in named:
             check_regular(path)
         for p in params:
-            for value in _parts(given.get(p.name or ""), float):
+            for value in _find_parts(given.get(p.name or ""), float):
                 if not math.isfinite(value):
                     raise InputError(name, p.opts[0], value, "a finite number")
         read = [path for p, path in named if not isinstance(p, Output)]
@@ -185,13 +185,13 @@ def guard_outputs(command: click.Command, name: str) -> click.Command:
     return command
 
 
-def _parts(value: Any, kind: type) -> Iterator[Any]:
+def _find_parts(value: Any, kind: type) -> Iterator[Any]:
     """Find what is of a kind in a value, or in tuples and lists of it."""
     if isinstance(value, kind):
         yield value
     elif isinstance(value, tuple | list):
         for part in value:
-            yield from _parts(part, kind)
+            yield from _find_parts(part, kind)
 
 
 def _is_same_file(one: Path, other: Path) -> bool:

@@ -41,7 +41,7 @@ def handle_signals(
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set."""
+    """Yield an event that SIGINT and SIGTERM set."""
     stop = threading.Event()
     with handle_signals(lambda *_: stop.set()):
         yield stop
@@ -49,7 +49,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 @contextmanager
 def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> Iterator[Any]:
-    """A client on the running graph, of an arm where one is given, that signals stop."""
+    """Yield a client on the running graph, of an arm where one is given, that signals stop."""
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.graph_client import GraphClient
 
@@ -70,7 +70,7 @@ def user_agrees(question: str, yes: bool) -> bool:
 
 
 def ask(command: str, flag: str, text: str, allowed: str, **options: Any) -> Any:
-    """The answer to what a flag of a command says too; `options` are those of `click.prompt`.
+    """Return the answer to what a flag says too; `options` are those of `click.prompt`.
 
     Raises:
         InputError: there is no terminal, and the answer is missing; ``allowed``: what it may be.

@@ -25,8 +25,8 @@ _SQUARE_MM, _TAG_SHARE = 25.0, 0.72
 """A 7x5 board of such squares fills A4; the white around a tag lets its edge be found."""
 
 
-def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return options of a board, the arguments of `_target`."""
+def _board_options(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return options of a board, the arguments of `_target_of`."""
     return options.several(
         click.option(
             "--board",
@@ -49,7 +49,9 @@ def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., 
     )
 
 
-def _target(board: str, square_mm: float, tag_mm: float | None, dictionary: str) -> CharucoTarget:
+def _target_of(
+    board: str, square_mm: float, tag_mm: float | None, dictionary: str
+) -> CharucoTarget:
     from longarm_comp.devices.stereo.target import CharucoTarget
 
     found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", board)
@@ -61,7 +63,7 @@ def _target(board: str, square_mm: float, tag_mm: float | None, dictionary: str)
 
 @click.command()
 @options.path_argument("folder", "[DIR]", required=False)
-@_board(None)
+@_board_options(None)
 @options.output("marker.pdf", "Page to print.", outputs.PICTURE)
 def marker(folder: Path | None, board: str | None, output: Path, **size: Any) -> None:
     """Write the marker of DIR/stereo_bridge.yaml, or a calibration board, in true size.
@@ -83,7 +85,7 @@ def marker(folder: Path | None, board: str | None, output: Path, **size: Any) ->
         raise InputError("stereo marker", "DIR, --board", given, "one of the two")
     printed: CharucoTarget | TagBoard
     if board is not None:
-        printed = _target(board, **size)
+        printed = _target_of(board, **size)
     else:
         assert folder is not None
         printed = TagBoard.of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))
@@ -125,7 +127,7 @@ def webcams(frames: Path | None) -> None:
 @options.folder
 @options.path_option("--images", "Folder of image pairs: left and right in their names.")
 @options.flag("--live", "Take the views from left/ and right/image_raw, with guidance.")
-@_board("7x5")
+@_board_options("7x5")
 @options.path_option("--save", "Live: folder that the used images are written to.")
 @options.namespace
 @options.as_json
@@ -152,7 +154,7 @@ def calibrate(
         raise InputError("stereo calibrate", "--images, --live", given, "one of the two")
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR`")
-    target = _target(**board)
+    target = _target_of(**board)
     if images is not None:
         views, size = _from_files(target, images)
     else:

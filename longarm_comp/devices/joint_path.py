@@ -124,7 +124,7 @@ class TakenOver:
 
     @property
     def duration(self) -> float:
-        """s"""
+        """The time that it takes, s."""
         return self.path.duration
 
     @property
@@ -155,7 +155,7 @@ class InParts:
 
     @property
     def duration(self) -> float:
-        """s"""
+        """The time that it takes, s."""
         return self.way.duration + self.shaper.duration
 
     def at(self, time_s: npt.ArrayLike) -> Array:

@@ -100,9 +100,9 @@ class ServoArm:
         self._missed = False  # whether a servo did not answer: it may have lost its power
         self._next_try = 0.0
         self._closed = f"{config.bus.port} is unplugged"
-        self.bus: SerialServoBus | None = self._open(again=False)
+        self.bus: SerialServoBus | None = self._open_bus(again=False)
 
-    def _open(self, again: bool) -> SerialServoBus:
+    def _open_bus(self, again: bool) -> SerialServoBus:
         """Open the port and check the servos; they are set for other turns the first time only.
 
         What comes back may be another servo.
@@ -122,14 +122,14 @@ class ServoArm:
                         model=joint.model,
                         answers=bus.model_name(number) or f"unknown model {number}",
                     )
-            self._check(bus, turned=again)
+            self._check_servos(bus, turned=again)
             self._set_turns(bus)
         except BaseException:
             bus.close()
             raise
         return bus
 
-    def _check(self, bus: SerialServoBus, turned: bool) -> None:
+    def _check_servos(self, bus: SerialServoBus, turned: bool) -> None:
         """Refuse servos whose memory gives commands another meaning; take over their own limits.
 
         ``turned``: whether they have been set for one turn or many.
@@ -190,7 +190,7 @@ class ServoArm:
             raise BusUnplugged(port=self.config.bus.port, why="the port is gone")
         try:
             if on:
-                self._check(self.bus, turned=True)
+                self._check_servos(self.bus, turned=True)
                 goals = self._goals_to_hold(self.bus)
             self.bus.torque(self._ids, on, kept=goals)
         except ServoBusError:
@@ -272,7 +272,7 @@ class ServoArm:
         trouble, states, driven = "", {}, {}
         if (self.bus is None or self.owing_off) and now >= self._next_try:
             self._next_try = now + 0.5
-            self._mend()
+            self._mend_bus()
         bus = self.bus
         if bus is None:
             trouble = self._closed
@@ -286,7 +286,7 @@ class ServoArm:
             except IncompleteReply as error:
                 trouble, states, self._missed = str(error), error.states, True
             except ServoBusError as error:
-                trouble = self._lose(error)
+                trouble = self._lose_port(error)
         step = self.follower.step(now, states, driven)
         driving = step.state in (FollowerState.TRACKING, FollowerState.HOLDING)
         if driving and self.follower.is_fresh(now):
@@ -301,8 +301,8 @@ class ServoArm:
                 elif step.goals:
                     self.bus.write_goal(step.goals, self._speeds)
             except ServoBusError as error:
-                trouble = self._lose(error)
-        return Cycle(step, self._joints(states), states, trouble)
+                trouble = self._lose_port(error)
+        return Cycle(step, self._convert_states(states), states, trouble)
 
     def close(self) -> None:
         """Switch the torque off if possible and release the port. Must not raise."""
@@ -318,7 +318,7 @@ class ServoArm:
             self.bus.close()
             self.bus = None
 
-    def _joints(self, states: Mapping[int, ServoState]) -> dict[str, ServoReading]:
+    def _convert_states(self, states: Mapping[int, ServoState]) -> dict[str, ServoReading]:
         readings = {}
         for name, joint in self.config.joints.items():
             state = states.get(joint.servo_id)
@@ -331,20 +331,20 @@ class ServoArm:
             )
         return readings
 
-    def _lose(self, error: ServoBusError) -> str:
+    def _lose_port(self, error: ServoBusError) -> str:
         if isinstance(error, BusUnplugged) and self.bus is not None:
             self.bus.close()
             self.bus = None
         return str(error)
 
-    def _mend(self) -> None:
+    def _mend_bus(self) -> None:
         """Reopen a lost port, and switch off what is to be off. Else servos kept their torque."""
         try:
-            self.bus = self.bus or self._open(again=True)
+            self.bus = self.bus or self._open_bus(again=True)
             if self.owing_off:
                 self.power(False)
         except ServoBusError as error:
-            self._lose(error)
+            self._lose_port(error)
             if self.bus is None:
                 unplugged = isinstance(error, BusUnplugged)
                 self._closed = f"{self.config.bus.port} is unplugged" if unplugged else str(error)

@@ -161,7 +161,7 @@ class TrajectoryFollower:
         if not self.is_fresh(now):
             raise JobError("no fresh reading of every servo", servos=len(self._joints))
         self._check_health(now)
-        start, moves = self._start(), bool(trajectory.points)
+        start, moves = self._start_path(), bool(trajectory.points)
         replaces = self.state is FollowerState.TRACKING
         if moves:
             times, positions, velocities = check_trajectory(trajectory, self._config, start)
@@ -187,9 +187,11 @@ class TrajectoryFollower:
         self._trim.begin(path=several)
         self.state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
         kind = EventKind.REPLACED if replaces else EventKind.STARTED
-        self._say(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
+        self._note_event(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
         if path.stretch > 1.001:
-            self._say(EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits")
+            self._note_event(
+                EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits"
+            )
         return accepted
 
     def _take_over(self, path: CubicPath, start: Array) -> TakenOver:
@@ -209,7 +211,7 @@ class TrajectoryFollower:
             self._way = self._take_over(self._plan_braking(self._set), self._set)
             self._way_time = 0.0
         self._settled = True
-        self._say(kind, why)
+        self._note_event(kind, why)
 
     def hold_at(self, goals: Mapping[int, int]) -> None:
         """Begin the next trajectory at the goals, ticks by id, that hold the arm by now."""
@@ -227,7 +229,7 @@ class TrajectoryFollower:
         self._held = {}
         self.state = FollowerState.ESTOP
         self._drop_motion()
-        self._say(EventKind.ESTOP, "emergency stop")
+        self._note_event(EventKind.ESTOP, "emergency stop")
 
     def reset(self, now: float) -> None:
         """Go back to idle after a fault or an emergency stop."""
@@ -235,7 +237,7 @@ class TrajectoryFollower:
         self._watch.forget_errors()
         self._drop_motion()
         self.state = FollowerState.IDLE
-        self._say(EventKind.RESET, "ready")
+        self._note_event(EventKind.RESET, "ready")
 
     def step(
         self, now: float, states: Mapping[int, ServoState], driven: Mapping[int, bool] | None = None
@@ -253,18 +255,18 @@ class TrajectoryFollower:
         findings += [JointFault(ServoTrouble.LET_GO, n, "its torque is off") for n in loose]
         goals = None
         if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
-            goals = self._fault(findings) if findings else self._move(dt)
+            goals = self._enter_fault(findings) if findings else self._move_on(dt)
         elif self.state is FollowerState.IDLE and self._held:
             findings = [f for f in findings if f.trouble is not ServoTrouble.SILENT]
-            goals = self._fault(findings) if findings else None
+            goals = self._enter_fault(findings) if findings else None
         events, self._events = tuple(self._events), []
         return Step(self.state, goals, self.set_points, events)
 
-    def _move(self, dt: float) -> dict[int, int] | None:
+    def _move_on(self, dt: float) -> dict[int, int] | None:
         """Take a bounded step along the path; return goals, None while a read-back is doubtful."""
         if not self._fresh:
             if not self._doubting:
-                self._say(EventKind.DOUBTFUL, "waiting for a trusted reading of every servo")
+                self._note_event(EventKind.DOUBTFUL, "waiting for a trusted reading of every servo")
             self._doubting = True
             self._velocity = np.zeros_like(self._velocity)
             return None
@@ -279,7 +281,7 @@ class TrajectoryFollower:
         arrived = self._way_time >= self._way.duration + self._config.follower.blend_s
         if arrived and np.allclose(self._set, path.end, rtol=0.0, atol=1e-9):
             self.state = FollowerState.HOLDING
-            self._settle(dt)
+            self._settle_joints(dt)
         wanted = self._wanted_ticks()
         for name, by in zip(wanted, self._trim.correction_now(dt).tolist(), strict=True):
             wanted[name] = self._config.joints[name].nearest_within_limits(wanted[name] + by)
@@ -308,7 +310,7 @@ class TrajectoryFollower:
         self._untrimmed = self._trim.describe_failure(self._wanted_ticks(), states)
         return self._untrimmed
 
-    def _settle(self, dt: float) -> None:
+    def _settle_joints(self, dt: float) -> None:
         """Report once that the arm has come to rest: at the end of its trajectory, or short."""
         read = {name: self._watch.state(name) for name in self._names}
         states = {name: state for name, state in read.items() if state is not None}
@@ -320,16 +322,18 @@ class TrajectoryFollower:
         untrimmed = self._trim_resting(states)
         if untrimmed is None:
             return
-        short = untrimmed or self._short()
+        short = untrimmed or self._find_short()
         if not short:
-            self._say(EventKind.ARRIVED, "at rest at the end of the trajectory")
+            self._note_event(EventKind.ARRIVED, "at rest at the end of the trajectory")
         elif self._still_s > self._config.follower.stall_time_s:
-            self._say(EventKind.SHORT, "at rest short of the end of the trajectory: " + short)
+            self._note_event(
+                EventKind.SHORT, "at rest short of the end of the trajectory: " + short
+            )
         else:
             return
         self._settled = True
 
-    def _short(self) -> str:
+    def _find_short(self) -> str:
         """Say which joints stand away from where they were sent, and how far; empty if none."""
         far = []
         for name, wanted in self.set_points.items():
@@ -340,12 +344,12 @@ class TrajectoryFollower:
                 far.append(f"{name} by {abs(off):.4g} {joint.unit}")
         return ", ".join(far)
 
-    def _fault(self, findings: list[JointFault]) -> dict[int, int]:
+    def _enter_fault(self, findings: list[JointFault]) -> dict[int, int]:
         """Stop at the present positions, once. A silent servo keeps its last goal."""
         self.state = FollowerState.FAULT
         for finding in findings:
             what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
-            self._say(EventKind.FAULT, what, finding)
+            self._note_event(EventKind.FAULT, what, finding)
         hold = {}
         for name, joint in self._config.joints.items():
             state = self._watch.state(name)
@@ -360,7 +364,7 @@ class TrajectoryFollower:
         self._way = self._set = self._goals = None
         self._velocity = np.zeros_like(self._velocity)
 
-    def _start(self) -> Array:
+    def _start_path(self) -> Array:
         """Return the present set-point (n,); when idle, the goals that hold the arm.
 
         Where no goal is known, or the joint does not stand by it, it is the present position.
@@ -396,5 +400,5 @@ class TrajectoryFollower:
                 f"a servo is {first.trouble.value}", joint=first.joint, why=first.message
             )
 
-    def _say(self, kind: EventKind, message: str, finding: JointFault | None = None) -> None:
+    def _note_event(self, kind: EventKind, message: str, finding: JointFault | None = None) -> None:
         self._events.append(Event(kind, message, finding))

@@ -72,7 +72,7 @@ class ServoSetup:
         """
         try:
             self._bus.torque(self._ids, on=False)
-            self._check()
+            self._check_memory()
             self._set_turns()
             yield self
         finally:
@@ -91,7 +91,7 @@ class ServoSetup:
                     file=self._journal.path,
                 )
 
-    def _check(self) -> None:
+    def _check_memory(self) -> None:
         """Refuse servos with an alarm, or whose memory gives commands another meaning."""
         alarms, kept = self._bus.alarms(self._ids), self._bus.memory(self._ids)
         for name, joint in self._joints.items():
@@ -143,7 +143,7 @@ class ServoSetup:
             +1 where the ticks grew: it goes up unless that leads out of the servo's range.
         """
         joint, kept = self._joints[name], self.memory[name]
-        start = self._at(joint)
+        start = self._read_ticks(joint)
         ticks = max(round(5.0 * hand_unit(joint)[0] / joint.si_per_tick), 4 * _NEAR_TICKS)
         low, high = kept.goals or joint.goal_range
         way = 1 if start + ticks <= high else -1
@@ -152,16 +152,16 @@ class ServoSetup:
                 f"servo {joint.servo_id} of {name} stands at {start} and takes goals {low} to "
                 f"{high}: no room for a move of {ticks} ({kept.changes})"
             )
-        self._go(name, start + way * ticks)
-        moved = self._at(joint) - start
+        self._go_to(name, start + way * ticks)
+        moved = self._read_ticks(joint) - start
         if abs(moved) < ticks / 2:
             what = f"{name} does not move: servo {joint.servo_id}, with {kept.notable}"
             raise JobError(what, ticks=moved)
         yield 1 if moved > 0 else -1
-        self._go(name, start)
+        self._go_to(name, start)
 
-    def _go(self, name: str, goal: int) -> None:
-        """Lead one servo to a goal; ends when it rests there, or without it after a while.
+    def _go_to(self, name: str, goal: int) -> None:
+        """Lead one servo to a goal, until it rests there or a while has passed.
 
         The goals creep, so that a servo that takes no notice of the speed is slow too. One that is
         not on the way that was led so far is let go.
@@ -169,7 +169,7 @@ class ServoSetup:
         joint = self._joints[name]
         # Speed of a nudge, deg/s or mm/s: to be seen, and to be stepped away from
         speed = min(5.0 * hand_unit(joint)[0], joint.max_velocity) / joint.si_per_tick
-        start = last = self._at(joint)
+        start = last = self._read_ticks(joint)
         far, led = abs(goal - start), 0.0
         before = rested = time.monotonic()
         # With a move: times one second and the time that it takes
@@ -179,7 +179,7 @@ class ServoSetup:
             before = now
             sent = start + round(math.copysign(led, goal - start))
             self._bus.write_goal({joint.servo_id: sent}, {joint.servo_id: speed})
-            at = self._at(joint)
+            at = self._read_ticks(joint)
             if not min(start, sent) - _ASIDE_TICKS <= at <= max(start, sent) + _ASIDE_TICKS:
                 self._bus.torque([joint.servo_id], on=False)
                 raise JobError(
@@ -195,5 +195,5 @@ class ServoSetup:
                 return
             time.sleep(_PERIOD_S)
 
-    def _at(self, joint: JointConfig) -> int:
+    def _read_ticks(self, joint: JointConfig) -> int:
         return self._bus.read([joint.servo_id])[joint.servo_id].position_ticks

@@ -148,11 +148,11 @@ class ServoWatch:
         limits = self._config.follower
         off = abs(goal - seen.state.position_ticks)
         pushing = off > limits.stall_error_ticks and abs(seen.state.load) >= joint.max_load
-        seen.off_since = _since(seen.off_since, pushing, now)
+        seen.off_since = _begin_since(seen.off_since, pushing, now)
         lost = limits.lost_error_ticks
         if joint.max_error is not None:
             lost = joint.max_error / joint.si_per_tick
-        seen.lost_since = _since(seen.lost_since, off > lost, now)
+        seen.lost_since = _begin_since(seen.lost_since, off > lost, now)
         where = (
             f"{off * joint.si_per_tick:.4g} {joint.unit} off its goal for {limits.stall_time_s} s"
         )
@@ -181,7 +181,7 @@ def stands_in_its_droop(
     return still and not pushes and off <= limits.lost_error_ticks
 
 
-def _since(start: float | None, holds: bool, now: float) -> float | None:
+def _begin_since(start: float | None, holds: bool, now: float) -> float | None:
     if not holds:
         return None
     return now if start is None else start

@@ -52,9 +52,9 @@ class StopLatch:
         self.trouble, self._owing = "", False
         try:
             for stop in Stop:
-                for file in self._files(stop):
+                for file in self._list_files(stop):
                     with suppress(FileNotFoundError):
-                        self.standing[stop] = _words(stop, file.lstat().st_mtime)
+                        self.standing[stop] = _describe_stop(stop, file.lstat().st_mtime)
             self._try_folder()
         except (LongarmError, OSError) as error:
             self.ask(Stop.HOLD, "because stops cannot be kept")
@@ -78,7 +78,7 @@ class StopLatch:
         Asked for again, it says so: who ends a stop of his own sees that it is another's too.
         """
         words = self.standing.get(stop, "")
-        now = _words(stop, time.time(), why)
+        now = _describe_stop(stop, time.time(), why)
         first = words.partition(_AGAIN)[0]
         self.standing[stop] = f"{first}{_AGAIN}{now.partition('since ')[2]}" if words else now
         self._owing = True
@@ -86,11 +86,11 @@ class StopLatch:
     def keep(self) -> None:
         """Write what is not written, or gone. `trouble` says why that fails: call it again."""
         try:
-            files = (file for stop in self.standing for file in self._files(stop))
+            files = (file for stop in self.standing for file in self._list_files(stop))
             if not self._owing and all(os.path.lexists(file) for file in files):
                 return
             for stop, words in self.standing.items():
-                for file, of in self._files(stop).items():
+                for file, of in self._list_files(stop).items():
                     write_text(file, f"{words}\n{of}\n")
             folder = os.open(self._folder, os.O_RDONLY)
             try:
@@ -109,7 +109,7 @@ class StopLatch:
             yield
             return
         try:
-            self._remove(stops)
+            self._remove_files(stops)
             self.standing = {stop: said for stop, said in before.items() if stop not in stops}
             yield
         except BaseException:
@@ -117,11 +117,11 @@ class StopLatch:
             self.keep()
             raise
 
-    def _remove(self, stops: tuple[Stop, ...]) -> None:
+    def _remove_files(self, stops: tuple[Stop, ...]) -> None:
         try:
             self._try_folder()
             for stop in stops:
-                for file in self._files(stop):
+                for file in self._list_files(stop):
                     file.unlink(missing_ok=True)
         except OSError as error:
             raise JobError(f"the stop stays: {error}") from error
@@ -129,7 +129,7 @@ class StopLatch:
     def _try_folder(self) -> None:
         write_text(self._folder / "README.txt", _EXPLAINED)
 
-    def _files(self, stop: Stop) -> dict[Path, str]:
+    def _list_files(self, stop: Stop) -> dict[Path, str]:
         """List the files of a stop, and whose each is."""
         return {self._folder / f"{n}.{stop.name.lower()}": of for n, of in self.names.items()}
 
@@ -156,7 +156,7 @@ def kept_stops(folder: Path) -> list[KeptStop]:
                 said = file.read_bytes()[:4096].decode("utf-8", "replace").splitlines()
             whole = len(said) == 2 and _file_name(said[1]) == file.stem
             with suppress(FileNotFoundError):
-                words = _words(stop, file.lstat().st_mtime)
+                words = _describe_stop(stop, file.lstat().st_mtime)
                 kept.append(KeptStop(file, said[1] if whole else file.stem, words))
     return kept
 
@@ -200,7 +200,7 @@ def _file_name(text: str) -> str:
     return f"{legible}-{hashlib.blake2s(text.encode(), digest_size=6).hexdigest()}"
 
 
-def _words(stop: Stop, since: float, why: str = "") -> str:
+def _describe_stop(stop: Stop, since: float, why: str = "") -> str:
     at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(since))
     reason = f", {why}" if why else ""
     return f"{stop.value} since {at}{reason}"

@@ -102,17 +102,17 @@ class Attendant:
 
     def hold(self) -> str:
         """Stop smoothly and stay, with torque on; return what the driver said."""
-        return self._halt(graph.HOLD)
+        return self._halt_arm(graph.HOLD)
 
     def stop(self) -> str:
         """Switch the torque off now; return what the driver said."""
-        return self._halt(graph.ESTOP)
+        return self._halt_arm(graph.ESTOP)
 
     def reset(self) -> str:
         """End stop, hold and fault, whichever there are; return what the driver said."""
         if self._hear_driver().state not in STOPPED:
             return "nothing to reset"
-        return self._ask(graph.RESET, Trigger.Request())
+        return self._ask_service(graph.RESET, Trigger.Request())
 
     def _hear_driver(self) -> DriverState:
         missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
@@ -149,19 +149,19 @@ class Attendant:
         self._client.spin(1.2)  # the driver tells its state twice a second
         if (now := self.stopped) != own:
             raise JobError(f"the stop stays: {now}; to go on: longarm reset")
-        return self._ask(graph.ESTOP, SetBool.Request(data=False))
+        return self._ask_service(graph.ESTOP, SetBool.Request(data=False))
 
-    def _halt(self, service: Service) -> str:
+    def _halt_arm(self, service: Service) -> str:
         """Ask for a stop. Where no driver says that it stopped, what to do is said."""
         try:
-            return self._ask(service, SetBool.Request(data=True))
+            return self._ask_service(service, SetBool.Request(data=True))
         except Interrupted:
             raise
         except JobError as error:
             cure = "if the arm moves or holds somebody, cut its power"
             raise JobError(f"{error}; {cure}") from error
 
-    def _ask(self, service: Service, request: Any) -> str:
+    def _ask_service(self, service: Service, request: Any) -> str:
         answer = self._client.ask(DRIVER, service, request, FOUND_S)
         if not answer.success:
             raise JobError(f"the driver refuses: {answer.message}")

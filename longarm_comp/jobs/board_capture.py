@@ -50,7 +50,7 @@ def capture(
         if not newest:
             return False
         images = newest.pop()
-        pair = _grey(images.left), _grey(images.right)
+        pair = _to_grey(images.left), _to_grey(images.right)
         found = pair[0].shape[1], pair[0].shape[0]
         if size not in (None, found):
             raise InputError("left/image_raw", "size", found, f"{size} as before")
@@ -93,7 +93,7 @@ def capture(
     return views, size
 
 
-def _grey(message: Image) -> Grey:
+def _to_grey(message: Image) -> Grey:
     pixels = pixels_of(message)
     if pixels.ndim == 3:
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -121,7 +121,7 @@ class DemoSettings:
 
 
 def _true_tip(client: ArmClient) -> Witness:
-    """Listens to `simulated_arm/true_tip`."""
+    """Return a witness that listens to `simulated_arm/true_tip`."""
     heard: deque[tuple[int, np.ndarray]] = deque(maxlen=1)
 
     def hear(message: PointStamped) -> None:

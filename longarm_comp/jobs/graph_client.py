@@ -53,16 +53,16 @@ class Call:
     def __init__(self, client: Any, request: Any, *, again: bool) -> None:
         self._client, self._request, self._again = client, request, again
         self._asked: list[Any] = []
-        self._send(_ASK_AGAIN_S[0])
+        self._send_request(_ASK_AGAIN_S[0])
 
-    def _send(self, pause_s: float) -> None:
+    def _send_request(self, pause_s: float) -> None:
         self._sent, self._pause = time.monotonic(), pause_s
         self._asked.append(self._client.call_async(self._request))
 
     def answer(self) -> Any:
         """Return the response; None while there is none."""
         if self._again and time.monotonic() - self._sent > self._pause:
-            self._send(min(2.0 * self._pause, _ASK_AGAIN_S[1]))
+            self._send_request(min(2.0 * self._pause, _ASK_AGAIN_S[1]))
         return next((future.result() for future in self._asked if future.done()), None)
 
     def close(self) -> None:
@@ -109,7 +109,7 @@ class GraphClient:
         return found
 
     def wait(self, condition: Callable[[], Any], at_most_s: float) -> Any:
-        """Spin until a condition is truthy or the time is over; its last value."""
+        """Spin until a condition is truthy or the time is over; return its last value."""
         end = time.monotonic() + at_most_s
         while not (found := condition()):
             if self.stop.is_set():
@@ -121,7 +121,7 @@ class GraphClient:
 
     @contextmanager
     def putting_back(self) -> Iterator[None]:
-        """``stop`` ends no wait meanwhile: for what must be put back after an interruption."""
+        """Let ``stop`` end no wait meanwhile: for what must be put back after an interruption."""
         stop, self.stop = self.stop, threading.Event()
         try:
             yield

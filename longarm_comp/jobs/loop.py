@@ -202,8 +202,8 @@ class Loop:
         chosen = self._journal.once("targets", draw_targets)
         targets = np.array(chosen["xyz"])
         trials = [
-            self._drive(names.without, targets, Method.NONE),
-            self._drive(names.before, targets, now),
+            self._drive_phase(names.without, targets, Method.NONE),
+            self._drive_phase(names.before, targets, now),
         ]
         rounds: list[dict[str, Any]] = []
         for k in range(1, self._settings.rounds + 1):
@@ -212,7 +212,7 @@ class Loop:
                 break
         return trials, self._write_result(files, chosen["refused"], trials, rounds)
 
-    def _drive(self, name: str, targets: np.ndarray, method: Method) -> Trial:
+    def _drive_phase(self, name: str, targets: np.ndarray, method: Method) -> Trial:
         run = partial(self._runner.run, name, targets, method, self._say)
         trial = self._journal.trial(f"run: {name}", run)
         self._time_step(name)
@@ -223,9 +223,9 @@ class Loop:
     ) -> dict[str, Any]:
         """Run one turn of the cycle, number k from 1; add its runs to the trials."""
         names = self._settings.names
-        collected = self._journal.once(f"collected {k}", partial(self._collect, k))
+        collected = self._journal.once(f"collected {k}", partial(self._collect_rows, k))
         self._time_step(f"collect_{k}")
-        found = self._journal.once(f"diagnosed {k}", partial(self._diagnose, k, files))
+        found = self._journal.once(f"diagnosed {k}", partial(self._diagnose_rows, k, files))
         self._time_step(f"diagnose_{k}")
         folder = self._settings.path("diagnosis", k)
         report = read_report(folder)
@@ -248,12 +248,12 @@ class Loop:
             return {**made, "why": f"nothing to apply: {report.summary}"}
         if f"applied {k}" not in self._journal and not self._agree(report):
             return {**made, "why": "not applied: there was no answer yes"}
-        applied = self._journal.once(f"applied {k}", partial(self._apply, k, files))
+        applied = self._journal.once(f"applied {k}", partial(self._apply_model, k, files))
         self._time_step(f"train_{k}")
         before = trials[-1]
-        trials.append(self._drive(names.found.format(k=k), targets, Method.DEFLECTION))
+        trials.append(self._drive_phase(names.found.format(k=k), targets, Method.DEFLECTION))
         if applied["predictor"] is not None:
-            trials.append(self._drive(names.learned.format(k=k), targets, method))
+            trials.append(self._drive_phase(names.learned.format(k=k), targets, method))
         gain = trials[-1].against(before)
         x, y, z = (1e-3 * s for s in report.noise.sigma_mm or (0.0, 0.0, 0.0))
         mean = float(np.linalg.norm(trials[-1].error, axis=1).mean())
@@ -261,7 +261,7 @@ class Loop:
         told = {"changes": applied["changes"], "applied": applied, "gain": gain.summary}
         return {**made, **told, "again": again, "why": why}
 
-    def _collect(self, k: int) -> int:
+    def _collect_rows(self, k: int) -> int:
         settings, arm = self._settings, self._client.arm
         # Poses that fill the joint box; first those that the last diagnosis asked for
         plan = sobol(arm, settings.poses, settings.seed + k - 1)
@@ -287,7 +287,7 @@ class Loop:
         )
         return done.made + done.before
 
-    def _diagnose(self, k: int, files: FilesAtWork) -> list[list[str]]:
+    def _diagnose_rows(self, k: int, files: FilesAtWork) -> list[list[str]]:
         model = files.model if files.model.is_file() else None
         result = diagnose_files(
             self._client.arm,
@@ -302,7 +302,7 @@ class Loop:
         each = ((*f.names, *(a.name for a in f.partial_aliases)) for f in result.findings)
         return [list(dict.fromkeys(names)) for names in each]
 
-    def _apply(self, k: int, files: FilesAtWork) -> dict[str, Any]:
+    def _apply_model(self, k: int, files: FilesAtWork) -> dict[str, Any]:
         settings = self._settings
         take_back(settings.path("diagnosis", k), files.model)
         done = apply_on_graph(

@@ -74,7 +74,7 @@ class Recorder:
         """Take a serialised message that was just received; ``topic`` is its full name."""
         received = time.time_ns()
         self.waiting.append((topic, kind, received, raw))
-        self.newest[topic] = max(self.newest.get(topic, 0), self._moment(topic, received, raw))
+        self.newest[topic] = max(self.newest.get(topic, 0), self._find_moment(topic, received, raw))
 
     def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
         """Write the waiting messages `about` a time; ``finish``: so that they can be read now."""
@@ -91,11 +91,11 @@ class Recorder:
         return [
             entry
             for entry in self.waiting
-            if entry[0] in self._held or self._moment(entry[0], entry[2], entry[3]) >= since_ns
+            if entry[0] in self._held or self._find_moment(entry[0], entry[2], entry[3]) >= since_ns
         ]
 
-    def _moment(self, topic: str, received: int, raw: bytes) -> int:
-        """Time (ns) of a message."""
+    def _find_moment(self, topic: str, received: int, raw: bytes) -> int:
+        """Return the time (ns) that a message is about."""
         if topic not in self._stamped:
             return received
         return moment(stamp_of_raw(raw), received)

@@ -141,7 +141,7 @@ class TargetRunner:
         with self.method(method):
             for k, target in enumerate(targets):
                 progress(f"{name}: {k} of {len(targets)} targets driven", k / len(targets))
-                rows.append(self._drive(target))
+                rows.append(self._drive_target(target))
         seen, true, status = (np.array(column) for column in zip(*rows, strict=True))
         return Trial(name, targets, self._in_base(seen, targets), true, status)
 
@@ -169,7 +169,7 @@ class TargetRunner:
         stale = answer.status == Compensate.Response.STALE_TARGET  # nothing was moved
         return ask() if stale else answer
 
-    def _drive(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    def _drive_target(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         """Drive to one target (3,), m.
 
         Returns:
@@ -217,13 +217,13 @@ def choose_targets(
 
 
 def at_random(model: Model, rng: np.random.Generator) -> Draw:
-    """Draws where a model's tip is at random joints, in the base."""
+    """Return what draws where a model's tip is at random joints, in the base."""
     stands = base_of_graph(model)
     return lambda n: stands.carry_from_model(random_targets(model, n, rng))
 
 
 def one_by_one(targets: np.ndarray) -> Draw:
-    """Hands out (N, 3) targets of a file, m, in their order."""
+    """Return what hands out (N, 3) targets of a file, m, in their order."""
     left = iter(targets)
     return lambda n: np.array(list(itertools.islice(left, n))).reshape(-1, 3)
 

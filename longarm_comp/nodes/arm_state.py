@@ -91,10 +91,10 @@ class ArmState:
         self.effort = np.full(self.arm.n, np.nan)
         graph.JOINT_STATES.subscription(node, self._on_joints)
         graph.TEMPERATURE.subscription(
-            node, lambda said: self._read("temperature", {"temperature_c": said.temperature})
+            node, lambda said: self._take_in("temperature", {"temperature_c": said.temperature})
         )
         graph.PAYLOAD.subscription(
-            node, lambda said: self._read("payload", {"payload_kg": said.data})
+            node, lambda said: self._take_in("payload", {"payload_kg": said.data})
         )
         graph.INCLINATION.subscription(node, self._on_inclination)
 
@@ -146,9 +146,9 @@ class ArmState:
         except InputError as error:
             self.node.tally.count_dropped("inclination", str(error))
             return
-        self._read(f"inclination {row}", columns)
+        self._take_in(f"inclination {row}", columns)
 
-    def _read(self, source: str, columns: dict[str, float]) -> None:
+    def _take_in(self, source: str, columns: dict[str, float]) -> None:
         """Take in circumstances.
 
         Values that are not finite are dropped. Values that the arm cannot be in are kept as a

@@ -61,7 +61,7 @@ class Supervisor:
     def __enter__(self) -> Supervisor:
         try:
             for name in self.commands:
-                self._start(name, "started")
+                self._start_process(name, "started")
         except BaseException:
             self.stop()
             raise
@@ -73,7 +73,7 @@ class Supervisor:
     def pid(self, name: str) -> int:
         return self._children[name].pid
 
-    def _start(self, name: str, why: str) -> None:
+    def _start_process(self, name: str, why: str) -> None:
         """Start a process in a session of its own, so that Ctrl-C reaches only the supervisor."""
         self._begun[name] = time.monotonic()
         self._children[name] = subprocess.Popen(
@@ -101,7 +101,7 @@ class Supervisor:
                     raise JobError(f"{name} ended ({how})")
                 self.say(f"{name} ended ({how}) and is not started again; the other nodes go on")
             elif time.monotonic() - self._begun[name] >= 1.0:
-                self._start(name, f"ended ({how}), started again")
+                self._start_process(name, f"ended ({how}), started again")
 
     def run(self, stop: threading.Event) -> None:
         """Restart processes until the event is set.
@@ -243,11 +243,11 @@ class BringUp:
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
         """Return the parameters that override the file; ``bus``: link to the simulated bus."""
-        arm, model = _path("arm", self.arm), _path("model", self.model)
+        arm, model = _path_parameter("arm", self.arm), _path_parameter("model", self.model)
         if not self.driver and node in ("kinematics", PATHS):
             return arm | model | {"acknowledged": False} | dict(self.set.get(node, {}))
         file = self.file("servo_driver")
-        servos = _path("servos", file)
+        servos = _path_parameter("servos", file)
         driver = {**read_parameters(file), **self.set.get("servo_driver", {})}
         trimmed = {"trimmed": True} if driver.get("trim") else {}
         shaped = {"shaped": True} if self.shaping else {}
@@ -265,17 +265,17 @@ class BringUp:
             learned = {"learned_file": str(state / "model.at_work.json")}
         values: dict[str, Any] = {
             "kinematics": arm | servos | model | trimmed | shaped | learned,
-            "error_predictor": arm | model | _path("predictor", self.predictor),
+            "error_predictor": arm | model | _path_parameter("predictor", self.predictor),
             "servo_driver": arm | shaping | port | emulated,
-            "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
+            "stereo_bridge": {} if self.sim else _path_parameter("cameras", self.cameras),
             PATHS: arm | model,
             "simulated_arm": arm | servos | {"port": bus},
         }[node]
         if self.sim and self.speed != 1.0:
-            values |= self._faster(node)
+            values |= self._scale_speeds(node)
         return values | dict(self.set.get(node, {}))
 
-    def _faster(self, node: str) -> dict[str, Any]:
+    def _scale_speeds(self, node: str) -> dict[str, Any]:
         """Return velocities of the servos and limits of the driver, scaled by the same factor.
 
         The error at which a joint counts as not following is scaled too, because a moving joint is
@@ -338,7 +338,7 @@ class BringUp:
         return made
 
 
-def _path(name: str, path: Path | None) -> dict[str, Any]:
+def _path_parameter(name: str, path: Path | None) -> dict[str, Any]:
     """Return a parameter that holds a path; no parameter where there is none."""
     return {} if path is None else {name: str(path.absolute())}
 

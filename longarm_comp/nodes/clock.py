@@ -36,7 +36,7 @@ class Ticks:
     def __init__(self, node: Node, period_s: float) -> None:
         self._node = node
         self._awaited: list[Future] = []
-        self._timer = steady_timer(node, period_s, self._tick)
+        self._timer = steady_timer(node, period_s, self._wake_awaited)
         self._timer.cancel()
 
     def next(self) -> Future:
@@ -46,7 +46,7 @@ class Ticks:
         self._awaited.append(future)
         return future
 
-    def _tick(self) -> None:
+    def _wake_awaited(self) -> None:
         if not self._awaited:
             self._timer.cancel()
         awaited, self._awaited = self._awaited, []

@@ -61,7 +61,7 @@ class Compensator:
         Raises:
             StaleContext: a circumstance that the model needs is not known.
         """
-        loaded, options = self._files.loaded, self._options()
+        loaded, options = self._files.loaded, self._read_options()
         now = self._state.context(model=physics_of(loaded.model, options.method))
         known = tuple(sorted(now.columns))
         asked = (options.method, options.run_up, options.realisable)
@@ -78,7 +78,7 @@ class Compensator:
     def answer(self, target: TargetRequest) -> Answer:
         """Compute a target; return its answer, which may be a refusal."""
         try:
-            return self._compensate(target)
+            return self._compensate_target(target)
         except Refusal as refusal:
             return self.refuse(target, refusal.status, str(refusal))
         except StaleContext as error:
@@ -95,10 +95,10 @@ class Compensator:
         method = str(self._node.get_parameter("method").value)
         return Answer(target, status, reason, method, self._files.loaded.file_hash)
 
-    def _compensate(self, target: TargetRequest) -> Answer:
+    def _compensate_target(self, target: TargetRequest) -> Answer:
         given, place = self._in_base(target)
-        options = self._options()
-        start, seed = self._start(target)
+        options = self._read_options()
+        start, seed = self._find_start(target)
         if target.execute and (why := self._twins.refusal or self._state.driver.refusal):
             raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
         if target.execute and (why := self._state.worker.failing):
@@ -152,7 +152,7 @@ class Compensator:
         moved = Header(stamp=header.stamp, frame_id=self._base_frame)
         return PoseStamped(header=moved, pose=pose_message(place)), place
 
-    def _options(self) -> CompensationOptions:
+    def _read_options(self) -> CompensationOptions:
         value, p = lambda name: self._node.get_parameter(name).value, self._state.p
         return CompensationOptions(
             Method(value("method")),
@@ -164,7 +164,7 @@ class Compensator:
             max_correction_m=p["max_correction_m"],
         )
 
-    def _start(self, target: TargetRequest) -> tuple[np.ndarray, np.ndarray | None]:
+    def _find_start(self, target: TargetRequest) -> tuple[np.ndarray, np.ndarray | None]:
         """Return where the move starts and where the search does, (n,) each.
 
         Without a seed both start at the present joints. With a seed only a computation may start
@@ -204,7 +204,7 @@ class Readiness:
     def look(self) -> None:
         """Let the worker prepare what the next target needs and is not ready."""
         if self._programs_needed()[0] != self._prepared or not self._predictor.answers:
-            self._worker.submit_once(self._prepare)
+            self._worker.submit_once(self._prepare_programs)
 
     def _programs_needed(self) -> tuple[Hashable, str]:
         """Return what the next target's programs depend on, and why that is not known, or ""."""
@@ -213,7 +213,7 @@ class Readiness:
         except StaleContext as unknown:
             return self._prepared, str(unknown)
 
-    def _prepare(self) -> None:
+    def _prepare_programs(self) -> None:
         needed, _ = self._programs_needed()
         try:
             self._predictor.probe()

@@ -55,7 +55,7 @@ class ArmFrames:
         self.standing: set[str] = set()
         self.tell_standing([])
         if self._tells:
-            node.every("frames.period_s", self._tell)
+            node.every("frames.period_s", self._publish_links)
 
     def tell_standing(self, frames: Sequence[Placed]) -> None:
         """Publish fixed frames relative to the arm's foot; `standing` holds their names."""
@@ -64,7 +64,7 @@ class ArmFrames:
         if self._tells:
             self._teller.tell_static([foot, *frames])
 
-    def _tell(self) -> None:
+    def _publish_links(self) -> None:
         state, q = self._state, self._state.joints
         if q is None:
             return
@@ -93,7 +93,7 @@ class Markers:
     def __init__(self, state: ArmState) -> None:
         self._state, self._node = state, state.node
         self._publisher = MARKERS.publisher(self._node)
-        self._node.every("markers.period_s", self._draw)
+        self._node.every("markers.period_s", self._draw_arm)
         self._target: np.ndarray | None = None
         self._pseudo: np.ndarray | None = None
         self._tip: np.ndarray | None = None
@@ -108,7 +108,7 @@ class Markers:
         own = message.header.frame_id == self._state.base_frame
         self._tip = tip if own and np.isfinite(tip).all() else None
 
-    def _draw(self) -> None:
+    def _draw_arm(self) -> None:
         """Draw the arm as it stands. Without a subscriber nothing is computed."""
         if not self._publisher.get_subscription_count() or (now := self._state.standing) is None:
             return
@@ -120,8 +120,8 @@ class Markers:
         stands = self._state.files.loaded.stands
         hanging = exaggerate_sag(stands.carry_from_model(outline(model, q, context)), straight, sag)
         drawn = [
-            self._marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
-            self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
+            self._make_marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
+            self._make_marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
         ]
         drawn[1].text = f"{sag:g}"  # so that whoever reads it can undo the exaggeration
         spots = (
@@ -131,14 +131,14 @@ class Markers:
         )
         for number, (name, colour, at) in enumerate(spots, 2):
             place = [] if at is None else [at]
-            drawn.append(self._marker(number, name, Marker.SPHERE_LIST, colour, 0.015, place))
+            drawn.append(self._make_marker(number, name, Marker.SPHERE_LIST, colour, 0.015, place))
         target, tip, arrow = self._target, self._tip, []
         if target is not None and tip is not None:
             arrow = [target, target + error * (tip - target)]
-        drawn.append(self._marker(5, "error", Marker.ARROW, TIP, 0.004, arrow))
+        drawn.append(self._make_marker(5, "error", Marker.ARROW, TIP, 0.004, arrow))
         self._publisher.publish(MarkerArray(markers=drawn))
 
-    def _marker(
+    def _make_marker(
         self, number: int, name: str, kind: int, colour: Colour, size: float, points: Points
     ) -> Marker:
         """Make a marker. One without points removes it."""

@@ -49,12 +49,12 @@ class _ErrorPredictor(ArmNode):
         asked, files = self.worker(100), self.worker(4)
         self._errors = graph.PREDICTED_ERROR.publisher(self)
         self._served = graph.SERVED.publisher(self)
-        self._reload()
+        self._reload_files()
         # On the thread that reloads: what was told last is what is served
-        steady_timer(self, BEAT_S, lambda: files.submit_once(self._tell))
-        self.on_request(graph.RELOAD, files, lambda request: self._reload())
-        self.on_change((self._path, p["model"]), files, self._reload)
-        self.health.parts["predictor"] = self._report
+        steady_timer(self, BEAT_S, lambda: files.submit_once(self._tell_served))
+        self.on_request(graph.RELOAD, files, lambda request: self._reload_files())
+        self.on_change((self._path, p["model"]), files, self._reload_files)
+        self.health.parts["predictor"] = self._report_predictor
         files.start()
         asked.serve(graph.PREDICT_ERROR, self._on_predict)
         asked.start()
@@ -67,7 +67,7 @@ class _ErrorPredictor(ArmNode):
                 response.message = self._fault or "no predictor file is configured"
                 self.tally.count("refused", "")
             else:
-                self._predict(loaded, request, response)
+                self._fill_response(loaded, request, response)
         except LongarmError as error:
             self.tally.count("refused", str(error))
             response.message = str(error)
@@ -80,7 +80,7 @@ class _ErrorPredictor(ArmNode):
             stamp = self.get_clock().now().to_msg()
             self._errors.publish(error_message(response.error, stamp, self._base_frame))
 
-    def _predict(
+    def _fill_response(
         self,
         loaded: ServedPredictor,
         request: PredictError.Request,
@@ -100,7 +100,7 @@ class _ErrorPredictor(ArmNode):
         self.tally.count("answered" if found.in_domain else _OUTSIDE, "")
         self.tally.last = found.reason or self.tally.last
 
-    def _reload(self) -> tuple[bool, str]:
+    def _reload_files(self) -> tuple[bool, str]:
         """Read the file again.
 
         If that fails and the model is the same, the predictor in use stays.
@@ -117,16 +117,16 @@ class _ErrorPredictor(ArmNode):
                 self._loaded = None
             return False, self._fault
         finally:
-            self._tell()
+            self._tell_served()
         self._fault, self._of_model = "", model
         return True, f"{self._path} {self._loaded.file_hash[:12]}"
 
-    def _tell(self) -> None:
+    def _tell_served(self) -> None:
         """Tell which file is served; nothing where none is."""
         told = self._loaded.describe(self._path) if self._loaded else ""
         self._served.publish(String(data=told))
 
-    def _report(self) -> Report:
+    def _report_predictor(self) -> Report:
         network = self._loaded.predictor.network if self._loaded else None
         facts = {
             "file": self._path,

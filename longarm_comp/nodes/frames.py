@@ -41,19 +41,19 @@ class FrameTeller:
 
     def tell(self, frames: Sequence[Placed], stamp: Time) -> None:
         if self._moving is not None:
-            self._moving.publish(self._message(frames, stamp))
+            self._moving.publish(self._make_message(frames, stamp))
 
     def tell_static(self, frames: Sequence[Placed]) -> None:
         """Publish frames that stand still, in the place of those published before."""
         if self._standing is not None:
-            self._standing.publish(self._message(frames, self._clock.now().to_msg()))
+            self._standing.publish(self._make_message(frames, self._clock.now().to_msg()))
 
     @property
     def listeners(self) -> int:
         """Number of subscriptions to /tf, also of this process."""
         return 0 if self._moving is None else self._moving.get_subscription_count()
 
-    def _message(self, frames: Sequence[Placed], stamp: Time) -> Any:
+    def _make_message(self, frames: Sequence[Placed], stamp: Time) -> Any:
         return graph.TF.type(
             transforms=[
                 TransformStamped(
@@ -81,8 +81,8 @@ class FrameListener:
         self._tree, self._told = FrameTree(), threading.Condition()
         self._wait_s, self._refused = wait_s, refused
         if graph.HAS_TF:
-            graph.TF.subscription(node, lambda message: self._hear(message, static=False))
-            graph.TF_STATIC.subscription(node, lambda message: self._hear(message, static=True))
+            graph.TF.subscription(node, lambda message: self._hear_tf(message, static=False))
+            graph.TF_STATIC.subscription(node, lambda message: self._hear_tf(message, static=True))
 
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
         """Return the pose (4, 4) of a frame in another one at a time (ns); 0: the latest known.
@@ -111,7 +111,7 @@ class FrameListener:
                 self._tree.hear(each.parent, each.name, each.position, each.turn, 0, static=True)
             self._told.notify_all()
 
-    def _hear(self, message: Any, *, static: bool) -> None:
+    def _hear_tf(self, message: Any, *, static: bool) -> None:
         with self._told:
             for said in message.transforms:
                 p, o = said.transform.translation, said.transform.rotation

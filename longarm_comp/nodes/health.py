@@ -29,7 +29,7 @@ class Twins:
         self._part = f"{node.get_fully_qualified_name()}: process"
         self._listening: Any = None
         self._alone = _ALONE
-        steady_timer(node, 0.25, self._look)
+        steady_timer(node, 0.25, self._look_for_twins)
 
     @property
     def refusal(self) -> str:
@@ -38,7 +38,7 @@ class Twins:
             return ""
         return "two kinematics command this arm: end one of them"
 
-    def _look(self) -> None:
+    def _look_for_twins(self) -> None:
         several = self._node.count_publishers(self._topic) > 1
         if several and self._listening is None:
             self._alone = 0
@@ -128,7 +128,7 @@ class Health:
 
     def __init__(self, node: Node, period_s: float) -> None:
         self._node = node
-        self.parts: dict[str, Callable[[], Report]] = {"process": self._process}
+        self.parts: dict[str, Callable[[], Report]] = {"process": self._report_process}
         self._publisher = graph.DIAGNOSTICS.publisher(node)
         self._timer = steady_timer(node, period_s, self.publish)
         self.faults = 0
@@ -161,7 +161,7 @@ class Health:
             array.status.append(report.status(f"{name}: {part}", where))
         self._publisher.publish(array)
 
-    def _process(self) -> Report:
+    def _report_process(self) -> Report:
         facts: dict[str, object] = {
             INSTANCE: THIS_INSTANCE,
             "faults": self.faults,

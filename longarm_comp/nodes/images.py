@@ -35,7 +35,7 @@ class _PixelFormat:
     wide: bool = False  # the numbers have 16 bits
 
 
-def _sample(k: int) -> Callable[[Grey], Grey]:
+def _take_sample(k: int) -> Callable[[Grey], Grey]:
     return lambda numbers: numbers[:, :, k]
 
 
@@ -45,14 +45,14 @@ def _convert_by(code: int) -> Callable[[Grey], Grey]:
 
 # Names of sensor_msgs/image_encodings.hpp. Of YUV the brightness Y is every second byte.
 ENCODINGS: dict[str, _PixelFormat] = {
-    **dict.fromkeys(("mono8", "8UC1"), _PixelFormat(1, _sample(0))),
-    **dict.fromkeys(("mono16", "16UC1"), _PixelFormat(1, _sample(0), wide=True)),
+    **dict.fromkeys(("mono8", "8UC1"), _PixelFormat(1, _take_sample(0))),
+    **dict.fromkeys(("mono16", "16UC1"), _PixelFormat(1, _take_sample(0), wide=True)),
     **dict.fromkeys(("bgr8", "8UC3"), _PixelFormat(3, lambda numbers: numbers)),
     "rgb8": _PixelFormat(3, _convert_by(cv2.COLOR_RGB2BGR)),
     **dict.fromkeys(("bgra8", "8UC4"), _PixelFormat(4, _convert_by(cv2.COLOR_BGRA2BGR))),
     "rgba8": _PixelFormat(4, _convert_by(cv2.COLOR_RGBA2BGR)),
-    **dict.fromkeys(("yuv422", "uyvy"), _PixelFormat(2, _sample(1))),
-    **dict.fromkeys(("yuv422_yuy2", "yuyv"), _PixelFormat(2, _sample(0))),
+    **dict.fromkeys(("yuv422", "uyvy"), _PixelFormat(2, _take_sample(1))),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), _PixelFormat(2, _take_sample(0))),
 }
 for _order in ("rggb", "bggr", "gbrg", "grbg"):
     _brightness = _convert_by(getattr(cv2, f"COLOR_Bayer{_order.upper()}2GRAY"))
@@ -76,7 +76,7 @@ def pixels_of(message: Image) -> Grey:
         raise StereoRefusal(RefusalReason.BAD_IMAGE, size=size)
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)[:, :width]
     if encoding.wide:
-        rows = _narrow(np.ascontiguousarray(rows).view(">u2" if message.is_bigendian else "<u2"))
+        rows = _to_8_bits(np.ascontiguousarray(rows).view(">u2" if message.is_bigendian else "<u2"))
     return encoding.convert(rows.reshape(message.height, message.width, encoding.samples))
 
 
@@ -94,14 +94,14 @@ def decode(message: CompressedImage) -> Grey:
     if numbers is None:
         what = f"{message.format!r}, {len(data)} bytes"
         raise StereoRefusal(RefusalReason.BAD_IMAGE, compressed=what, allowed="jpeg or png")
-    grey = _narrow(numbers)
+    grey = _to_8_bits(numbers)
     source, _, packed = message.format.partition(";")
     if "bgr8" in packed or not source.startswith("bayer_"):
         return grey
     return ENCODINGS[source.strip()].convert(grey) if source.strip() in ENCODINGS else grey
 
 
-def _narrow(numbers: Samples) -> Grey:
+def _to_8_bits(numbers: Samples) -> Grey:
     """Reduce numbers to 8 bits: those from the highest bit that the image uses.
 
     Cameras of 10, 12 and 14 bits leave the upper bits of 16 empty.
@@ -167,8 +167,8 @@ class ImageInlet:
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
         self._how = wanted
-        self._subscription = self._topic.subscription(self._node, self._hear, listens=wanted)
+        self._subscription = self._topic.subscription(self._node, self._hear_image, listens=wanted)
 
-    def _hear(self, message: Any, info: Any) -> None:
+    def _hear_image(self, message: Any, info: Any) -> None:
         self.watch.count([info["publication_sequence_number"] or 0], full=True)
         self._take(message)

@@ -68,11 +68,11 @@ class Topic:
     latched: bool = False
 
     def publisher(self, node: Node) -> Any:
-        qos = QoSProfile(depth=self.depth, durability=self._durability)
+        qos = QoSProfile(depth=self.depth, durability=self._choose_durability)
         return node.create_publisher(self.type, self.name, qos, event_callbacks=_UNHEARD_PUBLISHER)
 
     @property
-    def _durability(self) -> DurabilityPolicy:
+    def _choose_durability(self) -> DurabilityPolicy:
         return DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
 
     def subscription(
@@ -92,7 +92,7 @@ class Topic:
         qos = QoSProfile(
             depth=depth or self.depth,
             reliability=listens or self.listens,
-            durability=self._durability,
+            durability=self._choose_durability,
         )
         return node.create_subscription(
             self.type,

@@ -79,12 +79,12 @@ class Kinematics(ArmNode):
             state.driver.motion_listeners.append(part.on_motion)
         state.driver.motion_listeners.append(self._on_motion)
         graph.TIP_MEASURED.subscription(self, self._on_tip)
-        self.on_request(graph.RELOAD, state.worker, lambda request: self._reload())
+        self.on_request(graph.RELOAD, state.worker, lambda request: self._reload_model())
         self.on_request(graph.UNDO, state.worker, lambda request: self._learning.undo())
         self.on_request(
             graph.FREEZE, state.worker, lambda request: self._learning.freeze(request.data)
         )
-        self.on_change((p["model"],), state.worker, self._reload)
+        self.on_change((p["model"],), state.worker, self._reload_model)
         ready = compensator.Readiness(state, compute)
         self.health.parts |= {
             "ready": ready.report,
@@ -103,7 +103,7 @@ class Kinematics(ArmNode):
             self.health.parts[LEARNED_SAID] = self._learning.report
         state.worker.start(inlet.serve_topic)
 
-    def _reload(self) -> tuple[bool, str]:
+    def _reload_model(self) -> tuple[bool, str]:
         done = self._arm.files.reload()
         self._learning.begin()
         self._monitor.reset()
@@ -117,9 +117,9 @@ class Kinematics(ArmNode):
         rest = None if of_model is None else self._monitor.on_tip(of_model)
         context = None if rest is None else self._arm.known_context(rest.history)
         if rest is not None and context is not None:
-            self._arm.worker.submit(partial(self._judge, rest, context))
+            self._arm.worker.submit(partial(self._judge_rest, rest, context))
 
-    def _judge(self, rest: RestPose, context: Context) -> None:
+    def _judge_rest(self, rest: RestPose, context: Context) -> None:
         learned = self._monitor.judge(rest, self._arm.files.loaded.model, context)
         self._learning.learn_from(rest, context, learned)
 

@@ -68,23 +68,23 @@ class Learning:
         begun = time.perf_counter()
         after = self.learner.learn(rest.q, context, tip, rest.variance, self._state.now_s)
         self._update_ms = 1e3 * (time.perf_counter() - begun)
-        self._take(after)
+        self._take_over(after)
         self._asked = after.request_pose(context)
 
     def freeze(self, frozen: bool) -> tuple[bool, str]:
         if self.learner is None:
             return False, _OFF
-        self._take(self.learner.freeze() if frozen else self.learner.thaw())
+        self._take_over(self.learner.freeze() if frozen else self.learner.thaw())
         return True, "frozen" if frozen else "learning"
 
     def undo(self) -> tuple[bool, str]:
         """Serve the version before the last change, and stop learning."""
         if self.learner is None:
             return False, _OFF
-        self._take(self.learner.undo())
+        self._take_over(self.learner.undo())
         return True, f"version {len(self.learner.versions)} is in use, and nothing is learned"
 
-    def _take(self, after: Learner) -> None:
+    def _take_over(self, after: Learner) -> None:
         before, self.learner, self._asked = self.learner, after, None
         if before is None or after.model is not before.model:
             self._files.replace_model(after.model)

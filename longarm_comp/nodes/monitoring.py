@@ -55,9 +55,9 @@ class ReadingsTeller:
         self.last: TipByReadings | None = None
         self._before: np.ndarray | None = None
         self._tips = graph.TIP_BY_READINGS.publisher(state.node)
-        state.node.every("readings.period_s", self._tick)
+        state.node.every("readings.period_s", self._queue_tip)
 
-    def _tick(self) -> None:
+    def _queue_tip(self) -> None:
         """Queue the computation if the arm rests; one waits at most: no target is delayed."""
         now = self._state.standing
         q, before = None if now is None else now[1], self._before
@@ -92,12 +92,12 @@ EVIDENCE = "evidence (1 warns)"
 """Name of the fact on /diagnostics that says how near to a warning the test is."""
 
 
-def _facts(counted: str, verdict: Verdict) -> dict[str, object]:
+def _test_facts(counted: str, verdict: Verdict) -> dict[str, object]:
     """Return the facts of a sequential test; ``counted``: what its samples are."""
     return {counted: verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
 
 
-def _mm(vector: np.ndarray) -> str:
+def _format_mm(vector: np.ndarray) -> str:
     return " ".join(f"{1e3 * value:+.2f}" for value in vector) + " mm"
 
 
@@ -205,10 +205,10 @@ class TipMonitor:
             )
             return None
         self._monitor = self._monitor.seen(residual, sigma)
-        self._last = f"residual {_mm(residual)}"
+        self._last = f"residual {_format_mm(residual)}"
         if missed is not None:
             self._at_target = self._at_target.seen(missed, sigma)
-            self._last_miss = f"tip - target {_mm(missed)}"
+            self._last_miss = f"tip - target {_format_mm(missed)}"
         return learned
 
     def _promised_sigma(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
@@ -243,7 +243,7 @@ class TipMonitor:
     def servo_report(self) -> Report:
         """Report whether the joints stand where they were sent."""
         verdict = self._servos.verdict()
-        facts = _facts("moves", verdict)
+        facts = _test_facts("moves", verdict)
         if verdict.drifted:
             said = f"the joints' readings differ from the commands: {verdict.finding}"
             return Report(WARN, said, facts)
@@ -252,7 +252,7 @@ class TipMonitor:
     def target_report(self) -> Report:
         """Report whether tips come to rest at their targets."""
         verdict = self._at_target.verdict()
-        facts = _facts("targets", verdict) | {"last": self._last_miss}
+        facts = _test_facts("targets", verdict) | {"last": self._last_miss}
         if not verdict.drifted:
             return Report(OK, "tips come to rest at their targets", facts)
         if self._monitor.verdict().drifted:
@@ -263,7 +263,7 @@ class TipMonitor:
         return Report(WARN, f"beside the target: {verdict.finding}; {cause}", facts)
 
     @property
-    def _advice(self) -> str:
+    def _advised_commands(self) -> str:
         """Shell commands that find out what has changed: plan poses, collect, diagnose."""
         state = self._state
         arm, model = (shlex.quote(state.p[name]) for name in ("arm", "model"))
@@ -279,9 +279,9 @@ class TipMonitor:
     def report(self) -> Report:
         verdict = self._monitor.verdict()
         outside = {"last": self._last, "outside the training data": self._outside}
-        facts = _facts("rest poses", verdict) | outside
+        facts = _test_facts("rest poses", verdict) | outside
         if verdict.drifted:
-            return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
+            return Report(WARN, f"{verdict.finding}; run: {self._advised_commands}", facts)
         if self.unplaced:
             return Report(OK, self.unplaced, facts)
         return Report(OK, "residuals are as expected", facts)
@@ -308,16 +308,16 @@ class RingTeller:
         elif motion.event == Motion.REACHED and self._move is not None:
             if self._move.id == motion.id:
                 self._due = self._move
-                self._begin()
+                self._begin_ring()
         elif motion.event in (Motion.REPLACED, Motion.BROKEN_OFF):
             self._move, self._due, self._last = None, None, None
             self._said = "not known, because it did not end at rest"
 
-    def _begin(self) -> None:
+    def _begin_ring(self) -> None:
         if self._due is not None and not self._state.worker.waiting:
-            self._state.worker.submit_once(self._compute)
+            self._state.worker.submit_once(self._compute_ring)
 
-    def _compute(self) -> None:
+    def _compute_ring(self) -> None:
         state, context, move = self._state, self._state.known_context(), self._due
         if move is None or context is None:
             return
@@ -337,7 +337,7 @@ class RingTeller:
 
     def report(self) -> Report:
         """Return a report on the last ring; first begin the work on a ring that is due."""
-        self._begin()
+        self._begin_ring()
         facts: dict[str, object] = {}
         if (ring := self._last) is not None and not self._shaped:
             facts = {"frequency [Hz]": ring.hz, "size [m]": ring.size_m}

@@ -76,9 +76,9 @@ class Freshness:
         self._turned = time.monotonic()
         self._away_s = self._back = 0.0
         # Period of the watch, as a share of the age allowed
-        steady_timer(node, 0.1 * max_age_s, self._turn)
+        steady_timer(node, 0.1 * max_age_s, self._note_turn)
 
-    def _turn(self) -> None:
+    def _note_turn(self) -> None:
         late = time.monotonic() - self._turned
         self._turned += late
         if late > self.max_age_s:
@@ -165,22 +165,22 @@ class FollowServer:
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
         self._told: dict[str, tuple[int, str] | None] = {}
         self._ticks = Ticks(node, 0.05)
-        self._server = graph.FOLLOW.server(node, self._serve)
+        self._server = graph.FOLLOW.server(node, self._serve_goal)
 
     def on_event(self, event: int, name: str, why: str) -> None:
         """Note what the driver publishes about a trajectory: an event of `Motion`."""
         if name in self._told and event != Motion.ACCEPTED:
             self._told[name] = self._told[name] or (event, why)
 
-    async def _serve(self, goal: Any) -> Any:
+    async def _serve_goal(self, goal: Any) -> Any:
         name = f"follow-{self._run}-{next(self._numbers)}"
         try:
-            return await self._follow(goal, name)
+            return await self._follow_goal(goal, name)
         finally:
             self._told.pop(name, None)
             self._told.pop(f"{name} halt", None)
 
-    async def _follow(self, goal: Any, name: str) -> Any:
+    async def _follow_goal(self, goal: Any, name: str) -> Any:
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
         problem = _not_offered(goal.request, self._site.names)
         if problem:
@@ -193,11 +193,11 @@ class FollowServer:
         self._told[name] = None
         self._site.take(asked, name)
         while (end := self._told[name]) is None:
-            self._feedback(goal, asked.joint_names, began)
-            broken = self._beyond(goal.request.path_tolerance, "on the way")
+            self._give_feedback(goal, asked.joint_names, began)
+            broken = self._find_violation(goal.request.path_tolerance, "on the way")
             late = time.monotonic() > deadline_s
             if broken or late or goal.is_cancel_requested:
-                await self._halt(name)
+                await self._halt_motion(name)
                 if broken:
                     return abort_goal(goal, result.PATH_TOLERANCE_VIOLATED, broken)
                 if late:
@@ -213,13 +213,13 @@ class FollowServer:
             return abort_goal(goal, code, why)
         if event != Motion.REACHED:
             return abort_goal(goal, result.PATH_TOLERANCE_VIOLATED, why)
-        missed = self._beyond(goal.request.goal_tolerance, "at the end")
+        missed = self._find_violation(goal.request.goal_tolerance, "at the end")
         if missed:
             return abort_goal(goal, result.GOAL_TOLERANCE_VIOLATED, missed)
         goal.succeed()
         return result(error_code=result.SUCCESSFUL)
 
-    async def _halt(self, name: str) -> None:
+    async def _halt_motion(self, name: str) -> None:
         """Stop smoothly, and wait until the arm is at rest or does not obey."""
         if self._told[name] is None:
             self._told[f"{name} halt"] = None
@@ -227,7 +227,7 @@ class FollowServer:
             while self._told[f"{name} halt"] is None:
                 await self._ticks.next()
 
-    def _beyond(self, limits: Any, where: str) -> str:
+    def _find_violation(self, limits: Any, where: str) -> str:
         """Say which joint is farther from its set-point than is allowed; empty if none is."""
         wanted, readings = self._site.set_points, self._site.readings
         for limit in limits:
@@ -237,7 +237,7 @@ class FollowServer:
                     return f"{limit.name} is {off:.4g} off {where}, {limit.position:g} allowed"
         return ""
 
-    def _feedback(self, goal: Any, names: Sequence[str], began: Any) -> None:
+    def _give_feedback(self, goal: Any, names: Sequence[str], began: Any) -> None:
         wanted, readings = self._site.set_points, self._site.readings
         if not all(name in wanted and name in readings for name in names):
             return

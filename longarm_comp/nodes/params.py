@@ -107,7 +107,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
         value = given.get(name, param.default)
         try:
             value = param.check(value)
-            _redeclare(node, name, value, param.descriptor())
+            _declare_again(node, name, value, param.descriptor())
         except (TypeError, ValueError, ParameterException):
             raise InputError(where(node), name, value, param.allowed) from None
         values[name] = value
@@ -128,7 +128,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
     return values
 
 
-def _redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
+def _declare_again(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
     """Declare a parameter with a description, even if it was declared from an override."""
     if node.has_parameter(name):
         node.undeclare_parameter(name)
@@ -160,7 +160,7 @@ def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dic
             description=schema.get("description", ""),
             additional_constraints=" ".join(limits),
         )
-        _redeclare(node, name, value, described)
+        _declare_again(node, name, value, described)
         place = tree
         for part in path:
             place = place.setdefault(part, {})

@@ -61,11 +61,11 @@ class Weigher:
         if standing is not None:
             self._due = math.inf
             self._state.worker.submit(
-                partial(self._weigh, *standing, self._state.effort, self._wrist)
+                partial(self._weigh_rest, *standing, self._state.effort, self._wrist)
             )
         if self._tells and now - self._last_s >= 1.0:  # as often as a payload is told
             self._last_s = now
-            self._tell(now)
+            self._tell_payload(now)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         try:
@@ -75,7 +75,7 @@ class Weigher:
             return
         self._wrist = Wrist(row, force, self._sigma)
 
-    def _weigh(
+    def _weigh_rest(
         self, model: Model, q: np.ndarray, context: Context, effort: np.ndarray, wrist: Wrist | None
     ) -> None:
         told = self._state.readings.fresh("payload", time.monotonic(), self._max_age_s)
@@ -88,17 +88,17 @@ class Weigher:
             return
         self._weighing = self._weighing.with_rest(rest)
 
-    def _tell(self, now: float) -> None:
+    def _tell_payload(self, now: float) -> None:
         """Publish the weighed payload, unless somebody else publishes one."""
         found, readings = self._weighing.payload, self._state.readings
-        if found is None or not found.tells(self._reference):
+        if found is None or not found.tells(self._assumed_kg):
             return
         told = readings.fresh("payload", now, self._max_age_s)
         columns = {} if told else {"payload_kg": found.kg, SD: found.sigma_kg}
         self._state.readings = readings.with_reading("load", columns, now)
 
     @property
-    def _reference(self) -> float:
+    def _assumed_kg(self) -> float:
         declared = self._arm.payload
         return max(self._told or 0.0, 0.0 if declared is None else declared.mass_kg)
 
@@ -116,7 +116,7 @@ class Weigher:
         if self._weighing.contradicts(said):
             wrong = f"{found} is felt, but {said:g} kg is {who}: weigh the payload and publish it"
             return Report(WARN, wrong, facts)
-        if not found.tells(self._reference):
+        if not found.tells(self._assumed_kg):
             return Report(OK, f"friction hides the payload: {found}", facts)
         return Report(OK, f"{found} is felt, {said:g} kg is {who}", facts)
 

@@ -73,14 +73,14 @@ class PredictorClient:
         self._told_s = sent
 
     @property
-    def _served(self) -> ServedPredictor | None:
+    def _served_now(self) -> ServedPredictor | None:
         """The predictor that is served, if it is known here and now."""
         return self._read if time.monotonic() - self._told_s <= _SERVED_S else None
 
     @property
     def answers(self) -> bool:
         """True if the next question will be answered, by all that is known."""
-        return self._answers or self._served is not None
+        return self._answers or self._served_now is not None
 
     def compensate_with(
         self, method: Method, compensate: Callable[[Nearby | None], Found]
@@ -93,7 +93,7 @@ class PredictorClient:
             why a predictor that the method needs was not used.
         """
         why = ""
-        if method.learned and (self._served or self._caller.present):
+        if method.learned and (self._served_now or self._caller.present):
             try:  # mostly one call a target
                 found = compensate(Nearby(partial(self.ask, deflection=method.physics)))
                 return found, self.file_hash, ""
@@ -113,7 +113,7 @@ class PredictorClient:
             NoAnswer: no predictor runs, it has no file, or it does not answer in time.
         """
         known = [float(context.column(k, math.nan)) for k in ("temperature_c", "payload_kg")]
-        if (served := self._served) is not None:
+        if (served := self._served_now) is not None:
             found = served.expand(q, context.of_all("approach", self._arm.n), *known)
             if found.in_domain:
                 _check_physics(served.beside_deflection, deflection)
@@ -126,13 +126,13 @@ class PredictorClient:
             temperature_c=known[0],
             payload_kg=known[1],
         )
-        if not self._look():
+        if not self._look_for_answer():
             raise NoAnswer("no error_predictor is running")
         if self._silent:  # only the first target waits for the timeout
             self.probe()
             raise NoAnswer("error_predictor does not answer, physics only until it answers")
         answer = self._caller.answer(self._caller.send(request), self._timeout_s)
-        self._note(answers=answer is not None, silent=answer is None)
+        self._note_state(answers=answer is not None, silent=answer is None)
         if answer is None:
             raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
         if not answer.success and math.isnan(answer.sigma):
@@ -153,7 +153,7 @@ class PredictorClient:
 
     def probe(self) -> None:
         """Ask a predictor that does not answer whether it does now, without waiting."""
-        if not self._look() or self.answers:
+        if not self._look_for_answer() or self.answers:
             return
         now = time.monotonic()
         if self._probe is None or now - self._probed_s > self._patience_s:
@@ -163,16 +163,16 @@ class PredictorClient:
             anywhere = PredictError.Request(joints=joints_message(self._arm, self._arm.mid))
             self._probe = self._caller.send(anywhere)
 
-    def _look(self) -> bool:
+    def _look_for_answer(self) -> bool:
         """Look for the answer to a probe, and return whether a predictor is on the graph."""
         if not self._caller.present:
-            self._note(answers=False, silent=False)
+            self._note_state(answers=False, silent=False)
             return False
         if self._probe is not None and self._caller.answer(self._probe, 0.0) is not None:
-            self._note(answers=True, silent=False)
+            self._note_state(answers=True, silent=False)
         return True
 
-    def _note(self, *, answers: bool, silent: bool) -> None:
+    def _note_state(self, *, answers: bool, silent: bool) -> None:
         self._answers, self._silent = answers, silent
         self._probe, self._patience_s = None, _PROBE_S[0]
 

@@ -41,7 +41,7 @@ class ReachServer:
         self._turns: deque[object] = deque()
         self._ticks = Ticks(node, self._period_s)
         self._told: dict[str, Motion] = {}  # by trajectory, since the goal at hand was begun
-        self._server = graph.REACH.server(node, self._serve)
+        self._server = graph.REACH.server(node, self._serve_goal)
 
     def on_motion(self, motion: Motion) -> None:
         """Note what the driver publishes about a trajectory; may be called from any thread."""
@@ -55,7 +55,7 @@ class ReachServer:
             return "the driver does not report what is reached: acknowledged is false"
         return self._state.driver.refusal
 
-    async def _serve(self, goal: Any) -> Reach.Result:
+    async def _serve_goal(self, goal: Any) -> Reach.Result:
         turn = object()
         target = self._targets.new_target(goal.request.target, goal.request.position_only)
         fresh = not self._targets.stale(target)
@@ -65,15 +65,15 @@ class ReachServer:
                 if goal.is_cancel_requested:
                     goal.canceled()
                     return _make_unseen("cancelled before it began")
-                self._feedback(goal, Reach.Feedback.WAITING, None)
+                self._give_feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for its turn, of which the client is told, makes it no older
                 target = replace(target, sent_s=time.monotonic())
-            return await self._reach(goal, target)
+            return await self._reach_target(goal, target)
         finally:
             self._turns.remove(turn)
 
-    async def _reach(self, goal: Any, target: TargetRequest) -> Reach.Result:
+    async def _reach_target(self, goal: Any, target: TargetRequest) -> Reach.Result:
         if self._no_driver:
             goal.abort()
             return _make_unseen(self._no_driver, Compensate.Response.NO_DRIVER)
@@ -90,9 +90,9 @@ class ReachServer:
             return result
         command = answer.outcome.command
         result.command = joints_message(self._arm, command, answer.stamp)
-        if not await self._follow(goal, answer.name, command, result):
+        if not await self._follow_move(goal, answer.name, command, result):
             return result
-        await self._look(goal, command, before, result)
+        await self._look_for_tip(goal, command, before, result)
         result.success = True
         stands, at = self._tips.tell(), answer.target.pose.pose.position
         if stands is not None:
@@ -101,7 +101,7 @@ class ReachServer:
         goal.succeed()
         return result
 
-    async def _follow(
+    async def _follow_move(
         self, goal: Any, name: str, command: np.ndarray, result: Reach.Result
     ) -> bool:
         """Wait until the driver reports the end of the move; return whether it was reached."""
@@ -109,7 +109,7 @@ class ReachServer:
         while (motion := self._told.get(name)) is None and not self._no_driver:
             if goal.is_cancel_requested and not halted:
                 halted, name = True, self._targets.halt()
-            self._feedback(goal, Reach.Feedback.MOVING, command)
+            self._give_feedback(goal, Reach.Feedback.MOVING, command)
             await self._ticks.next()
         # Where the joints are: by the driver's word, else by the last of their readings
         if motion is not None and motion.joints.name:
@@ -126,7 +126,7 @@ class ReachServer:
         goal.abort()
         return False
 
-    async def _look(
+    async def _look_for_tip(
         self, goal: Any, command: np.ndarray, before: Sighted | None, result: Reach.Result
     ) -> None:
         """Wait until the tip is seen at rest, if anything measures it."""
@@ -146,10 +146,10 @@ class ReachServer:
                 return
             if goal.is_cancel_requested:
                 return
-            self._feedback(goal, Reach.Feedback.LOOKING, command)
+            self._give_feedback(goal, Reach.Feedback.LOOKING, command)
             await self._ticks.next()
 
-    def _feedback(self, goal: Any, phase: int, command: np.ndarray | None) -> None:
+    def _give_feedback(self, goal: Any, phase: int, command: np.ndarray | None) -> None:
         q, message = self._state.joints, Reach.Feedback(phase=phase)
         if q is not None:
             message.joints = joints_message(self._arm, q)

@@ -140,18 +140,18 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._intake = Intake(self, self, self._max_age_s, unstamped=p["unstamped"])
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
         self._stops = Stops(self, self, p["state"], p["arm"], self._config)
-        self._timer = steady_timer(self, self._period_s, self._cycle)
+        self._timer = steady_timer(self, self._period_s, self._run_cycle)
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)
         self.health.parts |= {"servo bus": self._bus_report, "arm": self._arm_report}
-        self._start()
-        steady_timer(self, p["retry_s"], self._start)
+        self._start_up()
+        steady_timer(self, p["retry_s"], self._start_up)
         self._tell_change()
 
     def close(self) -> bool:
         if self.abandoned and self.arm is not None:
-            self._leave(self.arm)
-        self._release()
+            self._leave_standing(self.arm)
+        self._release_arm()
         self._ended = True
         self._tell_state()
         return super().close()
@@ -170,7 +170,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         keeps_out = keeper(declared_model(arm), names, file)
         return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None
 
-    def _start(self) -> None:
+    def _start_up(self) -> None:
         if not self._autostart:
             return
         if self.arm is None:
@@ -197,7 +197,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         """Switch torque on, unless a stop stands; the arm holds its present position."""
         try:
             if not self._stops.standing:
-                self._machine.power(True)
+                self._known_arm.power(True)
         except LongarmError as error:
             return self._note_failure(error)
         self.fault, self.active, self._autostart = "", True, False
@@ -206,9 +206,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @reporting_faults
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.active = self._autostart = False
-        self._tell(Motion.BROKEN_OFF, self._motion, "torque off")
+        self._tell_motion(Motion.BROKEN_OFF, self._motion, "torque off")
         try:
-            self._machine.power(False)
+            self._known_arm.power(False)
         except LongarmError as error:
             self._note_failure(error)  # torque off is sent as soon as the bus is back
         return super().on_deactivate(state)
@@ -216,7 +216,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @reporting_faults
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Switch torque off and go back to unconfigured."""
-        self._release()
+        self._release_arm()
         return super().on_cleanup(state)
 
     on_error = on_cleanup
@@ -224,11 +224,11 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @reporting_faults
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._autostart = False
-        self._release()
+        self._release_arm()
         return super().on_shutdown(state)
 
     @property
-    def _machine(self) -> ServoArm:
+    def _known_arm(self) -> ServoArm:
         assert self.arm is not None
         return self.arm
 
@@ -244,29 +244,29 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self.fault = str(error)
         return _FAILED
 
-    def _release(self) -> None:
+    def _release_arm(self) -> None:
         self.active = False
         if self.arm is not None:
             self.arm.close()
         self.arm = self._last = None
         self._stops.let_go()
 
-    def _leave(self, arm: ServoArm) -> None:
+    def _leave_standing(self, arm: ServoArm) -> None:
         """Stop smoothly and leave the torque as it is: a heavy arm must not fall by itself."""
         arm.follower.break_off(EventKind.HELD, "its supervisor is gone: it stays where it is")
         end = time.monotonic() + 2.0 * self._config.follower.blend_s + 1.0
         while self.following and time.monotonic() < end:
-            self._drive(arm)
+            self._drive_arm(arm)
             time.sleep(self._period_s)
         arm.leave()
         self.arm = None
 
-    def _cycle(self) -> None:
+    def _run_cycle(self) -> None:
         if self.arm is not None:
-            self._drive(self.arm)
+            self._drive_arm(self.arm)
         self._tell_change()
 
-    def _drive(self, arm: ServoArm) -> None:
+    def _drive_arm(self, arm: ServoArm) -> None:
         now = time.monotonic()
         away, self._cycled = now - self._cycled, now
         if self.following and away > self._max_age_s:
@@ -284,11 +284,11 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if event.kind is EventKind.FAULT:
             self._trouble = event.message
         if event.kind is EventKind.ARRIVED:
-            self._tell(Motion.REACHED, self._motion)
+            self._tell_motion(Motion.REACHED, self._motion)
         if event.kind in (EventKind.FAULT, EventKind.ESTOP):
             self.get_logger().error(why)
         if event.kind in _BREAKS:
-            self._tell(Motion.BROKEN_OFF, self._motion, why)
+            self._tell_motion(Motion.BROKEN_OFF, self._motion, why)
         else:
             self.get_logger().debug(why)
 
@@ -326,25 +326,29 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if why := self._intake.too_old(message):
             self.refuse(name, why)
             return
-        if not self._machine.follower.is_fresh(time.monotonic()):  # just begun, or a reply was lost
-            self._drive(self._machine)
+        if not self._known_arm.follower.is_fresh(
+            time.monotonic()
+        ):  # just begun, or a reply was lost
+            self._drive_arm(self._known_arm)
         try:
-            accepted = self._machine.accept(trajectory_of(message), time.monotonic())
+            accepted = self._known_arm.accept(trajectory_of(message), time.monotonic())
         except LongarmError as error:
             self.refuse(name, str(error))
             return
         self.tally.count("trajectories", "")
         if accepted.replaces:
-            self._tell(Motion.REPLACED, self._motion, "another trajectory was accepted")
+            self._tell_motion(Motion.REPLACED, self._motion, "another trajectory was accepted")
         self._motion = name
-        self._tell(Motion.ACCEPTED, name, taken=accepted)
+        self._tell_motion(Motion.ACCEPTED, name, taken=accepted)
         self._tell_change()
 
     def refuse(self, name: str, why: str) -> None:
         self.tally.count("refused", why)
-        self._tell(Motion.REFUSED, name, why)
+        self._tell_motion(Motion.REFUSED, name, why)
 
-    def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
+    def _tell_motion(
+        self, event: int, name: str, why: str = "", taken: Accepted | None = None
+    ) -> None:
         joints = self._joints_message()
         message = Motion(header=joints.header, id=name, event=event, message=why, joints=joints)
         if taken is not None:

@@ -138,7 +138,11 @@ class _SimulatedArm(ArmNode):
         )
         self._plant = Plant(config, Path(p["port"]), rng)
         self._covered: list[str] = []
-        self._live = {"more_play": self._wear, "unplugged": self._unplug, "covered": self._cover}
+        self._live = {
+            "more_play": self._set_play,
+            "unplugged": self._unplug_servos,
+            "covered": self._cover_cameras,
+        }
         for name, take in self._live.items():
             take(p[name])
         self.add_on_set_parameters_callback(self._on_set)
@@ -156,16 +160,16 @@ class _SimulatedArm(ArmNode):
             # Between two looks for contact of the ball, s
             steady_timer(self, 0.1, self._tell_contact)
         if p["frame_rate_hz"]:
-            steady_timer(self, 1.0 / p["frame_rate_hz"], self._expose)
+            steady_timer(self, 1.0 / p["frame_rate_hz"], self._expose_cameras)
         if p["context_rate_hz"]:
-            steady_timer(self, 1.0 / p["context_rate_hz"], self._tell)
+            steady_timer(self, 1.0 / p["context_rate_hz"], self._tell_circumstances)
         if p["wire_faults_hz"]:
             self._chance = np.random.default_rng([p["seed"], 1])
-            steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
+            steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil_reply)
         if p["damping"]:
             # Between two steps of the arm's vibration, s: a small part of the first modes' periods
             steady_timer(self, 0.01, lambda: self._plant.ring(self._t_s))
-        self.health.parts["plant"] = self._report
+        self.health.parts["plant"] = self._report_plant
         self._plant.start()
 
     def close(self) -> bool:
@@ -173,17 +177,17 @@ class _SimulatedArm(ArmNode):
         self._plant.stop()
         return ended
 
-    def _wear(self, text: str) -> None:
+    def _set_play(self, text: str) -> None:
         play = numbers("more_play", text, 1, "joint=rad, for instance joint4=0.002")
         self._plant.wear({joint: more for joint, (more,) in play.items()})
 
-    def _unplug(self, text: str) -> None:
+    def _unplug_servos(self, text: str) -> None:
         ids = {joint.name: joint.servo_id for joint in self._plant.config.servos.joints}
         self._plant.emulator.faults.silent = {
             ids[name] for name in _check_names("unplugged", text, ids)
         }
 
-    def _cover(self, text: str) -> None:
+    def _cover_cameras(self, text: str) -> None:
         self._covered = _check_names("covered", text, SIDES)
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -200,11 +204,11 @@ class _SimulatedArm(ArmNode):
         """Time since the start, s."""
         return time.monotonic() - self._started
 
-    def _expose(self) -> None:
-        if not self._worker.submit(self._frame):
+    def _expose_cameras(self) -> None:
+        if not self._worker.submit(self._publish_frame):
             self._late += 1
 
-    def _frame(self) -> None:
+    def _publish_frame(self) -> None:
         """Render and publish both images, if anybody subscribes, on the worker's thread.
 
         Both carry the same time.
@@ -226,14 +230,14 @@ class _SimulatedArm(ArmNode):
             self._images[k].publish(image_message(seen, ns, frames[k]))
         self._frames += 1
 
-    def _spoil(self) -> None:
+    def _spoil_reply(self) -> None:
         """Make the next reply of one servo get lost, damaged or cut."""
         faults = self._plant.emulator.faults
         ways = (faults.drops, faults.corrupt, faults.cuts)
         servos = [joint.servo_id for joint in self._plant.config.servos.joints]
         ways[int(self._chance.integers(len(ways)))][int(self._chance.choice(servos))] += 1
 
-    def _tell(self) -> None:
+    def _tell_circumstances(self) -> None:
         header = Header(stamp=self.get_clock().now().to_msg())
         warm = self._plant.temperature_c(self._t_s)
         self._temperature.publish(Temperature(header=header, temperature=warm))
@@ -242,7 +246,7 @@ class _SimulatedArm(ArmNode):
     def _tell_contact(self) -> None:
         self._contact.publish(String(data=self._plant.contact(self._t_s)))
 
-    def _report(self) -> Report:
+    def _report_plant(self) -> Report:
         emulator = self._plant.emulator
         facts = {
             "frames": self._frames,

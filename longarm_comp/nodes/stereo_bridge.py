@@ -103,7 +103,7 @@ class _StereoBridge(ArmNode):
         self._lost = True
         if self._files:
             try:
-                self._calibrate(self._files)
+                self._use_calibration(self._files)
             except LongarmError as error:
                 raise InputError(p["cameras"], "cameras", error, "a calibrated pair") from error
         self._worker = self.worker(2)
@@ -121,7 +121,7 @@ class _StereoBridge(ArmNode):
             steady_timer(self, 0.5, inlet.adapt)
         for side, topic in zip(Side, (graph.LEFT_INFO, graph.RIGHT_INFO), strict=True):
             topic.subscription(self, partial(self._on_info, side))
-        self.health.parts["stereo"] = self._report
+        self.health.parts["stereo"] = self._report_stereo
 
     def _on_info(self, side: Side, message: CameraInfo) -> None:
         known = self._infos.get(side)
@@ -133,11 +133,11 @@ class _StereoBridge(ArmNode):
         if len(cameras) < 2:
             return
         try:
-            self._calibrate(cameras)
+            self._use_calibration(cameras)
         except LongarmError as error:
-            self._refuse(error, None)
+            self._refuse_pair(error, None)
 
-    def _calibrate(self, cameras: Mapping[Side, Calibration]) -> None:
+    def _use_calibration(self, cameras: Mapping[Side, Calibration]) -> None:
         """Use this calibration from now on.
 
         Raises:
@@ -157,16 +157,16 @@ class _StereoBridge(ArmNode):
         for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):
             eye = self._eye
             if eye is None:
-                self._count("camera_info is missing or no calibration", pair.stamp_ns)
-            elif not self._worker.submit(partial(self._measure, eye, pair)):
-                self._count("a new pair came before the last one was measured", None)
+                self._count_lost("camera_info is missing or no calibration", pair.stamp_ns)
+            elif not self._worker.submit(partial(self._measure_pair, eye, pair)):
+                self._count_lost("a new pair came before the last one was measured", None)
 
-    def _measure(self, eye: StereoEye, pair: Pair[Any]) -> None:
+    def _measure_pair(self, eye: StereoEye, pair: Pair[Any]) -> None:
         """Measure a pair and publish the tip, on the worker's thread."""
         try:
             seen = eye.measure(self._pixels(pair.left), self._pixels(pair.right))
         except LongarmError as error:
-            self._refuse(error, pair.stamp_ns)
+            self._refuse_pair(error, pair.stamp_ns)
             return
         self._sightings += 1
         self._lost = False
@@ -180,11 +180,11 @@ class _StereoBridge(ArmNode):
         tip = Placed(self._base_frame, f"{self._prefix}tip_measured", seen.point, turn)
         self._frames.tell([tip], message.header.stamp)
 
-    def _refuse(self, error: LongarmError, ns: int | None) -> None:
+    def _refuse_pair(self, error: LongarmError, ns: int | None) -> None:
         self._last = str(error)
-        self._count(error.reason.value if isinstance(error, StereoRefusal) else str(error), ns)
+        self._count_lost(error.reason.value if isinstance(error, StereoRefusal) else str(error), ns)
 
-    def _count(self, why: str, ns: int | None) -> None:
+    def _count_lost(self, why: str, ns: int | None) -> None:
         self.tally.count(f"refused: {why}", "")
         self._lost = True
         if ns is None or not self._publish_lost:
@@ -192,7 +192,7 @@ class _StereoBridge(ArmNode):
         lost = np.full(3, np.nan)
         self._tips.publish(tip_message(lost, np.zeros((6, 6)), stamp_of(ns), self._base_frame))
 
-    def _report(self) -> Report:
+    def _report_stereo(self) -> Report:
         calibration = "files" if self._files else "camera_info"
         told = ((self._files.get(side), info) for side, info in self._infos.items() if info.k[0])
         if any(file is not None and not is_same_camera(info, file) for file, info in told):

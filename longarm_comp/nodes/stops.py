@@ -53,11 +53,15 @@ class Stops:
         if self.standing:
             node.get_logger().warning(self._latch.words)
         steady_timer(node, 0.5, self._latch.keep)  # again where it could not be written
-        _offer(
-            node, graph.ESTOP, lambda asked: self._estop() if asked.data else self._end(Stop.ESTOP)
+        _offer_service(
+            node,
+            graph.ESTOP,
+            lambda asked: self._stop_now() if asked.data else self._end_stops(Stop.ESTOP),
         )
-        _offer(node, graph.HOLD, lambda asked: self._hold() if asked.data else self._go_on())
-        _offer(node, graph.RESET, lambda asked: self._reset())
+        _offer_service(
+            node, graph.HOLD, lambda asked: self._hold_now() if asked.data else self._go_on()
+        )
+        _offer_service(node, graph.RESET, lambda asked: self._reset_all())
 
     @property
     def standing(self) -> str:
@@ -94,7 +98,7 @@ class Stops:
                 free_servos(self._servos)
                 self._freed = True
 
-    def _estop(self) -> str:
+    def _stop_now(self) -> str:
         self._latch.ask(Stop.ESTOP)
         self.let_go()
         said = self._write_down(Stop.ESTOP, "torque off, commands refused")
@@ -102,7 +106,7 @@ class Stops:
             raise JobError(said)
         return said
 
-    def _hold(self) -> str:
+    def _hold_now(self) -> str:
         if self._site.arm is not None and Stop.HOLD not in self._latch.standing:
             self._site.arm.follower.break_off(EventKind.HELD, "held: it stays where it is")
         self._latch.ask(Stop.HOLD)
@@ -127,16 +131,16 @@ class Stops:
             arm = self._site.arm
             if arm is not None and self._site.active and not (self.standing or arm.powered):
                 arm.power(True)
-        return self._now()
+        return self._describe_now()
 
-    def _reset(self) -> str:
+    def _reset_all(self) -> str:
         """End everything that stops the arm. If it is only held, the hold ends as in `_go_on`."""
         arm = self._site.arm
         well = arm is None or arm.follower.state not in (FollowerState.FAULT, FollowerState.ESTOP)
         only_held = set(self._latch.standing) == {Stop.HOLD}
-        return self._go_on() if well and only_held else self._end(*Stop)
+        return self._go_on() if well and only_held else self._end_stops(*Stop)
 
-    def _end(self, *ends: Stop) -> str:
+    def _end_stops(self, *ends: Stop) -> str:
         """End stops, and a fault; torque goes on where the driver is active."""
         arm = self._site.arm
         if arm is None and not self._latch.standing.keys() & set(ends):
@@ -144,14 +148,14 @@ class Stops:
         with self._latch.lift_stops(*ends):
             if arm is not None:
                 arm.release(time.monotonic(), on=self._site.active)
-        return self._now()
+        return self._describe_now()
 
-    def _now(self) -> str:
+    def _describe_now(self) -> str:
         state, why = self._site.state
         return why or driver_words(state)
 
 
-def _offer(node: Node, service: graph.Service, action: Callable[[Any], str]) -> None:
+def _offer_service(node: Node, service: graph.Service, action: Callable[[Any], str]) -> None:
     """Offer a service that answers with the text of an action, or with why it failed."""
 
     def serve(request: Any, response: Any) -> Any:

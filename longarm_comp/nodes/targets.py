@@ -119,7 +119,7 @@ class TargetInlet:
         free = self._node.get_parameter("position_only").value
         target = self.new_target(pose, free, sent_s=sent)
         if latest:
-            self._serve(target)
+            self._serve_target(target)
         else:
             why = "a later target came before work on it began"
             self._publish_answer(self._compensator.refuse(target, Status.SUPERSEDED, why))
@@ -133,7 +133,7 @@ class TargetInlet:
         def respond(answer: Answer) -> None:
             reply(response_of(answer, self._arm, self._base_frame))
 
-        if not self._worker.submit(partial(self._serve, target, respond)):
+        if not self._worker.submit(partial(self._serve_target, target, respond)):
             waiting = f"{self._worker.waiting} targets wait already"
             refused = self._compensator.refuse(target, Status.NOT_READY, waiting)
             self._publish_answer(refused)
@@ -141,9 +141,9 @@ class TargetInlet:
 
     def execute(self, target: TargetRequest) -> Future | None:
         """Queue a target to compute and send; return its future `Answer`; None if too many wait."""
-        return self._worker.ask(partial(self._serve, target))
+        return self._worker.ask(partial(self._serve_target, target))
 
-    def _serve(
+    def _serve_target(
         self, target: TargetRequest, respond: Callable[[Answer], None] = lambda answer: None
     ) -> Answer:
         """Compute a target, send its joints, respond, then publish; on the worker's thread."""
@@ -161,7 +161,7 @@ class TargetInlet:
                 elif why := self._state.doubt:  # it came while the joints were computed
                     answer = self._compensator.refuse(target, Status.NOT_READY, why)
                 else:
-                    message = self._order(arrival.move.points, stamp)
+                    message = self._make_order(arrival.move.points, stamp)
                     answer = replace(answer, order=order_id(message))
                     self._driver.expect(answer.name)
                     self._trajectory.publish(message)
@@ -179,7 +179,7 @@ class TargetInlet:
             if answer is not None:
                 self._publish_answer(answer)
 
-    def _order(self, points: np.ndarray, stamp: Time) -> JointTrajectory:
+    def _make_order(self, points: np.ndarray, stamp: Time) -> JointTrajectory:
         """Make the trajectory through points (k, n); a driver that is not ours is told how slowly.
 
         It may know no limits of speed.

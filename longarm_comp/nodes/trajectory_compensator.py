@@ -105,12 +105,12 @@ class _TrajectoryCompensator(ArmNode):
         self._out = ActionClient(
             self, graph.FOLLOW.type, self._controller, callback_group=ReentrantCallbackGroup()
         )
-        self._server = graph.FOLLOW_PLANNED.server(self, self._serve)
+        self._server = graph.FOLLOW_PLANNED.server(self, self._serve_goal)
         self._planned = graph.PLANNED_JOINTS.publisher(self)
         self._ready = False
         self.every("planned_period_s", lambda: self._worker.submit_once(self._tell_planned))
         self.on_change((p["model"],), self._worker, self._files.reload)
-        self.health.parts |= {"paths": self._report, "model": self._files.report}
+        self.health.parts |= {"paths": self._report_paths, "model": self._files.report}
         self._worker.start()
 
     def _limits_of(self, p: Mapping[str, Any]) -> PathLimits:
@@ -127,14 +127,14 @@ class _TrajectoryCompensator(ArmNode):
         motion = MotionLimits(*found)
         return PathLimits(motion, **{f.name: p[f.name] for f in fields(PathLimits)[1:]})
 
-    async def _serve(self, goal: Any) -> Any:
+    async def _serve_goal(self, goal: Any) -> Any:
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
         strange = set(asked.joint_names) - set(self._arm.joint_names)
         allowed = ", ".join(self._arm.joint_names)
         why = f"joints {sorted(strange)}; allowed: {allowed}" if strange else self._not_now(asked)
         made: CompensatedPath | None = None
         if not why:
-            future = self._worker.ask(partial(self._compensate, goal.request))
+            future = self._worker.ask(partial(self._compensate_request, goal.request))
             made, why = (None, "too many goals wait") if future is None else await future
         why = why or self._fresh.too_old(asked.header.stamp)
         if goal.is_cancel_requested:
@@ -145,7 +145,7 @@ class _TrajectoryCompensator(ArmNode):
             return abort_goal(goal, result.INVALID_JOINTS if strange else result.INVALID_GOAL, why)
         self._following += 1
         try:
-            return await self._forward(goal, made)
+            return await self._forward_path(goal, made)
         finally:
             self._following -= 1
 
@@ -159,7 +159,7 @@ class _TrajectoryCompensator(ArmNode):
         why = why or self._worker.failing
         return self._fresh.too_old(asked.header.stamp) or why
 
-    async def _forward(self, goal: Any, made: CompensatedPath) -> Any:
+    async def _forward_path(self, goal: Any, made: CompensatedPath) -> Any:
         """Send the path to the controller, and return its result."""
         timed = made.timed
         message = trajectory_message(
@@ -196,7 +196,7 @@ class _TrajectoryCompensator(ArmNode):
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
 
-    def _compensate(self, request: Any) -> tuple[CompensatedPath | None, str]:
+    def _compensate_request(self, request: Any) -> tuple[CompensatedPath | None, str]:
         """Compute the path to send, or say why there is none."""
         start = self._state.joints
         assert start is not None
@@ -210,7 +210,7 @@ class _TrajectoryCompensator(ArmNode):
                 plan=self._plan_of(request.trajectory, start).seen_from(loaded.stands.motion),
                 start=start,
                 history=history,
-                limits=replace(self._limits, max_longer=self._longer(request)),
+                limits=replace(self._limits, max_longer=self._longest_share(request)),
                 context_at=partial(self._state.context, model=physics),
                 options=CompensationOptions(self._method),
             )
@@ -222,7 +222,7 @@ class _TrajectoryCompensator(ArmNode):
             self.get_logger().warning(note, throttle_duration_sec=1.0)
         return found, ""
 
-    def _longer(self, request: Any) -> float:
+    def _longest_share(self, request: Any) -> float:
         """Return the share by which a path may take longer: within the goal's time tolerance."""
         late = seconds(request.goal_time_tolerance)
         lasts = seconds(request.trajectory.points[-1].time_from_start)
@@ -268,7 +268,7 @@ class _TrajectoryCompensator(ArmNode):
             self._planned.publish(joints_message(self._arm, planned, stamp))
             self._ready = True
 
-    def _report(self) -> Report:
+    def _report_paths(self) -> Report:
         facts = self.tally.facts
         if not self._out.server_is_ready():
             return Report(WARN, f"no controller offers {self._controller}", facts)

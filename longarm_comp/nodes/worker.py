@@ -171,7 +171,7 @@ class Worker:
             self._wait_set = rclpy_implementation.WaitSet(
                 len(self._topics), 1, 0, 0, len(self._services), 0, self._node.context.handle
             )
-        self._thread = threading.Thread(target=self._run, args=(idle,), daemon=True)
+        self._thread = threading.Thread(target=self._work_off_jobs, args=(idle,), daemon=True)
         self._thread.start()
 
     def submit(self, job: Job) -> bool:
@@ -214,7 +214,7 @@ class Worker:
             if left <= 0.0:
                 return False
             begun = time.monotonic()
-            self._wait(min(left, _WAIT_S))
+            self._wait_for_messages(min(left, _WAIT_S))
             left -= min(time.monotonic() - begun, _WAIT_S)
         return until()
 
@@ -227,7 +227,7 @@ class Worker:
         self._thread.join(_LAST_JOB_S)
         return not self._thread.is_alive()
 
-    def _wait(self, at_most_s: float | None = None) -> None:
+    def _wait_for_messages(self, at_most_s: float | None = None) -> None:
         """Sleep until a message or a request arrives, or `_woken` is triggered from any thread."""
         self._wait_set.clear_entities()
         self._wait_set.add_guard_condition(self._woken.handle)
@@ -237,7 +237,7 @@ class Worker:
             self._wait_set.add_service(service.handle)
         self._wait_set.wait(-1 if at_most_s is None else max(1, int(1e9 * at_most_s)))
 
-    def _run(self, idle: Callable[[], bool]) -> None:
+    def _work_off_jobs(self, idle: Callable[[], bool]) -> None:
         while not self._closing and self._node.context.ok():
             doing = "hearing messages"
             try:
@@ -249,7 +249,7 @@ class Worker:
                     if doing in self._failed:  # replaced whole: other threads read it
                         self._failed = {k: v for k, v in self._failed.items() if k != doing}
                 elif not idle():
-                    self._wait()
+                    self._wait_for_messages()
             except Exception as error:  # reported; the worker goes on with the next job
                 why = f"{doing} failed: {type(error).__name__}: {error}"
                 self._failed = {**self._failed, doing: (why, time.monotonic())}

@@ -146,6 +146,11 @@ def _held_out(diagnosis: Diagnosis, sigma_mm: tuple[float, float, float] | None)
     seen, commanded = (
         (1e3 * low, 1e3 * high) if after != "calibrated" else None for low, high in intervals
     )
+    # What commands leave out: of the model to use, and of those that the proof is by
+    left_out = not_commanded(diagnosis.model, diagnosis.held_out)
+    folds = [not_commanded(f.fits[diagnosis.written].model, f.rows) for f in diagnosis.folds]
+    other = Counter(said for fold in folds for said in fold if said not in left_out)
+    left_out = [*left_out, *(f"{said} in {k} of {len(folds)} folds" for said, k in other.items())]
     return record.HeldOut(
         n=n,
         rows=rows,
@@ -153,16 +158,8 @@ def _held_out(diagnosis: Diagnosis, sigma_mm: tuple[float, float, float] | None)
         after=after,
         before_after_ci95_mm=seen,
         commanded_ci95_mm=commanded,
-        not_commanded=_left_out_by_commands(diagnosis),
+        not_commanded=left_out,
     )
-
-
-def _left_out_by_commands(diagnosis: Diagnosis) -> list[str]:
-    """Name what commands leave out: of the model to use, and of those that the proof is by."""
-    own = not_commanded(diagnosis.model, diagnosis.held_out)
-    folds = [not_commanded(f.fits[diagnosis.written].model, f.rows) for f in diagnosis.folds]
-    other = Counter(said for fold in folds for said in fold if said not in own)
-    return [*own, *(f"{said} in {n} of {len(folds)} folds" for said, n in other.items())]
 
 
 def _list_outliers(diagnosis: Diagnosis) -> list[record.Outlier]:

@@ -102,7 +102,7 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         where=found.frame,
         reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
-        tip=_tip(found.tip_mm.rms, found.tip_mm.max),
+        tip=_describe_tip(found.tip_mm.rms, found.tip_mm.max),
         sure=_say_sure(found.probability)
         + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
@@ -161,7 +161,7 @@ def _card_of(finding: Finding, report: record.DiagnosisReport) -> _Card:
         sizes=tuple(sizes),
         more=max(0, len(finding.parameters) - MOST_SIZES),
         reading=finding.reading,
-        tip=_tip(finding.tip_mm.median, finding.tip_mm.max) if finding.tip_mm else "",
+        tip=_describe_tip(finding.tip_mm.median, finding.tip_mm.max) if finding.tip_mm else "",
         sure=sure,
         because=". ".join(because) + ".",
         doubts=finding.doubts,
@@ -182,7 +182,7 @@ def _join_places(where: Sequence[str]) -> str:
     return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
 
 
-def _tip(typical_mm: float, most_mm: float) -> str:
+def _describe_tip(typical_mm: float, most_mm: float) -> str:
     typical, most = millimetres(typical_mm), millimetres(most_mm)
     return f"{typical} at the tip" + (f", up to {most}" if most != typical else "")
 

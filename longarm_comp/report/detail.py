@@ -110,21 +110,21 @@ def detail(diagnosis: Diagnosis, facts: Mapping[str, str]) -> Detail:
     """Compute what report.html shows beyond report.json; `facts` go to its provenance."""
     arm = diagnosis.arm
     units = tuple("m" if arm.joints[r - 1].type == "prismatic" else "rad" for r in arm.commanded)
-    rows = _rows(diagnosis, units)
+    rows = _collect_rows(diagnosis, units)
     return Detail(
         title=f"{diagnosis.arm.name}: {facts.get('session', 'session')}",
         held_out=rows,
         guilty=_find_guilty(diagnosis, rows),
-        correlation=_correlation(diagnosis),
-        detectable=_detectable(diagnosis),
-        splits=tuple(_split(diagnosis, s) for s in diagnosis.split_by),
-        encoders=_encoders(diagnosis, units),
+        correlation=_list_correlations(diagnosis),
+        detectable=_list_detectable(diagnosis),
+        splits=tuple(_describe_split(diagnosis, s) for s in diagnosis.split_by),
+        encoders=_compare_encoders(diagnosis, units),
         marked=_mark_places(diagnosis),
         provenance=facts,
     )
 
 
-def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
+def _collect_rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     held = diagnosis.held_out.take(diagnosis.proof.rows_at)
     predicted = diagnosis.model.measured(held.q, held.context())
     near = predicted + diagnosis.proof.errors[diagnosis.written]
@@ -163,7 +163,7 @@ def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys(names) if name in known)[:4]
 
 
-def _correlation(diagnosis: Diagnosis) -> PageTable | None:
+def _list_correlations(diagnosis: Diagnosis) -> PageTable | None:
     """List the five strongest correlations of each parameter, by their posterior."""
     found = {t.key for f in diagnosis.findings for t in f.terms}
     fit, called = diagnosis.fit, diagnosis.arm.called
@@ -184,7 +184,7 @@ def _correlation(diagnosis: Diagnosis) -> PageTable | None:
     return PageTable(caption, ("Parameter", "Geometry (correlation)"), tuple(rows))
 
 
-def _detectable(diagnosis: Diagnosis) -> PageTable:
+def _list_detectable(diagnosis: Diagnosis) -> PageTable:
     """List the smallest size that would show, by effect and place, without families."""
     rows: list[Line] = []
     for (name, place), one in sorted(best_forms(diagnosis.smallest).items()):
@@ -200,7 +200,7 @@ def _detectable(diagnosis: Diagnosis) -> PageTable:
     return PageTable(caption, head, tuple(rows))
 
 
-def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
+def _describe_split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
     """Say how many poses split a set; no poses if none would."""
     found = next(f for f in diagnosis.findings if f.name == by.between[0])
     if by.log_bayes_factor >= SPLITS:
@@ -221,7 +221,7 @@ def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
     return SetSplit(found.names, by.log_bayes_factor, reason=reason)
 
 
-def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
+def _compare_encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
     """Compare the encoders' readings with the commands; None where no joint is read."""
     fit = diagnosis.fit
     rows, names = fit.session, diagnosis.arm.joint_names

@@ -57,7 +57,7 @@ def noise_floor(
         rows: figures of every model on them, by its name; `written`: of the model in use.
         structure: RMS of the structure that it leaves, mm; 0 where it leaves none.
     """
-    whole = _gaussian(sigma_mm, n)
+    whole = _noise_of(sigma_mm, n)
     if not whole["rms_mm"]:
         return None
     ratios = [
@@ -74,7 +74,7 @@ def noise_floor(
     if share < 0.05:
         return None
     x, y, z = (share * s for s in sigma_mm)
-    figures = _gaussian((x, y, z), n, min((row["max_mm"] for row in rows.values()), default=np.inf))
+    figures = _noise_of((x, y, z), n, min((row["max_mm"] for row in rows.values()), default=np.inf))
     return _NoiseFloor((x, y, z), share < 1.0, figures)
 
 
@@ -88,7 +88,7 @@ def normal_length(share: ArrayLike) -> np.ndarray:
     return np.asarray(np.sqrt(2.0 * gammaincinv(1.5, share)))
 
 
-def _gaussian(sigma_mm: Sequence[float], n: int, longest: float = np.inf) -> dict[str, float]:
+def _noise_of(sigma_mm: Sequence[float], n: int, longest: float = np.inf) -> dict[str, float]:
     variance = float(np.mean(np.square(sigma_mm)))
     scale = sqrt(variance) or 1.0
     largest = scale * float(normal_length(0.5 ** (1 / max(n, 1))))

@@ -46,7 +46,7 @@ def data_uri(svg: bytes) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
 
 
-def _render(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
+def _render_page(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
     with rc():
         picture = data_uri(svg(draw()))
     return template(f"{page}.html.j2").render(picture=picture, **told)
@@ -146,7 +146,7 @@ def against(name: str) -> str:
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
     """Write the page of a loop (loop.json) with errors (N, 3) tip - target, m, by run."""
-    return _render("loop", lambda: draw_errors_at_tip(errors), loop=data)
+    return _render_page("loop", lambda: draw_errors_at_tip(errors), loop=data)
 
 
 _MODELS = {
@@ -159,7 +159,7 @@ _ROW_IN = 0.22
 
 def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
     """Write the page of a folder, with links to the diagnosis of each arm (row of fleet.json)."""
-    return _render(
+    return _render_page(
         "fleet",
         lambda: _errors_of_arms(arms),
         name=name,
@@ -210,7 +210,7 @@ def day_page(arm: str, bag: str, day: Day) -> str:
     """Write the page of a day; ``arm``, ``bag``: what they are called."""
     changes = [s for s in day.said if s.level == 0]
     troubles = [s for s in day.said if s.level > 0]
-    return _render(
+    return _render_page(
         "day",
         lambda: _errors_of_day(day, changes),
         arm=arm,
@@ -218,8 +218,8 @@ def day_page(arm: str, bag: str, day: Day) -> str:
         hours=day.hours,
         rows=day.by_hour(),
         refused=day.refused.most_common(),
-        changes=[(_clock(s.first_s), s.message) for s in changes],
-        troubles=[(_clock(s.first_s), _clock(s.last_s), s.part, s.message) for s in troubles],
+        changes=[(_clock_of(s.first_s), s.message) for s in changes],
+        troubles=[(_clock_of(s.first_s), _clock_of(s.last_s), s.part, s.message) for s in troubles],
     )
 
 
@@ -239,6 +239,6 @@ def _errors_of_day(day: Day, changes: list[Notice]) -> Figure:
     return drawn
 
 
-def _clock(t_s: float) -> str:
+def _clock_of(t_s: float) -> str:
     minutes = int(t_s // 60)
     return f"{minutes // 60}:{minutes % 60:02d}"

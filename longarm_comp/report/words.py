@@ -125,7 +125,7 @@ def meaning(report: DiagnosisReport) -> str:
         part = f"{_count_of(n, 'physical effect')} and {causes.lower()} explain"
     elif unnamed:
         part = f"{causes} explain{'s' * (unnamed == 1)}"
-    of = f"{_count(open_).lower()} of them"
+    of = f"{_spell_count(open_).lower()} of them"
     if open_ == n:
         of = "it" if n == 1 else "each of them"
     noise = "Nothing beyond the noise was found; nothing was added."
@@ -145,12 +145,12 @@ def meaning(report: DiagnosisReport) -> str:
     }[report.verdict]
 
 
-def _count(n: int) -> str:
+def _spell_count(n: int) -> str:
     return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
 
 
 def _count_of(n: int, what: str) -> str:
-    return f"{_count(n)} {what}{'' if n == 1 else 's'}"
+    return f"{_spell_count(n)} {what}{'' if n == 1 else 's'}"
 
 
 def improvement(report: DiagnosisReport) -> dict[str, Any] | None:

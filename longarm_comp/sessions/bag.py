@@ -72,11 +72,11 @@ class Rows:
         while len(commands) > 1 and (
             everything or commands[-1][0] >= commands[1][0] + CLOCKS_APART
         ):
-            self._finish(commands[1][0])
+            self._finish_command(commands[1][0])
         if everything and commands:
-            self._finish(math.inf)
+            self._finish_command(math.inf)
 
-    def _finish(self, end: float) -> None:
+    def _finish_command(self, end: float) -> None:
         """Make the row of the oldest command, which the next one followed at `end` (s)."""
         buffer, n = self._buffer, self._buffer.arm.n
         begin, points = buffer.commands.popleft()
@@ -186,7 +186,7 @@ def bag_info(path: str | Path) -> dict[str, Any]:
                 "topic": c.topic,
                 "type": c.msgtype,
                 "count": c.msgcount,
-                "read": TYPES.get(_last(c.topic)) == c.msgtype,
+                "read": TYPES.get(last_part(c.topic)) == c.msgtype,
             }
             for c in sorted(reader.connections, key=lambda c: c.topic)
         ]
@@ -203,7 +203,8 @@ def bag_info(path: str | Path) -> dict[str, Any]:
         }
 
 
-def _last(topic: str) -> str:
+def last_part(topic: str) -> str:
+    """Return the last part of a topic's name, which is the same in every namespace."""
     return topic.rpartition("/")[2]
 
 
@@ -226,7 +227,7 @@ def read_bag(
     where = str(path)
     with open_bag(path) as reader:
         chosen = _topics_of_one_arm(reader, namespace, where)
-        has_rows = any(_last(c.topic) == "session_row" and c.msgcount for c in chosen)
+        has_rows = any(last_part(c.topic) == "session_row" and c.msgcount for c in chosen)
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
         rows = _rows(raw_messages(reader, chosen), buffer)
     if buffer.sent is None or not buffer.frames:
@@ -280,7 +281,7 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
 
 def _topics_of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Connection]:
     """Return the topics of one arm that are read."""
-    known = (c for c in reader.connections if TYPES.get(_last(c.topic)) == c.msgtype)
+    known = (c for c in reader.connections if TYPES.get(last_part(c.topic)) == c.msgtype)
     chosen = [c for c in known if in_namespace(c.topic, namespace)]
     spaces = sorted({c.topic.rpartition("/")[0] or "/" for c in chosen})
     if len(spaces) > 1:
@@ -304,7 +305,7 @@ def raw_messages(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
 
 def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
     """Read messages of one namespace that are not in a bag yet, as `read_bag` does."""
-    known = [m for m in messages if TYPES.get(_last(m[0])) == m[1]]
+    known = [m for m in messages if TYPES.get(last_part(m[0])) == m[1]]
     begin = min((received for _, _, received, _ in known), default=0)
     return _rows(known, MessageBuffer(arm, "recording", begin, every_command=True)).session()
 
@@ -325,7 +326,7 @@ def decode(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[
     joint_states = JointStates(arm.joint_names, types)
     try:
         for topic, kind, stamp, raw in messages:
-            name = _last(topic)
+            name = last_part(topic)
             states = name == "joint_states"
             yield name, stamp, joint_states(raw) if states else types.deserialize_cdr(raw, kind)
     except Exception as error:  # as in open_bag; what the caller raises does not come here

@@ -41,7 +41,7 @@ class SegmentedBag:
             empty = False
         self._new = empty or not self._path.exists()
         self._discarded = False
-        self._information = self._begin(resume)
+        self._information = self._begin_folder(resume)
         self._writer: Writer | None = None
         self._connections: dict[tuple[str, str], Connection] = {}
         self.messages = 0
@@ -49,7 +49,7 @@ class SegmentedBag:
         self.offers: dict[str, Qos] = {}
         """Quality of service of topics by name, where it is not the usual one."""
 
-    def _begin(self, resume: bool) -> dict[str, Any] | None:
+    def _begin_folder(self, resume: bool) -> dict[str, Any] | None:
         if not resume and not self._new:
             allowed = "a folder that does not exist yet, or --resume"
             raise InputError(self._path, "bag", "exists", allowed)
@@ -75,7 +75,7 @@ class SegmentedBag:
 
     def __enter__(self) -> SegmentedBag:
         if self._information is None:
-            self._open()  # a bag without a message is valid
+            self._open_segment()  # a bag without a message is valid
             self.finish_segment()
         return self
 
@@ -92,7 +92,7 @@ class SegmentedBag:
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
         """Add one serialised message (CDR) of a type that `message_types` knows."""
-        writer = self._open()
+        writer = self._open_segment()
         connection = self._connections.get((topic, kind))
         if connection is None:
             offers = [self.offers.get(topic, publisher_quality())]
@@ -103,14 +103,14 @@ class SegmentedBag:
         writer.write(connection, stamp_ns, data)
         self.messages += 1
 
-    def _open(self) -> Writer:
+    def _open_segment(self) -> Writer:
         if self._writer is None:
-            self._writer = Writer(self._segment, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer = Writer(self._segment_path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
         return self._writer
 
     @property
-    def _segment(self) -> Path:
+    def _segment_path(self) -> Path:
         known = self._information
         place = len(known["relative_file_paths"]) if known and known["message_count"] else 0
         return self._partial / f"{self._path.name}_{place}"
@@ -119,19 +119,19 @@ class SegmentedBag:
         """Move everything written so far into the bag."""
         if self._writer is None:
             return
-        segment = self._segment
+        segment = self._segment_path
         self._writer.close()
         self._writer, self._connections, self.messages = None, {}, 0
         metadata = read_yaml(segment / "metadata.yaml")[_KEY]
         for name in metadata["relative_file_paths"]:
             (segment / name).replace(self._path / name)
-        self._information = _merge(self._information, metadata)
+        self._information = _merge_metadata(self._information, metadata)
         text = yaml.safe_dump({_KEY: self._information}, sort_keys=False)
         write_text(self._metadata, text)
         shutil.rmtree(self._partial, ignore_errors=True)
 
 
-def _merge(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
+def _merge_metadata(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
     """Merge metadata: files in order, counts added, total time span."""
     if one is None or not one["message_count"]:
         return two

@@ -140,12 +140,12 @@ class MessageBuffer:
         names, known = list(message.joint_names), self.arm.joint_names
         if sorted(names) != sorted(known):
             allowed = f"{', '.join(known)} of arm {self.arm.name}"
-            raise self._error("joint_trajectory joint_names", t, ", ".join(names), allowed)
+            raise self._error_at("joint_trajectory joint_names", t, ", ".join(names), allowed)
         points = [np.asarray(point.positions, dtype=float) for point in message.points]
         good = all(p.shape == (len(names),) and np.isfinite(p).all() for p in points)
         if not points or not good:
             allowed = f"points of {self.arm.n} finite positions"
-            raise self._error("joint_trajectory points", t, "positions", allowed)
+            raise self._error_at("joint_trajectory points", t, "positions", allowed)
         order = [names.index(name) for name in known]
         q = np.array(points)[:, order]
         if (
@@ -172,7 +172,7 @@ class MessageBuffer:
         p = message.pose.pose.position
         xyz = np.array([p.x, p.y, p.z])
         if np.isinf(xyz).any() or np.isnan(xyz).any() != np.isnan(xyz).all():
-            raise self._error("tip_measured", t, xyz, "finite, or NaN in x, y and z")
+            raise self._error_at("tip_measured", t, xyz, "finite, or NaN in x, y and z")
         covariance = np.asarray(message.pose.covariance, dtype=float)
         turn, turn_variance = np.full(4, np.nan), 0.0
         spread = covariance[[21, 28, 35]]
@@ -180,7 +180,9 @@ class MessageBuffer:
             o = message.pose.pose.orientation
             turn, turn_variance = np.array([o.x, o.y, o.z, o.w]), float(spread.mean())
             if not quaternion.is_unit(turn):
-                raise self._error("tip_measured orientation", t, turn, "a quaternion of length 1")
+                raise self._error_at(
+                    "tip_measured orientation", t, turn, "a quaternion of length 1"
+                )
         at = self._message_time(_stamp_ns(message))
         sighting = Sighting(at, xyz, covariance[[0, 7, 14]], turn, turn_variance)
         insort(self.sightings, sighting, key=_time)
@@ -201,14 +203,14 @@ class MessageBuffer:
         except ValidationError as error:
             fault = error.errors(include_url=False)[0]
             allowed = f"{' '.join(map(str, fault['loc']))}: {fault['msg']}"
-            raise self._error("session_row", t, message.data, allowed) from error
+            raise self._error_at("session_row", t, message.data, allowed) from error
 
     def _set_column(self, name: str, t: float, value: float) -> None:
         if not math.isfinite(value):
-            raise self._error(name, t, value, "a finite number")
+            raise self._error_at(name, t, value, "a finite number")
         self.columns.setdefault(name, _Steps(value)).set(t, value)
 
-    def _error(self, what: str, t: float, value: object, allowed: str) -> InputError:
+    def _error_at(self, what: str, t: float, value: object, allowed: str) -> InputError:
         return InputError(self.where, f"{what} at {t:.3f} s", value, allowed)
 
 

@@ -117,7 +117,9 @@ class JointStates:
         stamp_ns = stamp_of_raw(raw)
         for known in self._layouts:
             if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:
-                return stamp_ns, _pick(known.numbers.unpack_from(raw, known.begin), known.order)
+                return stamp_ns, _pick_from(
+                    known.numbers.unpack_from(raw, known.begin), known.order
+                )
         message: Any = self._types.deserialize_cdr(raw, KIND)
         place = {name: k for k, name in enumerate(message.name[: len(message.position)])}
         order = [place[name] for name in self._names if name in place]
@@ -131,8 +133,8 @@ class JointStates:
         if begin >= 0 and alike:
             numbers, head = struct.Struct(f"<{len(marks)}d"), bytes(raw[_STAMP:begin])
             self._layouts.appendleft(_Layout(bytes(raw[_ENCODING]), head, begin, numbers, order))
-        return stamp_ns, _pick(tuple(map(float, message.position)), order)
+        return stamp_ns, _pick_from(tuple(map(float, message.position)), order)
 
 
-def _pick(values: Numbers, order: list[int]) -> Numbers | None:
+def _pick_from(values: Numbers, order: list[int]) -> Numbers | None:
     return tuple([values[k] for k in order]) if order else None

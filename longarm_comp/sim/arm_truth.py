@@ -76,28 +76,28 @@ class Walk:
         """Return the gravity in the last frame's axes of the arm without weight, (3, N)."""
         small = 1e-9  # m/s^2 along each axis: it bends nothing
         gamma = np.broadcast_to(small * np.eye(3)[..., None], (3, 3, len(self._state.q)))
-        return np.tensordot(self.gravity, self._walk(gamma)[0].gravity / small, 1)
+        return np.tensordot(self.gravity, self._walk_back(gamma)[0].gravity / small, 1)
 
     def solve(self, start: Array) -> Array:
         """Return the gravity in the last frame's axes at rest, (3, N)."""
-        return settle(lambda gamma: self._walk(gamma)[0], start, self.gravity)
+        return settle(lambda gamma: self._walk_back(gamma)[0], start, self.gravity)
 
     def finish(self, gamma: Array) -> Settled:
         """Return the arm at rest for the solved gravity direction."""
-        end, marks, torques = self._walk(gamma[:, None], tip=True)
+        end, marks, torques = self._walk_back(gamma[:, None], tip=True)
         pose = np.zeros((gamma.shape[1], 4, 4))
         pose[:, 3, 3] = 1.0
         for column, mark in enumerate(marks):
             pose[:, :3, column] = end.seen(mark)[:, 0].T
         return Settled(pose, torques)
 
-    def _walk(self, gamma: Array, *, tip: bool = False) -> tuple[Walker, list[int], Array]:
+    def _walk_back(self, gamma: Array, *, tip: bool = False) -> tuple[Walker, list[int], Array]:
         """Integrate to the base. Returns the walker there, its marks and the joint loads."""
         walker = Walker(gamma)
         marks: list[int] = []
         torques = np.zeros_like(self._state.q)
         for row in range(len(self._arm.joints), -1, -1):
-            self._give(walker, Place("frame", row))
+            self._apply_effects(walker, Place("frame", row))
             for mass, at in self.masses[row]:
                 walker.hang(mass, at)
             if tip and row == self._arm.tip.frame:
@@ -105,36 +105,36 @@ class Walk:
                 marks += [walker.mark(c, point=False) for c in matrix.T]
                 marks.append(walker.mark(self._arm.tip.position_m, point=True))
             if row > 0:
-                self._row(walker, row, torques)
-        self._give(walker, Place("base", 0))
+                self._walk_row(walker, row, torques)
+        self._apply_effects(walker, Place("base", 0))
         for effect in self._hidden:
             walker.shift(np.broadcast_to(effect.foot(self._state), (3, len(self._state.q))))
         walker.rotate(rpy_matrix(self.base[3:]))
         walker.shift(self.base[:3])
         return walker, marks, torques
 
-    def _row(self, walker: Walker, row: int, torques: Array) -> None:
-        """Back through one row: frame, Tz with its rods, bearing, Rz, Tx with its rods, Rx."""
+    def _walk_row(self, walker: Walker, row: int, torques: Array) -> None:
+        """Go back through one row: frame, Tz with its rods, bearing, Rz, Tx with its rods, Rx."""
         joint = self._arm.joints[row - 1]
         alpha, a, theta, d = self.rows[:, row - 1]
         motor = self._motor.get(row)
         place = Place("bearing", row, motor, joint.type == "prismatic")
         if joint.pose is not None:
-            self._give(walker, place)
+            self._apply_effects(walker, place)
             walker.rotate(rpy_matrix(np.radians(joint.pose.rpy_deg)))
             walker.shift(np.asarray(joint.pose.xyz_m))
             return
-        self._run(walker, row, "d", d)
+        self._walk_run(walker, row, "d", d)
         if motor is not None:
             load = walker.force if joint.type == "prismatic" else walker.moment
             torques[:, motor] = load[2, 0]
-        self._give(walker, place)
+        self._apply_effects(walker, place)
         walker.turn(2, theta)
-        self._run(walker, row, "a", a)
+        self._walk_run(walker, row, "a", a)
         walker.turn(0, alpha)
 
-    def _run(self, walker: Walker, row: int, role: str, size: Array) -> None:
-        """Back along the rods of a row's role and the rigid rest of its size (N,)."""
+    def _walk_run(self, walker: Walker, row: int, role: str, size: Array) -> None:
+        """Go back along the rods of a row's role and the rigid rest of its size (N,)."""
         beams = [b for b in self._arm.links if b.row == row and b.role == role]
         axis = 0 if role == "a" else 2
         sign = -1.0 if np.all(size < 0) else 1.0
@@ -148,11 +148,11 @@ class Walk:
             walker.shift(np.stack([rest if k == axis else 0 * rest for k in range(3)]))
         ends = np.cumsum([0 * size, *lengths], axis=0)
         for k in range(len(beams) - 1, -1, -1):
-            self._beam(walker, axis, sign, beams, ends, k)
+            self._walk_beam(walker, axis, sign, beams, ends, k)
             if beams[k].length_m == "rest":
                 body = beams[k].body_length_m or 0.0
                 overlap = np.minimum(np.maximum(body - lengths[k], 0.0), ends[k])
-                self._give(walker, Place("slide", row, beam=beams[k], overlap=overlap))
+                self._apply_effects(walker, Place("slide", row, beam=beams[k], overlap=overlap))
         for beam, end in zip(beams, ends[1:], strict=True):
             behind = np.maximum((beam.body_length_m or 0.0) - end, 0.0)
             if np.any(behind > 0.0):  # a body that reaches back past the row's beginning
@@ -160,16 +160,16 @@ class Walk:
                 mass = beam.mass_kg * behind / (beam.body_length_m or 1.0)
                 walker.hang(mass, np.stack([at if i == axis else 0 * at for i in range(3)]))
 
-    def _beam(
+    def _walk_beam(
         self, walker: Walker, axis: int, sign: float, beams: list[Beam], ends: Array, k: int
     ) -> None:
-        """One beam, divided at the beginnings of the bodies inside it."""
+        """Go back along one beam, divided at the beginnings of the bodies inside it."""
         first, second, torsion = beams[k].stiffness
         order = (torsion, first, second) if axis == 0 else (first, second, torsion)
         compliance = np.reshape(order, (3, 1)) ** -1.0
         for effect in self._hidden:
             compliance = compliance * effect.softness(beams[k], self._state)
-        stretch = _stretch(beams[k], axis) if self._true.shear else None
+        stretch = _compute_stretch(beams[k], axis) if self._true.shear else None
         bodies = [
             (b.mass_kg / length, np.clip(ends[j + 1] - length, ends[k], ends[k + 1]))
             for j, b in enumerate(beams)
@@ -184,7 +184,7 @@ class Walk:
             density = sum((rho * (start < middle) for rho, start in bodies), np.zeros_like(near))
             walker.rod(axis, sign, far - near, compliance, density, self._true.steps, stretch)
 
-    def _give(self, walker: Walker, place: Place) -> None:
+    def _apply_effects(self, walker: Walker, place: Place) -> None:
         for effect in reversed(self._hidden):
             for force, at in effect.push(place, self._state):
                 walker.push(force, at)
@@ -193,7 +193,7 @@ class Walk:
                 walker.give(vector)
 
 
-def _stretch(beam: Beam, axis: int) -> Array | None:
+def _compute_stretch(beam: Beam, axis: int) -> Array | None:
     """Return 1/(kGA, kGA, EA) of a tube in the order of the axes, 1/N; None for other sections.
 
     Cowper's shear coefficient of the hollow round (J. Appl. Mech. 33, 1966).
@@ -240,11 +240,11 @@ class TrueArm:
         self.steps, self.shear = steps, shear
 
     def tip(self, q: Array, context: TrueContext | None = None) -> Array:
-        """True tip in the base frame, (N, 3) m, for commanded joints (N, n) or (n,)."""
+        """Return the true tip in the base frame, (N, 3) m, for commanded joints (N, n) or (n,)."""
         return self.pose(q, context)[..., :3, 3]
 
     def pose(self, q: Array, context: TrueContext | None = None) -> Array:
-        """True tip frame in the base frame, (N, 4, 4), or (4, 4) for one posture."""
+        """Return the true tip frame in the base frame, (N, 4, 4), or (4, 4) for one posture."""
         pose = self.settled(q, context).pose
         return pose if np.ndim(q) == 2 else pose[0]
 

@@ -41,7 +41,7 @@ def tag_plate(
     first_id: int = 0,
 ) -> Plate:
     """Return a grid of tags, ids along the rows from the top left, a white margin of 0.2 tags."""
-    known = _dictionary(dictionary)
+    known = _load_dictionary(dictionary)
     tag_px = 30 * known.markerSize
     gap_px, margin_px = round(gap_m / tag_m * tag_px), round(0.2 * tag_px)
     pitch = tag_px + gap_px
@@ -64,12 +64,12 @@ def charuco_plate(
     square_m: float, tag_m: float, columns: int, rows: int, dictionary: str = "DICT_4X4_50"
 ) -> Plate:
     """Return a ChArUco board of `columns` x `rows` squares, drawn by OpenCV, without a margin."""
-    board = cv2.aruco.CharucoBoard((columns, rows), square_m, tag_m, _dictionary(dictionary))
+    board = cv2.aruco.CharucoBoard((columns, rows), square_m, tag_m, _load_dictionary(dictionary))
     texture = board.generateImage((160 * columns, 160 * rows))
     return Plate(np.asarray(texture, dtype=np.uint8), (columns * square_m, rows * square_m))
 
 
-def _dictionary(name: str) -> cv2.aruco.Dictionary:
+def _load_dictionary(name: str) -> cv2.aruco.Dictionary:
     known = sorted(key for key in vars(cv2.aruco) if key.startswith("DICT_"))
     if name not in known:
         raise InputError("plate", "dictionary", name, ", ".join(known))
@@ -129,19 +129,19 @@ class CameraPair:
     def camera_in_base(self) -> Array:
         """Pose (4, 4) of the left optical frame that `camera_infos` speak of (rectified)."""
         out = self.left_in_base
-        out[:3, :3] = out[:3, :3] @ self._rectification()[0].T
+        out[:3, :3] = out[:3, :3] @ self._compute_rectification()[0].T
         return out
 
     def camera_infos(self) -> tuple[CameraInfo, CameraInfo]:
-        """Calibration of the raw images, left and right, as camera drivers publish it."""
-        left, right, p_left, p_right = self._rectification()
-        return self._info(left, p_left), self._info(right, p_right)
+        """Return the raw images' calibration, left and right, as camera drivers publish it."""
+        left, right, p_left, p_right = self._compute_rectification()
+        return self._make_info(left, p_left), self._make_info(right, p_right)
 
-    def _info(self, r: Array, p: Array) -> CameraInfo:
+    def _make_info(self, r: Array, p: Array) -> CameraInfo:
         k, r_, p_ = (tuple(float(x) for x in a.ravel()) for a in (self.k, r, p))
         return CameraInfo(*self.size, "plumb_bob", self.d, k, r_, p_)
 
-    def _rectification(self) -> tuple[Array, Array, Array, Array]:
+    def _compute_rectification(self) -> tuple[Array, Array, Array, Array]:
         d, move = np.asarray(self.d), self.right_from_left
         if not any(self.right_turn_rad):
             p = np.hstack([self.k, np.zeros((3, 1))])
@@ -188,8 +188,8 @@ def light(
     left_T_marker = np.linalg.inv(head.left_in_base) @ np.asarray(base_T_marker, dtype=float)
     right_T_marker = head.right_from_left @ left_T_marker
     return (
-        _light(left_T_marker, plate, head, conditions, 0),
-        _light(right_T_marker, plate, head, conditions, 1),
+        _light_camera(left_T_marker, plate, head, conditions, 0),
+        _light_camera(right_T_marker, plate, head, conditions, 1),
     )
 
 
@@ -201,22 +201,22 @@ def expose(light: Light, conditions: Conditions, rng: np.random.Generator) -> Gr
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-def _light(
+def _light_camera(
     camera_T_marker: Array, plate: Plate, head: CameraPair, conditions: Conditions, eye: int
 ) -> Light:
-    light = _background(conditions.background + eye, head.size, conditions.blur_px).copy()
-    window = _window(camera_T_marker, plate, head, conditions)
+    light = _draw_background(conditions.background + eye, head.size, conditions.blur_px).copy()
+    window = _find_window(camera_T_marker, plate, head, conditions)
     if window is not None:
         x0, y0, x1, y1 = window
         colour, share = _fine_plate(window, camera_T_marker, plate, head, conditions.covered[eye])
-        colour, share = (_blur(a, conditions) for a in (colour, share))
+        colour, share = (_blur_plate(a, conditions) for a in (colour, share))
         patch = light[y0:y1, x0:x1]
         patch *= 1.0 - share
         patch += colour
     return light
 
 
-def _window(
+def _find_window(
     camera_T_marker: Array, plate: Plate, head: CameraPair, conditions: Conditions
 ) -> Window | None:
     """Return the part of the image (x0, y0, x1, y1) that the blurred plate may touch."""
@@ -244,7 +244,7 @@ def _fine_plate(
     ray_x = (u - head.k[0, 2])[None] / head.focal_px
     ray_y = (v - head.k[1, 2])[:, None] / head.focal_px
     if any(head.d):
-        ray_x, ray_y = _undistort(window, head)
+        ray_x, ray_y = _undistort_rays(window, head)
     to_plane = np.linalg.inv(camera_T_marker[:3, [0, 1, 3]])  # ray -> (X, Y, 1) of the plane
     to_plane[0] /= plate.size_m[0]
     to_plane[1] /= plate.size_m[1]
@@ -266,7 +266,7 @@ def _fine_plate(
     return colour * share, share
 
 
-def _undistort(window: Window, head: CameraPair) -> tuple[Array, Array]:
+def _undistort_rays(window: Window, head: CameraPair) -> tuple[Array, Array]:
     """Compute rays x/z, y/z of fine pixels: exact at pixel centres, linear between them."""
     x0, y0, x1, y1 = window
     u, v = np.arange(x0 - 1.0, x1 + 1.0), np.arange(y0 - 1.0, y1 + 1.0)
@@ -279,7 +279,7 @@ def _undistort(window: Window, head: CameraPair) -> tuple[Array, Array]:
     return inner[..., 0], inner[..., 1]
 
 
-def _blur(fine: Light, conditions: Conditions) -> Light:
+def _blur_plate(fine: Light, conditions: Conditions) -> Light:
     """Apply lens blur, motion and the pixel's own area: fine pixels to image pixels."""
     if conditions.blur_px > 0.0:
         fine = cv2.GaussianBlur(fine, (0, 0), conditions.blur_px * _FINE)
@@ -299,7 +299,7 @@ def _path_kernel(motion_px: tuple[float, float]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=8)
-def _background(seed: int, size: tuple[int, int], blur_px: float) -> Light:
+def _draw_background(seed: int, size: tuple[int, int], blur_px: float) -> Light:
     """Draw a cluttered background: soft patches, sharp boxes, fine grain, lens blur."""
     rng = np.random.default_rng(seed)
     soft = rng.uniform(60.0, 150.0, (size[1] // 80 + 2, size[0] // 80 + 2)).astype(np.float32)

@@ -49,7 +49,7 @@ class State:
     @classmethod
     def of(cls, arm: Arm, q: Array, context: TrueContext | None) -> State:
         """Create from joints and a context, with defaults for None."""
-        q = _array("q", q, (len(np.atleast_2d(q)), arm.n))
+        q = _array_of("q", q, (len(np.atleast_2d(q)), arm.n))
         usual = {
             "temperature_c": arm.reference_temperature_c,
             "payload_kg": arm.payload.mass_kg if arm.payload else 0.0,
@@ -57,11 +57,11 @@ class State:
         filled = {}
         for name, value in vars(context or TrueContext()).items():
             shape = q.shape if name in ("approach", "behind", "wound", "way") else q.shape[:1]
-            filled[name] = _array(name, usual.get(name, 0.0) if value is None else value, shape)
+            filled[name] = _array_of(name, usual.get(name, 0.0) if value is None else value, shape)
         return cls(arm, q, **filled)
 
 
-def _array(name: str, value: Array | float, shape: tuple[int, ...]) -> Array:
+def _array_of(name: str, value: Array | float, shape: tuple[int, ...]) -> Array:
     try:
         array = np.broadcast_to(np.asarray(value, float), shape)
     except (TypeError, ValueError) as error:

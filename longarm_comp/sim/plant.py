@@ -105,13 +105,13 @@ class Plant:
         self._swing, self._swings = np.zeros(3), threading.Lock()
 
     def ring(self, t_s: float) -> None:
-        """The arm vibrates on, up to a time; call it often. It does nothing without damping."""
+        """Let the arm vibrate on up to a time; call it often. It does nothing without damping."""
         if self._ringing is not None:
             with self._swings:
                 self._swing = self._ringing.move_joints(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
-        """The play of some joints is so much (rad, m) larger than at the start from now on."""
+        """Make the play of some joints so much (rad, m) larger than at the start from now on."""
         names = self.config.arm.joint_names
         for joint, value in play.items():
             if joint not in names:
@@ -140,7 +140,7 @@ class Plant:
         values = self.config.servos.values(self.emulator.positions())
         return np.array([values[name] for name in self.config.arm.joint_names])
 
-    def _upwards(self, of: Callable[[Motor], float]) -> Array:
+    def _signed_upwards(self, of: Callable[[Motor], float]) -> Array:
         """Return (n,) signed by the joint's direction, from what servos have signed by theirs."""
         turned = self.emulator.each(of)
         return np.array([np.sign(j.travel) * turned[j.servo_id] for j in self._servos])
@@ -152,8 +152,8 @@ class Plant:
 
     def tip_pose(self, t_s: float) -> Array:
         """Return (4, 4) true tip in the base frame. It is published only for evaluation."""
-        q, side = self.joints(), self._upwards(lambda motor: motor.approach)
-        wound = self._upwards(lambda motor: motor.wound)
+        q, side = self.joints(), self._signed_upwards(lambda motor: motor.approach)
+        wound = self._signed_upwards(lambda motor: motor.wound)
         ticks = self.emulator.each(lambda motor: motor.way)
         way = np.array([j.travel * ticks[j.servo_id] for j in self._servos])
         known = np.concatenate([q, side, wound, way, [self.temperature_c(t_s)]])
@@ -169,7 +169,7 @@ class Plant:
         return pose
 
     def contact(self, t_s: float) -> str:
-        """Name of the socket that the ball at the tip sits in, or blank.
+        """Return the name of the socket that the ball at the tip sits in, or blank.
 
         A ball in the mouth of a socket slides towards its bottom where the servos let the arm go,
         each joint by as little as it takes; after two or three calls it is there. Driven servos
@@ -180,11 +180,11 @@ class Plant:
             if np.linalg.norm(away) <= _SEATED_M:
                 return name
             if np.linalg.norm(away) <= _MOUTH_M and not any(self.emulator.torques_on().values()):
-                self._slide(away)
+                self._slide_joints(away)
         return ""
 
-    def _slide(self, away: Array) -> None:
-        """The joints give way so that the tip moves by (3,) m."""
+    def _slide_joints(self, away: Array) -> None:
+        """Let the joints give way so that the tip moves by (3,) m."""
         q, step = self.joints(), 1e-5
         turned = q + step * np.eye(len(q))
         tips = self._true.settled(np.vstack([q, turned])).pose[:, :3, 3]

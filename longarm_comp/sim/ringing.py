@@ -50,13 +50,13 @@ class _Build:
         self.bearings: dict[int, tuple[int, Array]] = {}  # spring and axis, by joint
         self._turn, self._at = rpy_matrix(self._walk.base[3:]), self._walk.base[:3]
         self.tip = (self._at, 0)
-        self._yields(Place("base", 0))
-        self._frame(0)
+        self._add_yielding(Place("base", 0))
+        self._add_frame(0)
         for row in range(1, len(self.arm.joints) + 1):
-            self._row(row)
+            self._add_row(row)
 
-    def _yields(self, place: Place) -> None:
-        """A spring where hidden effects yield."""
+    def _add_yielding(self, place: Place) -> None:
+        """Add a spring where hidden effects yield."""
         whole = np.zeros((3, 3))
         for effect in self._hidden:
             gives = []
@@ -67,34 +67,34 @@ class _Build:
             if gives[0] is not None and gives[1] is not None:
                 whole += (gives[1] - gives[0])[:, 0]
         if whole.any():
-            self._spring(self._at, whole)
+            self._add_spring(self._at, whole)
 
-    def _spring(self, at: Array, compliance: Array) -> None:
+    def _add_spring(self, at: Array, compliance: Array) -> None:
         values, axes = np.linalg.eigh(0.5 * (compliance + compliance.T))
         root = self._turn @ (axes * np.sqrt(np.maximum(values, 0.0)))
         self.springs.append((np.array(at), root))
 
-    def _frame(self, row: int) -> None:
+    def _add_frame(self, row: int) -> None:
         for mass, at in self._walk.masses[row]:
-            self._mass(float(np.ravel(mass)[0]), self._at + self._turn @ np.asarray(at))
+            self._add_mass(float(np.ravel(mass)[0]), self._at + self._turn @ np.asarray(at))
         if row == self.arm.tip.frame:
             self.tip = (
                 self._at + self._turn @ np.asarray(self.arm.tip.position_m),
                 len(self.springs),
             )
 
-    def _mass(self, mass: float, at: Array) -> None:
+    def _add_mass(self, mass: float, at: Array) -> None:
         self.masses.append((at, mass, len(self.springs)))
 
-    def _row(self, row: int) -> None:
+    def _add_row(self, row: int) -> None:
         joint, rows = self.arm.joints[row - 1], self._walk.rows[:, row - 1, 0]
         if joint.pose is not None:
             self._at = self._at + self._turn @ np.asarray(joint.pose.xyz_m)
             self._turn = self._turn @ rpy_matrix(np.radians(joint.pose.rpy_deg))
-            self._yields(Place("bearing", row))
+            self._add_yielding(Place("bearing", row))
         else:
             self._turn = self._turn @ rpy_matrix((rows[0], 0.0, 0.0))
-            self._run(row, "a", rows[A])
+            self._add_run(row, "a", rows[A])
             self._turn = self._turn @ rpy_matrix((0.0, 0.0, rows[THETA]))
             axis, slides = self._turn[:, 2].copy(), joint.type == "prismatic"
             if joint.type != "fixed":
@@ -103,15 +103,15 @@ class _Build:
                 self.moved.append((axis, place, weights, len(self.springs)))
             motor = self.arm.commanded.index(row) if row in self.arm.commanded else None
             springs = len(self.springs)
-            self._yields(Place("bearing", row, motor, slides))
+            self._add_yielding(Place("bearing", row, motor, slides))
             if motor is not None and not slides and len(self.springs) > springs:
                 self.bearings[motor] = springs, axis
-            self._run(row, "d", rows[D])
-        self._yields(Place("frame", row))
-        self._frame(row)
+            self._add_run(row, "d", rows[D])
+        self._add_yielding(Place("frame", row))
+        self._add_frame(row)
 
-    def _run(self, row: int, role: str, size: float) -> None:
-        """Along the rods of a row's role."""
+    def _add_run(self, row: int, role: str, size: float) -> None:
+        """Add springs and masses along the rods of a row's role."""
         along = (1.0 if size >= 0.0 else -1.0) * self._turn[:, 0 if role == "a" else 2]
         beams = [b for b in self.arm.links if b.row == row and b.role == role]
         fixed = sum(b.length_m for b in beams if b.length_m != "rest")
@@ -123,12 +123,12 @@ class _Build:
         ]
         for mass, end, start in bodies:  # bodies that reach back past the row's beginning
             behind = max(-start, 0.0)
-            self._mass(mass * behind / (end - start), begin - 0.5 * behind * along)
+            self._add_mass(mass * behind / (end - start), begin - 0.5 * behind * along)
         for beam, end, length in zip(beams, ends, lengths, strict=True):
             if beam.length_m == "rest":
                 overlap = np.full(3, min(max((beam.body_length_m or 0.0) - length, 0.0), end))
                 self._at = begin + along * (end - length)
-                self._yields(Place("slide", row, beam=beam, overlap=overlap))
+                self._add_yielding(Place("slide", row, beam=beam, overlap=overlap))
             first, second, torsion = beam.stiffness
             order = (torsion, first, second) if role == "a" else (first, second, torsion)
             soft = 1.0
@@ -141,11 +141,11 @@ class _Build:
                     m / (e - s) * max(min(e, near + piece) - max(s, near), 0.0)
                     for m, e, s in bodies
                 )
-                self._mass(0.5 * inside, begin + along * near)
-                self._spring(
+                self._add_mass(0.5 * inside, begin + along * near)
+                self._add_spring(
                     begin + along * (near + 0.5 * piece), np.diag(piece * soft / np.array(order))
                 )
-                self._mass(0.5 * inside, begin + along * (near + piece))
+                self._add_mass(0.5 * inside, begin + along * (near + piece))
         self._at = begin + along * abs(size)
 
 
@@ -205,10 +205,10 @@ class Ringing:
     def move_joints(self, t_s: float, q: Array) -> Array:
         """Put the joints at q (n,) at a time; return the tip's displacement then, (3,) m."""
         before, came, speed = self._last or (t_s, q, np.zeros_like(q))
-        now = self._modes(q, speed)
+        now = self._find_modes(q, speed)
         if t_s > before:
             fresh = (q - came) / (t_s - before)
-            rate = self._rate(now)
+            rate = self._complex_rate(now)
             kick = now.driven @ (fresh - speed) / (1j * rate.imag)  # when the last span began
             self._wave = (self._wave + kick) * np.exp(rate * (t_s - before))
             before, came, speed = t_s, q, fresh
@@ -217,23 +217,23 @@ class Ringing:
 
     def tip_ring(self, since_s: Array) -> Array:
         """Return the tip's displacement (N, 3), m, some times later, if the joints stay."""
-        return self._later(since_s, lambda modes: modes.tip)
+        return self._ring_later(since_s, lambda modes: modes.tip)
 
     def joint_ring(self, since_s: Array) -> Array:
         """Return likewise (N, n), rad and m, what encoders at the joints' output see of it."""
-        return self._later(since_s, lambda modes: modes.turned)
+        return self._ring_later(since_s, lambda modes: modes.turned)
 
-    def _later(self, since_s: Array, part: Callable[[_Vibration], Array]) -> Array:
+    def _ring_later(self, since_s: Array, part: Callable[[_Vibration], Array]) -> Array:
         assert self._about is not None
         modes = self._about[1]
-        turns = np.exp(np.multiply.outer(since_s, self._rate(modes)))
+        turns = np.exp(np.multiply.outer(since_s, self._complex_rate(modes)))
         return np.real(self._wave * turns) @ part(modes).T
 
-    def _rate(self, modes: _Vibration) -> Array:
+    def _complex_rate(self, modes: _Vibration) -> Array:
         """Return (k,) complex 1/s of the modes' decay and turn."""
         return modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
 
-    def _modes(self, q: Array, speed: Array) -> _Vibration:
+    def _find_modes(self, q: Array, speed: Array) -> _Vibration:
         """Find the modes of the posture; a wave goes on in them with the masses' motion."""
         span = self._true.arm.upper - self._true.arm.lower
         # of a joint's range: so far the modes are those of the posture before
@@ -243,8 +243,8 @@ class Ringing:
         if self._about is None:
             self._wave = np.zeros(len(new.omega), complex)
         else:
-            old, rate = self._about[1], self._rate(new)
-            pace = (self._rate(old) * self._wave).real
+            old, rate = self._about[1], self._complex_rate(new)
+            pace = (self._complex_rate(old) * self._wave).real
             pull = new.shape.T * new.mass  # the masses go on where they are and as they move
             there = pull @ (old.shape @ self._wave.real)
             then = pull @ (old.shape @ pace + (old.carried - new.carried) @ speed)

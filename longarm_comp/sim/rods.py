@@ -62,9 +62,9 @@ class Walker:
     @property
     def force(self) -> Array:
         """Force of all beyond, (3, B, N) N: weight, and what pushes besides."""
-        return self._force(self._v, self.mass)
+        return self._add_force(self._v, self.mass)
 
-    def _force(self, v: Array, mass: Array | float) -> Array:
+    def _add_force(self, v: Array, mass: Array | float) -> Array:
         weight = mass * v[:, _GRAVITY]
         return weight if self._pushed is None else weight + v[:, 2 + self._pushed]
 
@@ -82,7 +82,7 @@ class Walker:
 
     def hang(self, mass: Array | float, at: Sequence[float] | Array) -> None:
         """Add a mass (kg) at a position (m) in these axes."""
-        self._v[:, _MOMENT] += cross(_column(at), mass * self.gravity)
+        self._v[:, _MOMENT] += cross(_as_column(at), mass * self.gravity)
         self.mass = self.mass + mass
 
     def push(self, force: Array, at: Sequence[float] | Array) -> None:
@@ -90,13 +90,13 @@ class Walker:
         axes."""
         if self._pushed is None:
             self._pushed = self.mark((0.0, 0.0, 0.0), point=False)
-        applied = _column(force)
+        applied = _as_column(force)
         self._v[:, 2 + self._pushed] += applied
-        self._v[:, _MOMENT] += cross(_column(at), applied + 0 * self.gravity)
+        self._v[:, _MOMENT] += cross(_as_column(at), applied + 0 * self.gravity)
 
     def shift(self, offset: Array) -> None:
         """Go back along a rigid piece, (3, ...) m from the new section to this one."""
-        v = _column(offset)
+        v = _as_column(offset)
         self._v[:, _MOMENT] += cross(v, self.force)
         self._v += v[:, None] * self._point[:, None, None]
 
@@ -152,7 +152,7 @@ class Walker:
         def rate(v: Array, mass: Array | float) -> Array:
             kappa = c * v[:, _MOMENT]
             out = cross(kappa[:, None], v)
-            f = self._force(v, mass)
+            f = self._add_force(v, mass)
             i, j = (axis + 1) % 3, (axis + 2) % 3
             out[i, _MOMENT] -= sign * f[j]
             out[j, _MOMENT] += sign * f[i]
@@ -195,20 +195,20 @@ def settle(walk: Callable[[Array], Walker], start: Array, gravity: Array) -> Arr
         unit = start / size
         for part in range(1, parts + 1):
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                unit, left = _newton(walk, unit, gravity / size, size * part / parts)
+                unit, left = _solve_directions(walk, unit, gravity / size, size * part / parts)
         if left < _CONVERGED:
             return size * unit
     raise JobError("the rods found no equilibrium", left_rad=left, postures=start.shape[1])
 
 
-def _newton(
+def _solve_directions(
     walk: Callable[[Array], Walker], unit: Array, down: Array, size: float
 ) -> tuple[Array, float]:
     """Return directions (3, N) and the largest angle left (rad)."""
-    first, second = _normals(down[:, None])
+    first, second = _find_normals(down[:, None])
     step, left = 1e-6, np.inf
     for _ in range(12):  # Newton steps
-        t1, t2 = _normals(unit)
+        t1, t2 = _find_normals(unit)
         trials = np.stack([unit, unit + step * t1, unit + step * t2], axis=1)
         found = walk(size * trials).gravity / size
         r = np.stack([np.sum(first[:, None] * found, 0), np.sum(second[:, None] * found, 0)])
@@ -230,7 +230,7 @@ def _newton(
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product over the first axis."""
+    """Return the cross product over the first axis."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
@@ -247,7 +247,7 @@ def rpy_matrix(rpy: Sequence[float] | Array) -> Array:
     return rz @ ry @ rx
 
 
-def _normals(unit: Array) -> tuple[Array, Array]:
+def _find_normals(unit: Array) -> tuple[Array, Array]:
     """Return two unit vectors normal to each unit vector (3, N) and to each other."""
     pick = np.where(np.abs(unit[0]) < 0.6, 0, 1)
     other = np.stack([pick == 0, pick == 1, np.zeros_like(pick, bool)]).astype(float)
@@ -256,7 +256,7 @@ def _normals(unit: Array) -> tuple[Array, Array]:
     return first, cross(unit, first)
 
 
-def _column(vector: Sequence[float] | Array) -> Array:
+def _as_column(vector: Sequence[float] | Array) -> Array:
     """Return a vector, or (3, N), or (3, B, N), as (3, B, N)."""
     v = np.asarray(vector, float)
     return v.reshape(3, *([1] * (3 - v.ndim)), *v.shape[1:])

@@ -73,11 +73,11 @@ class Buttons:
             button = self._pressed.popleft()
             client = self._clients[button.service]
             if client.service_is_ready():
-                self._say(button, "asked", well=True)
+                self._note_said(button, "asked", well=True)
                 self._calls.append((button, Call(client, button.request(), again=True), now))
             else:
                 name = self._node.resolve_service_name(client.srv_name)
-                self._say(button, f"not done, nobody offers {name}")
+                self._note_said(button, f"not done, nobody offers {name}")
         self._calls = [call for call in self._calls if not self._has_ended(*call, now)]
 
     def _has_ended(self, button: Button, asked: Call, since: float, now: float) -> bool:
@@ -87,13 +87,15 @@ class Buttons:
             return False
         asked.close()
         if answer is None:
-            self._say(button, f"no answer in {_PATIENCE_S:g} s, so perhaps not done")
+            self._note_said(button, f"no answer in {_PATIENCE_S:g} s, so perhaps not done")
         else:
             well = answer.success
-            self._say(button, answer.message if well else f"refused: {answer.message}", well=well)
+            self._note_said(
+                button, answer.message if well else f"refused: {answer.message}", well=well
+            )
         return True
 
-    def _say(self, button: Button, what: str, *, well: bool = False) -> None:
+    def _note_said(self, button: Button, what: str, *, well: bool = False) -> None:
         self.said = (f"{button.label}: {what}", well)
 
 
@@ -143,22 +145,22 @@ class Panel:
         heads = {*lines["state"][:1], *nodes}
         scale = [words.exaggeration(*self.exaggeration), words.LEGEND]
         for place, texts in {**lines, "scale": scale}.items():
-            html = "".join(_line(text, colours.get(place, ""), text in heads) for text in texts)
-            _set(self._places[place], "content", html and f"<div style='{_STYLE}'>{html}</div>")
+            html = "".join(_line_of(text, colours.get(place, ""), text in heads) for text in texts)
+            _set_new(self._places[place], "content", html and f"<div style='{_STYLE}'>{html}</div>")
         if state.progress is not None:
-            _set(self._bar, "value", 100.0 * min(state.progress.share, 1.0))
-            _set(self._bar, "visible", True)
+            _set_new(self._bar, "value", 100.0 * min(state.progress.share, 1.0))
+            _set_new(self._bar, "visible", True)
 
 
 _STYLE = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
 
 
-def _line(text: str, colour: str, head: bool) -> str:
+def _line_of(text: str, colour: str, head: bool) -> str:
     style = f"color:{_SIGNS.get(text[0], colour)};font-weight:{'bold' if head else 'normal'}"
     return f"<div style='{style}'>{escape(text)}</div>"
 
 
-def _set(handle: Any, name: str, value: Any) -> None:
+def _set_new(handle: Any, name: str, value: Any) -> None:
     """Set a property of a handle where it changes: every assignment is sent to the browsers."""
     if getattr(handle, name) != value:
         setattr(handle, name, value)

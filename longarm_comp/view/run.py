@@ -53,7 +53,7 @@ class Listener:
         ):
             topic.subscription(client.node, callback)
 
-    def _heard(self, **changes: Any) -> None:
+    def _update_state(self, **changes: Any) -> None:
         self.state = replace(self.state, heard=time.monotonic(), **changes)
 
     def _on_markers(self, message: MarkerArray) -> None:
@@ -64,7 +64,7 @@ class Listener:
             for name, marker in lines.items()
         }
         declared, drawn = points.get("declared", _NONE), points.get("hanging", _NONE)
-        factor = _number(lines["hanging"].text) if "hanging" in lines else math.nan
+        factor = _to_number(lines["hanging"].text) if "hanging" in lines else math.nan
         if declared.shape != drawn.shape or not len(drawn) or not factor > 0.0:
             return
         hanging = exaggerate_sag(drawn, declared, 1.0 / factor)
@@ -72,41 +72,41 @@ class Listener:
             points[name][0] if len(points.get(name, _NONE)) else None
             for name in ("target", "pseudo_target")
         )
-        self._heard(picture=Picture(declared, hanging, target, pseudo, time.monotonic()))
+        self._update_state(picture=Picture(declared, hanging, target, pseudo, time.monotonic()))
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         if message.header.frame_id == self._base:  # else nobody knows where it lies
-            self._heard(tip=sighting_of(message)[0], tip_at=time.monotonic())
+            self._update_state(tip=sighting_of(message)[0], tip_at=time.monotonic())
 
     def _on_joints(self, message: JointState) -> None:
         joints = dict(zip(message.name, message.position, strict=False))
         self.state = self.state.with_joints(joints, time.monotonic())
-        self._heard()
+        self._update_state()
 
     def _on_driver(self, message: DriverState) -> None:
-        self._heard(driver=(driver_words(message.state), message.message))
+        self._update_state(driver=(driver_words(message.state), message.message))
 
     def _on_answer(self, message: Compensation) -> None:
         known = message.status in set(Status)
         status = Status(message.status).name if known else f"status {message.status}"
         sent = dict(zip(message.executed.name, message.executed.position, strict=False))
-        self._heard(answer=LastAnswer(status, message.message, sent))
+        self._update_state(answer=LastAnswer(status, message.message, sent))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for node, parts in reports_of(message, self._namespace).items():
             health = tuple(Part(name, min(ord(s.level), 3), s.message) for name, s in parts.items())
             told = {said: parts[name].message for name, said in _TOLD.items() if name in parts}
             self.state = self.state.with_report(node, health, time.monotonic())
-            self._heard(told={**self.state.told, **told})
+            self._update_state(told={**self.state.told, **told})
             if "monitor" in parts:
                 facts = {value.key: value.value for value in parts["monitor"].values}
-                self._heard(evidence=_number(facts.get(EVIDENCE, "")))
+                self._update_state(evidence=_to_number(facts.get(EVIDENCE, "")))
 
     def _on_progress(self, message: DiagnosticStatus) -> None:
         facts = {value.key: value.value for value in message.values}
-        share = _number(facts.get("done", "")) / max(1.0, _number(facts.get("total", "")))
+        share = _to_number(facts.get("done", "")) / max(1.0, _to_number(facts.get("total", "")))
         if math.isfinite(share):
-            self._heard(progress=CollectProgress(share, message.message, time.monotonic()))
+            self._update_state(progress=CollectProgress(share, message.message, time.monotonic()))
 
 
 _TOLD = {RING_SAID: "After the last move", LEARNED_SAID: "At work"}
@@ -114,7 +114,7 @@ _TOLD = {RING_SAID: "After the last move", LEARNED_SAID: "At work"}
 _NONE = np.empty((0, 3))
 
 
-def _number(text: str) -> float:
+def _to_number(text: str) -> float:
     try:
         return float(text)
     except ValueError:

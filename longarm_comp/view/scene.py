@@ -26,7 +26,7 @@ class Scene:
         self._handles: dict[str, Any] = {}
         self._middle = self._away = np.zeros(3)
         self._beside: dict[str, np.ndarray] = {}
-        server.on_client_connect(self._aim)
+        server.on_client_connect(self._aim_camera)
 
     def show(self, state: PageState, now: float, factor: tuple[float, float]) -> None:
         """Draw a state, deflection and error arrows so many times larger; pale if not of now."""
@@ -36,13 +36,13 @@ class Scene:
             return
         with self._server.atomic():
             if not self._handles:
-                self._begin(picture)
+                self._begin_scene(picture)
             pale = state.is_old(now)
             hanging = exaggerate_sag(picture.hanging, picture.declared, times)
-            self._line("declared", picture.declared, PALE if pale else GREY)
-            self._line("hanging", hanging, PALE if pale else BLUE)
+            self._draw_line("declared", picture.declared, PALE if pale else GREY)
+            self._draw_line("hanging", hanging, PALE if pale else BLUE)
             end = hanging[-1]
-            self._label("hanging", None if pale else end, f"deflection × {times:g}")
+            self._show_label("hanging", None if pale else end, f"deflection × {times:g}")
             tip = None if pale else state.seen_tip(now)
             for name, at in (
                 ("target", picture.target),
@@ -54,11 +54,11 @@ class Scene:
                     self._handles[name].position = at
             missed = "the picture is old" if pale else state.miss_at_target(now)
             beside = "the picture is old" if pale else state.miss_of_prediction(now)
-            tip_at = self._arrow("missed", picture.target, missed, longer)
-            self._arrow("beside", end, beside, longer)
-            self._label("missed", tip_at, f"tip − target × {longer:g}")
+            tip_at = self._draw_arrow("missed", picture.target, missed, longer)
+            self._draw_arrow("beside", end, beside, longer)
+            self._show_label("missed", tip_at, f"tip − target × {longer:g}")
 
-    def _begin(self, picture: Picture) -> None:
+    def _begin_scene(self, picture: Picture) -> None:
         scene, size = self._server.scene, float(np.ptp(picture.declared, axis=0).max())
         middle = 0.5 * (picture.declared.min(axis=0) + picture.declared.max(axis=0))
         scene.world_axes.visible = False
@@ -96,20 +96,20 @@ class Scene:
         camera = self._server.initial_camera
         camera.look_at, camera.position = middle, middle + self._away
         for client in self._server.get_clients().values():
-            self._aim(client)
+            self._aim_camera(client)
 
-    def _aim(self, client: viser.ClientHandle) -> None:
+    def _aim_camera(self, client: viser.ClientHandle) -> None:
         """Point the camera of a browser at the arm, from further away where it is narrow."""
         if self._handles:
             away = self._away * max(1.0, 1.0 / client.camera.aspect)
             client.camera.position, client.camera.look_at = self._middle + away, self._middle
 
-    def _line(self, name: str, points: np.ndarray, colour: tuple[int, int, int]) -> None:
+    def _draw_line(self, name: str, points: np.ndarray, colour: tuple[int, int, int]) -> None:
         handle = self._handles[name]
         handle.points = np.stack([points[:-1], points[1:]], axis=1)
         handle.colors = np.array(colour, np.uint8)
 
-    def _arrow(
+    def _draw_arrow(
         self, name: str, start: np.ndarray | None, error: np.ndarray | str, factor: float
     ) -> np.ndarray | None:
         """Draw an error (3,), where there is one; the end of its arrow (3,)."""
@@ -121,7 +121,7 @@ class Scene:
         handle.points = np.stack([start, end])[None]
         return end
 
-    def _label(self, name: str, at: np.ndarray | None, text: str) -> None:
+    def _show_label(self, name: str, at: np.ndarray | None, text: str) -> None:
         handle = self._handles[f"{name} label"]
         handle.visible = at is not None
         if at is not None:

@@ -102,9 +102,9 @@ class Gate:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             where = urlsplit(request.path)
             if where.path == "/" and self._redeem_code(*parse_qs(where.query).get("code", [])):
-                cookie = f"{_cookie(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-                return _redirect(_START, {"Set-Cookie": cookie})
-            if not self._is_token(*_read_cookies(request.headers, _cookie(port))):
+                cookie = f"{_cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+                return _make_redirect(_START, {"Set-Cookie": cookie})
+            if not self._is_token(*_read_cookies(request.headers, _cookie_name(port))):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             page = START if where.path == _START else self.plain(where.path)
@@ -114,7 +114,7 @@ class Gate:
                 return connection.respond(HTTPStatus.NOT_FOUND, "longarm view: no such page\n")
             response = serve(connection, request)
             if response is not None:
-                response.headers.update(_policy(hosts))
+                response.headers.update(_policy_headers(hosts))
             return response
 
         return answer
@@ -145,20 +145,20 @@ class Gate:
 def _html_page(page: str, hosts: list[str]) -> Response:
     """Make the response with a page, or after the press of a button the way back to it."""
     if not page:
-        return _redirect(PATH, _policy(hosts))
+        return _make_redirect(PATH, _policy_headers(hosts))
     body = page.encode()
     kind = {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))}
-    return Response(HTTPStatus.OK, "OK", Headers(_policy(hosts) | kind), body)
+    return Response(HTTPStatus.OK, "OK", Headers(_policy_headers(hosts) | kind), body)
 
 
-def _redirect(to: str, headers: dict[str, str]) -> Response:
+def _make_redirect(to: str, headers: dict[str, str]) -> Response:
     """Make the response that leads a browser on, which it must not keep or tell others."""
     private = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
     made = Headers(headers | private | {"Location": to, "Content-Length": "0"})
     return Response(HTTPStatus.SEE_OTHER, "See Other", made)
 
 
-def _cookie(port: int) -> str:
+def _cookie_name(port: int) -> str:
     """Name of the cookie. Cookies are shared by all ports of a host."""
     return f"longarm_view_{port}"
 
@@ -169,7 +169,7 @@ def _read_cookies(headers: Headers, name: str) -> list[str]:
     return [value for key, _, value in (part.partition("=") for part in given) if key == name]
 
 
-def _policy(hosts: list[str]) -> dict[str, str]:
+def _policy_headers(hosts: list[str]) -> dict[str, str]:
     """Return the headers of every page: it talks to this server alone, and nobody frames it."""
     sockets = " ".join(f"ws://{host}" for host in hosts)
     return {

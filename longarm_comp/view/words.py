@@ -55,7 +55,7 @@ class NodeHealth:
 
     def silent_s(self, now: float) -> float:
         """Return for how long (s) it has said nothing that it should have said; 0: it speaks."""
-        return _silence(self.at, now, max(5.0, 3.0 * self.every_s))
+        return _find_silence(self.at, now, max(5.0, 3.0 * self.every_s))
 
 
 @dataclass(frozen=True)
@@ -112,16 +112,16 @@ class PageState:
 
     def silent_s(self, now: float) -> float:
         """Return for how long (s) the graph has said nothing; 0: it speaks; infinite: never."""
-        return _silence(self.heard, now, _SILENT_S)
+        return _find_silence(self.heard, now, _SILENT_S)
 
     def unread_s(self, now: float) -> float:
         """Return for how long (s) no joints have come; as `silent_s`."""
-        return _silence(self.read, now, _SILENT_S)
+        return _find_silence(self.read, now, _SILENT_S)
 
     def is_old(self, now: float) -> bool:
         """Return whether the picture of the arm is out of date at `now` (s)."""
         at = None if self.picture is None else self.picture.at
-        return bool(self.unread_s(now) or _silence(at, now, 5.0))
+        return bool(self.unread_s(now) or _find_silence(at, now, 5.0))
 
     def seen_tip(self, now: float) -> np.ndarray | None:
         """Return the tip (3,) m that is seen now; None where it is not."""
@@ -159,7 +159,7 @@ class PageState:
         return tip - self.picture.hanging[-1] if self.resting else "the arm moves"
 
 
-def _silence(last: float | None, now: float, allowed: float) -> float:
+def _find_silence(last: float | None, now: float, allowed: float) -> float:
     """Return the time since ``last`` where it is longer than allowed, else 0."""
     quiet = math.inf if last is None else now - last
     return quiet if quiet > allowed else 0.0
@@ -187,10 +187,10 @@ def headline(state: PageState, now: float, namespace: str) -> str:
             "Is the graph up (longarm up)?"
         )
     if silent:
-        return f"The graph is silent for {_ago(silent)}. The page shows its last state."
+        return f"The graph is silent for {_format_ago(silent)}. The page shows its last state."
     unread = state.unread_s(now)
     if unread:
-        return f"No joint_states{'' if math.isinf(unread) else f' for {_ago(unread)}'}."
+        return f"No joint_states{'' if math.isinf(unread) else f' for {_format_ago(unread)}'}."
     words, why = state.driver
     if not words:
         return "Joint readings arrive; no driver reports its state."
@@ -260,7 +260,7 @@ def progress(state: PageState, now: float) -> str:
     job = state.progress
     if job is None:
         return ""
-    heard = f"; heard {_ago(now - job.at)} ago" if now - job.at > 5.0 else ""
+    heard = f"; heard {_format_ago(now - job.at)} ago" if now - job.at > 5.0 else ""
     return f"collect: {job.message}{heard}"
 
 
@@ -268,7 +268,7 @@ def health(node: NodeHealth, now: float) -> list[str]:
     """Write a line on a node, and one on each of its parts that is not well; a sign first."""
     silent = node.silent_s(now)
     if silent:
-        return [f"{SILENT} {node.name}: silent for {_ago(silent)}"]
+        return [f"{SILENT} {node.name}: silent for {_format_ago(silent)}"]
     sign, word = LEVELS[max(part.level for part in node.parts)]
     ill = [part for part in node.parts if part.level]
     return [
@@ -277,5 +277,5 @@ def health(node: NodeHealth, now: float) -> list[str]:
     ]
 
 
-def _ago(seconds: float) -> str:
+def _format_ago(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} min"

@@ -129,7 +129,7 @@ def apply(
     after = restore(stored, arm, str(made))
     target = follow_link(predictor or model.parent / inputs.PREDICTOR)
     finish(model, target)
-    before = _before(stored.provenance, made, model, arm)
+    before = _read_before(stored.provenance, made, model, arm)
     named = str(stored.provenance.get(inputs.SESSION, ""))
     path = session or Path(os.path.normpath(diagnosis / named))
     if (session is None and not named) or not path.exists():
@@ -200,7 +200,9 @@ def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
     return (before.commanded_mean_mm, after.commanded_mean_mm), seen
 
 
-def _before(provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm) -> Model:
+def _read_before(
+    provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm
+) -> Model:
     """Return the model at work, which must be the one that was diagnosed."""
     diagnosed = provenance.get(inputs.MODEL_BEFORE)
     if diagnosed is None:
@@ -279,7 +281,7 @@ def put_to_work(
         The file in which the predictor before is kept, if there was one.
     """
     finish(model, predictor)
-    aside = _keep(predictor)
+    aside = _keep_predictor(predictor)
     new = hashlib.sha256(content).hexdigest()
     if trained is not None:
         trained.save(_kept_as(predictor, new))
@@ -331,12 +333,12 @@ def finish(model: Path, predictor: Path) -> bool:
     fits = _kept_as(predictor, inputs.file_hash(model)) if model.is_file() else None
     if fits is None or not fits.is_file():
         return False
-    _keep(predictor)
+    _keep_predictor(predictor)
     os.replace(fits, predictor)
     return True
 
 
-def _keep(predictor: Path) -> Path | None:
+def _keep_predictor(predictor: Path) -> Path | None:
     """Copy the predictor at work to a file named after its model; None without one."""
     if not predictor.is_file():
         return None

@@ -158,7 +158,7 @@ class Calibration:
         return tuple(made)
 
     @property
-    def _noise(self) -> dict[str, float]:
+    def _noise_by_kind(self) -> dict[str, float]:
         """Noise by kind of measurement, m or rad: the root mean square over its channels."""
         kinds = [b.kind for b in self.session.blocks for _ in b.channels]
         squares: dict[str, list[float]] = {}
@@ -194,7 +194,7 @@ class Calibration:
             "longarm_comp": __version__,
         }
         provenance |= {"kind_of": self.kind_of} if self.kind_of else {}
-        provenance |= {f"noise_{kind}": sigma for kind, sigma in self._noise.items()}
+        provenance |= {f"noise_{kind}": sigma for kind, sigma in self._noise_by_kind.items()}
         save_model(path, store(self.model, self.fit.standard_errors, provenance=provenance))
         return Path(path)
 

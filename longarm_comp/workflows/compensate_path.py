@@ -108,7 +108,8 @@ def compensate_path(
     n = model.arm.n
     carried = np.array([p.carry_to_model(goal) for p, goal in zip(placements, goals, strict=True)])
     motion = MotionLimits(
-        _each(max_velocity, n, "max_velocity"), _each(max_acceleration, n, "max_acceleration")
+        _per_joint(max_velocity, n, "max_velocity"),
+        _per_joint(max_acceleration, n, "max_acceleration"),
     )
     limits = PathLimits(
         motion, max_correction_m, max_turn_rad, max_longer=max_longer, position_only=position_only
@@ -150,7 +151,7 @@ def compensate_path(
     )
 
 
-def _each(given: ArrayLike | None, n: int, name: str) -> np.ndarray:
+def _per_joint(given: ArrayLike | None, n: int, name: str) -> np.ndarray:
     values = np.asarray(np.inf if given is None else given, float)
     if values.shape not in ((), (1,), (n,)) or not (values > 0.0).all():
         raise InputError("path", name, np.atleast_1d(values).tolist(), f"one or {n}, above 0")

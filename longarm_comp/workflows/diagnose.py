@@ -238,16 +238,16 @@ def diagnose(
         progress=inputs.make_teller(progress),
         train_network=train_on if network else None,
     )
-    facts = {"session": _path(session).name, "arm": arm.hash, "rows": str(len(whole))}
+    facts = {"session": _path_of(session).name, "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:
-        facts |= {"hold-out": _path(test).name, "hold-out sha256": held_out.hash}
+        facts |= {"hold-out": _path_of(test).name, "hold-out sha256": held_out.hash}
     facts |= {"kind of": origin_of_kind} if kind_of else {}
     before = None if model is None or isinstance(model, Model) else Path(model)
     if before is not None:
         facts["model before"] = inputs.file_hash(before)
     kinds = {type(term) for term in found.model.terms}
     facts |= {f"effect {k.name}": origin(k) for k in kinds if origin(k)}
-    recorded = _path(session) if _path(session).exists() else None
+    recorded = _path_of(session) if _path_of(session).exists() else None
     return DiagnosisResult(found, whole.hash, facts, before, recorded)
 
 
@@ -283,6 +283,6 @@ def diagnose_files(
     return found
 
 
-def _path(given: inputs.SessionLike) -> Path:
+def _path_of(given: inputs.SessionLike) -> Path:
     """Return the file of a session; the name of a session in memory."""
     return Path(given.source if isinstance(given, Session) else given)

@@ -195,10 +195,10 @@ def fleet(
     look = partial(_diagnose_arm, output=output, network=network, seed=seed)
     for one in _diagnose_each(look, left, jobs, dask):
         made[one.name] = one
-        _write(made.values(), output)
+        _write_fleet(made.values(), output)
         progress(one.name, len(made) / len(found))
     told = compare_arms([made[member.name] for member in found])
-    _write(told, output)
+    _write_fleet(told, output)
     return told
 
 
@@ -219,7 +219,7 @@ def _read_known(path: Path) -> dict[str, Diagnosed]:
         return {}
 
 
-def _write(arms: Iterable[Diagnosed], output: Path) -> None:
+def _write_fleet(arms: Iterable[Diagnosed], output: Path) -> None:
     text = json.dumps({"schema": SCHEMA, "arms": [arm.row for arm in arms]}, indent=1)
     write_text(output / WRITTEN, text + "\n")
 

@@ -145,7 +145,7 @@ def choose_physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -
 def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, object]:
     """Return the record by which a predictor names the physics that it was trained with."""
     if isinstance(given, Model):
-        return {DIGEST: _digest(given), "deflection": deflection}
+        return {DIGEST: _digest_model(given), "deflection": deflection}
     digest = "" if given is None else file_hash(given)
     return {"model_hash": digest, "deflection": deflection}
 
@@ -199,11 +199,11 @@ def check_predictor(predictor: Predictor, model: Model, where: object) -> None:
         allowed = f"{model.arm.hash[:12]} (arm {model.arm.name}, in use)"
         raise InputError(where, "predictor.arm_hash", origin.arm_hash[:12], allowed)
     trained_with = origin.settings.get(DIGEST)
-    if trained_with is not None and trained_with != _digest(model):
+    if trained_with is not None and trained_with != _digest_model(model):
         found = str(trained_with)[:12]
         raise InputError(where, f"predictor.{DIGEST}", found, "the model that it was trained with")
 
 
-def _digest(model: Model) -> str:
+def _digest_model(model: Model) -> str:
     bare = dataclasses.replace(model, uncertainty=None)
     return hashlib.sha256(store(bare).model_dump_json().encode()).hexdigest()

@@ -49,7 +49,8 @@ def test_while_it_works(tmp_path: Path) -> None:
         [sys.executable, "-m", "longarm_comp", "effects", "--effects", str(effects)],
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=_attended,
+        # As from a terminal: a shell's background jobs, and their children, ignore Ctrl-C
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     while not begun.exists() and command.poll() is None:
         time.sleep(0.02)
@@ -57,11 +58,6 @@ def test_while_it_works(tmp_path: Path) -> None:
     _, said = command.communicate(timeout=300)
     assert command.returncode == 130
     assert said.lstrip() == "longarm: interrupted\n"
-
-
-def _attended() -> None:
-    """As from a terminal: a shell's background jobs, and their children, ignore Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.mark.parametrize(

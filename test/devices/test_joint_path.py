@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from longarm_comp.devices.joint_path import plan_path
-
-
-def _sampled(function: Callable[[float], np.ndarray], duration: float) -> np.ndarray:
-    return np.array([function(t) for t in np.linspace(0.0, duration, 4001)])
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -21,7 +15,7 @@ def test_peak_velocity_and_extremes_agree_with_sampling(seed: int) -> None:
     positions = rng.uniform(-1, 1, (5, 3))
     velocities = rng.normal(size=(5, 3)) if seed % 2 else None
     path = plan_path(rng.uniform(-1, 1, 3), times, positions, velocities, np.full(3, 0.7))
-    dense = _sampled(path.at, path.duration)
+    dense = np.array([path.at(t) for t in np.linspace(0.0, path.duration, 4001)])
     low, high = path.extremes()
     assert low == pytest.approx(dense.min(axis=0), abs=1e-4)
     assert high == pytest.approx(dense.max(axis=0), abs=1e-4)

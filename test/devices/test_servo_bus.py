@@ -5,10 +5,10 @@ from __future__ import annotations
 import copy
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
-from faulty_bus import FaultyBus
+from faulty_bus import FaultyBus, wait_until
 
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.dialect import Block
@@ -33,14 +33,6 @@ def _open(protocol: str, port: str, retries: int = 2) -> SerialServoBus:
     return open_bus(protocol, port, 1_000_000, servos, reply_timeout_s=0.15, retries=retries)
 
 
-def _until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
-    """Wait for ``done``; the limit is only there to end a broken test."""
-    end = time.monotonic() + limit_s
-    while not done() and time.monotonic() < end:
-        time.sleep(0.005)
-    return done()
-
-
 @pytest.fixture(params=sorted(protocols()))
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     with FaultyBus(request.param, START, MotorSpec(overload_s=0.3)) as emulator:
@@ -58,7 +50,7 @@ def test_ping_read_and_move(rig: Rig) -> None:
     bus.torque(IDS, on=True)
     goals = {1: 2100, 2: 940, 3: 3100, 4: 700}
     bus.write_goal(goals, dict.fromkeys(IDS, 2000.0))
-    assert _until(lambda: {i: s.position_ticks for i, s in bus.read(IDS).items()} == goals)
+    assert wait_until(lambda: {i: s.position_ticks for i, s in bus.read(IDS).items()} == goals)
     assert bus.counters.retries == 0
 
 
@@ -66,7 +58,7 @@ def test_a_speed_limit_below_one_unit_is_not_no_limit(rig: Rig) -> None:
     emulator, bus = rig
     bus.torque(IDS, on=True)
     bus.write_goal({1: 3000, 2: 3000}, {1: 0.4})  # ticks/s; of servo 2: none
-    assert _until(lambda: emulator.positions()[2] > 1900.0)  # 0.3 s at the servo's maximum
+    assert wait_until(lambda: emulator.positions()[2] > 1900.0)  # 0.3 s at the servo's maximum
     assert 2048.0 < emulator.positions()[1] < 2100.0  # a unit of speed is 1 or 16 ticks/s
 
 
@@ -78,7 +70,7 @@ def test_switching_on_never_moves_a_servo_also_one_that_missed_its_goal(
     emulator, bus = rig
     bus.torque(IDS, on=True)
     bus.write_goal({2: 1500})
-    assert _until(lambda: abs(emulator.positions()[2] - 1500) < 0.5)
+    assert wait_until(lambda: abs(emulator.positions()[2] - 1500) < 0.5)
     bus.torque(IDS, on=False)
     emulator.push(2, 1800.0)
     left = iter(range(lost))
@@ -131,7 +123,8 @@ def test_noise_and_a_late_reply_do_not_become_an_answer(rig: Rig) -> None:
     emulator.faults.noise += b"\xff\xff\x00\xff\xff\xfd\x13\xff\xff\x01"
     assert bus.read([1])[1].position_ticks == 2048
     emulator.faults.delays_s[1] = 0.3  # after the 0.15 s time-out: it arrives in the next exchange
-    late = _open_one_try(emulator, bus)
+    bus.close()
+    late = _open(emulator.protocol, emulator.port, retries=0)
     with pytest.raises(IncompleteReply, match="in time"):
         late.read([1])
     emulator.faults.delays_s[1] = 0.0
@@ -151,18 +144,12 @@ def test_an_answer_of_another_servo_is_not_taken(rig: Rig) -> None:
     assert bus.counters.stray_frames == 1
 
 
-def _open_one_try(emulator: ServoEmulator, bus: SerialServoBus) -> SerialServoBus:
-    """The same port again, without retries."""
-    bus.close()
-    return _open(emulator.protocol, emulator.port, retries=0)
-
-
 def test_overheating_shows_as_an_alarm_and_refuses_torque(rig: Rig) -> None:
     emulator, bus = rig
     bus.torque(IDS, on=True)
     with emulator.motor(4) as motor:
         motor.temperature_c = 95.0
-    assert _until(lambda: bus.read([4])[4].error_flags == ServoAlarm.OVERHEAT)
+    assert wait_until(lambda: bus.read([4])[4].error_flags == ServoAlarm.OVERHEAT)
     assert bus.read([4])[4].temperature_c > 90
     with pytest.raises(ServoFault) as caught:
         bus.torque([4], on=True)
@@ -175,8 +162,8 @@ def test_a_jammed_servo_shows_load_then_overload(rig: Rig) -> None:
     with emulator.motor(1) as motor:
         motor.blocked = True
     bus.write_goal({1: 3000})
-    assert _until(lambda: bus.read([1])[1].load > 0.95)
-    assert _until(lambda: bus.read([1])[1].error_flags == ServoAlarm.OVERLOAD)
+    assert wait_until(lambda: bus.read([1])[1].load > 0.95)
+    assert wait_until(lambda: bus.read([1])[1].error_flags == ServoAlarm.OVERLOAD)
 
 
 def test_an_unplugged_bus_is_said_so_and_can_be_opened_again(rig: Rig) -> None:
@@ -204,7 +191,7 @@ def test_many_turns_are_set_once_and_then_used(rig: Rig) -> None:
     assert bus.set_turns({1: True, 2: False}) == []
     bus.torque([1], on=True)
     bus.write_goal({1: -900})
-    assert _until(lambda: bus.read([1])[1].position_ticks == -900)
+    assert wait_until(lambda: bus.read([1])[1].position_ticks == -900)
 
 
 def test_turns_are_kept_without_power_and_torque_is_not(rig: Rig) -> None:
@@ -221,7 +208,7 @@ def test_an_adapter_that_hears_itself_changes_nothing(rig: Rig) -> None:
     emulator.echo = True
     bus.torque(IDS, on=True)
     bus.write_goal({2: 1111})
-    assert _until(lambda: bus.read(IDS)[2].position_ticks == 1111)
+    assert wait_until(lambda: bus.read(IDS)[2].position_ticks == 1111)
     assert bus.counters.retries == bus.counters.checksum_errors == 0
 
 

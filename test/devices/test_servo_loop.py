@@ -13,10 +13,9 @@ from faulty_bus import FaultyBus
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
-from longarm_comp.devices.servo_bus.bus import SerialServoBus
-from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply, ServoState
+from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
+from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.devices.servo_watch import ServoTrouble
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.joints import EmulatedArm, read_arm
@@ -34,173 +33,29 @@ follower: {stall_time_s: 0.6, silence_s: 1.5}
 MODEL = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
 
 
-class Loop:
-    """What a driver does, without ROS."""
-
-    def __init__(self, config: ServoConfig, emulator: ServoEmulator, arm: EmulatedArm) -> None:
-        self.config, self.emulator, self.arm = config, emulator, arm
-        self.follower = TrajectoryFollower(config)
-        self.ids = list(config.ids.values())
-        self.bus: SerialServoBus | None = None
-        self.troubles: list[tuple[ServoTrouble, str]] = []
-
-    def connect(self) -> None:
-        self.bus = self.config.open_bus()
-        self.bus.set_turns({j.servo_id: j.multi_turn for j in self.config.joints.values()})
-        self.bus.torque(self.ids, on=True)
-
-    def cycle(self) -> Step:
-        time.sleep(0.005)
-        step = self.follower.step(time.monotonic(), self._states())
-        findings = [event.finding for event in step.events if event.finding is not None]
-        self.troubles += [(f.trouble, f.joint) for f in findings]
-        if step.goals is not None and self.bus is not None:
-            self.bus.write_goal(step.goals, self.config.speed_limits_ticks_s)
-        return step
-
-    def _states(self) -> dict[int, ServoState]:
-        if self.bus is None:
-            return {}
-        try:
-            return self.bus.read(self.ids)
-        except IncompleteReply as error:
-            return error.states
-        except BusUnplugged:
-            self.bus.close()
-            self.bus = None
-            return {}
-
-    def until(self, done: Callable[[], bool], limit_s: float = 20.0) -> bool:
-        """Cycle until ``done``; the limit is only there to end a broken test."""
-        end = time.monotonic() + limit_s
-        while not done() and time.monotonic() < end:
-            self.cycle()
-        return done()
-
-    def send(self, **target: float) -> None:
-        self.until(lambda: len(self._states()) == len(self.ids))
-        self.cycle()
-        point = TrajectoryPoint(0.0, tuple(target.values()))
-        self.follower.accept(JointTrajectory(tuple(target), (point,)), time.monotonic())
-
-    def load(self, servo_id: int) -> float:
-        return self._states()[servo_id].load
-
-    def state(self) -> FollowerState:
-        return self.follower.state
-
-    def joints(self) -> dict[str, float]:
-        """Where the arm really is: the emulator's own conversion."""
-        return self.arm.values(self.emulator.positions())
-
-
-@pytest.fixture(params=sorted(MODEL))
-def loop(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Loop]:
-    model, link = MODEL[request.param], tmp_path / "bus"
-    path = tmp_path / "servo_driver.yaml"
-    path.write_text(CONFIG % (request.param, link, model, model))
-    arm = read_arm(path)
-    at = {"shoulder": 0.2, "boom": 0.02}
-    start = {joint.servo_id: joint.ticks(at[joint.name]) for joint in arm.joints}
-    with FaultyBus(request.param, start, MotorSpec(max_speed_ticks_s=6000), link) as emulator:
-        loop = Loop(ServoConfig.load(path), emulator, arm)
-        loop.connect()
-        yield loop
-        if loop.bus is not None:
-            loop.bus.close()
-
-
-def _holding(loop: Loop) -> Callable[[], bool]:
-    return lambda: loop.state() is FollowerState.HOLDING
-
-
-def test_the_arm_goes_where_it_is_told_and_arrives_from_both_sides(loop: Loop) -> None:
-    for shoulder, boom, side in ((0.9, 0.08, 1), (0.5, 0.05, -1)):
-        loop.send(shoulder=shoulder, boom=boom)
-        assert loop.until(_holding(loop))
-        loop.until(lambda want=shoulder: abs(loop.joints()["shoulder"] - want) < 6e-4)
-        assert loop.joints()["shoulder"] == pytest.approx(shoulder, abs=6e-4)  # one tick
-        assert loop.joints()["boom"] == pytest.approx(boom, abs=3e-5)
-        assert loop.emulator.each(lambda motor: motor.approach) == {1: side, 2: -side}
-    assert loop.troubles == []
-
-
-def test_lost_and_damaged_replies_on_the_way_do_not_matter(loop: Loop) -> None:
-    loop.send(shoulder=0.6)
-    for k in range(30):
-        loop.emulator.faults.drops[1 + k % 2] += 1
-        loop.emulator.faults.corrupt[2 - k % 2] += 1
-        loop.cycle()
-    assert loop.until(_holding(loop))
-    loop.until(lambda: abs(loop.joints()["shoulder"] - 0.6) < 6e-4)
-    assert loop.joints()["shoulder"] == pytest.approx(0.6, abs=6e-4)
-    assert loop.troubles == []
-    assert loop.bus is not None and loop.bus.counters.retries > 0
-
-
-def test_a_servo_that_falls_silent_stops_the_arm(loop: Loop) -> None:
-    loop.send(shoulder=1.0, boom=0.1)
-    loop.until(lambda: loop.joints()["shoulder"] > 0.4)
-    loop.emulator.faults.silent.add(2)
-    assert loop.until(lambda: loop.state() is FollowerState.FAULT)
-    assert loop.troubles == [(ServoTrouble.SILENT, "boom")]
-    time.sleep(0.3)
-    assert loop.joints()["shoulder"] < 0.95
-    loop.emulator.faults.silent.discard(2)
-    loop.cycle()
-    loop.follower.reset(time.monotonic())
-    loop.send(shoulder=0.3)
-    assert loop.until(_holding(loop))
-
-
-def test_a_jammed_servo_is_relieved_of_its_load(loop: Loop) -> None:
-    loop.send(boom=0.1)
-    loop.until(lambda: loop.joints()["boom"] > 0.04)
-    with loop.emulator.motor(2) as motor:
-        motor.blocked = True
-    assert loop.until(lambda: loop.state() is FollowerState.FAULT)
-    assert loop.troubles == [(ServoTrouble.STALLED, "boom")]
-    assert loop.until(lambda: abs(loop.load(2)) < 0.05)
-
-
-def test_an_overheating_servo_stops_the_arm_before_it_lets_go(loop: Loop) -> None:
-    loop.send(shoulder=1.0)
-    loop.cycle()
-    with loop.emulator.motor(1) as motor:
-        motor.temperature_c = 68.0  # above the joint's 65, below the servo's own 70
-    assert loop.until(lambda: loop.state() is FollowerState.FAULT)
-    assert loop.troubles == [(ServoTrouble.OVERHEATED, "shoulder")]
-    assert loop.emulator.torques_on() == {1: True, 2: True}
-
-
-def test_an_unplugged_bus_is_a_fault_and_the_arm_goes_on_after_reset(loop: Loop) -> None:
-    loop.send(shoulder=1.0)
-    loop.until(lambda: loop.joints()["shoulder"] > 0.3)
-    loop.emulator.unplug()
-    assert loop.until(lambda: loop.state() is FollowerState.FAULT)
-    assert {trouble for trouble, _ in loop.troubles} == {ServoTrouble.SILENT}
-    loop.emulator.start()
-    loop.connect()
-    loop.cycle()
-    loop.follower.reset(time.monotonic())
-    loop.send(shoulder=0.4)
-    assert loop.until(_holding(loop))
-    loop.until(lambda: abs(loop.joints()["shoulder"] - 0.4) < 6e-4)
-    assert loop.joints()["shoulder"] == pytest.approx(0.4, abs=6e-4)
-
-
 class Driven:
     """A `ServoArm` whose torque is on, with its emulator."""
 
-    def __init__(self, arm: ServoArm, loop: Loop) -> None:
-        self.arm, self.loop, self.emulator = arm, loop, loop.emulator
+    def __init__(self, config: ServoConfig, emulator: FaultyBus, true: EmulatedArm) -> None:
+        self.config, self.emulator, self._true = config, emulator, true
+        self.arm = ServoArm(config)
+        self.troubles: list[tuple[ServoTrouble, str]] = []
+        self.arm.power(True)
 
     def until(self, done: Callable[[Cycle], object], limit_s: float = 20.0) -> None:
         """Cycle until ``done``; the limit is only there to end a broken test."""
         end = time.monotonic() + limit_s
-        while not done(self.arm.cycle(time.monotonic())):
+        while True:
+            cycle = self.arm.cycle(time.monotonic())
+            findings = [event.finding for event in cycle.step.events if event.finding is not None]
+            self.troubles += [(f.trouble, f.joint) for f in findings]
+            if done(cycle):
+                return
             assert time.monotonic() < end
             time.sleep(0.005)
+
+    def becomes(self, state: FollowerState) -> None:
+        self.until(lambda cycle: cycle.step.state is state)
 
     def send(self, **target: float) -> None:
         self.until(lambda cycle: cycle.joints)
@@ -211,20 +66,102 @@ class Driven:
         for _ in range(count):
             self.until(lambda _: True)
 
+    def joints(self) -> dict[str, float]:
+        """Where the arm really is: the emulator's own conversion."""
+        return self._true.values(self.emulator.positions())
+
+    def stands(self, **at: float) -> None:
+        """Cycle until the arm really is there, within a tick."""
+        self.until(lambda _: all(abs(self.joints()[n] - v) < 6e-4 for n, v in at.items()))
+
     def turn_by_hand(self, ticks: float) -> None:
         """Turn the shoulder where nothing holds it."""
         self.emulator.push(1, self.emulator.positions()[1] + ticks)
 
 
-@pytest.fixture
-def driven(loop: Loop) -> Iterator[Driven]:
-    assert loop.bus is not None
-    loop.bus.close()
-    loop.bus = None
-    arm = Driven(ServoArm(loop.config), loop)
-    arm.arm.power(True)
-    yield arm
-    arm.arm.close()
+@pytest.fixture(params=sorted(MODEL))
+def driven(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Driven]:
+    model, link = MODEL[request.param], tmp_path / "bus"
+    path = tmp_path / "servo_driver.yaml"
+    path.write_text(CONFIG % (request.param, link, model, model))
+    true = read_arm(path)
+    at = {"shoulder": 0.2, "boom": 0.02}
+    start = {joint.servo_id: joint.ticks(at[joint.name]) for joint in true.joints}
+    with FaultyBus(request.param, start, MotorSpec(max_speed_ticks_s=6000), link) as emulator:
+        made = Driven(ServoConfig.load(path), emulator, true)
+        yield made
+        made.arm.close()
+
+
+def test_the_arm_goes_where_it_is_told_and_arrives_from_both_sides(driven: Driven) -> None:
+    for shoulder, boom, side in ((0.9, 0.08, 1), (0.5, 0.05, -1)):
+        driven.send(shoulder=shoulder, boom=boom)
+        driven.becomes(FollowerState.HOLDING)
+        driven.stands(shoulder=shoulder)
+        assert driven.joints()["boom"] == pytest.approx(boom, abs=3e-5)
+        assert driven.emulator.each(lambda motor: motor.approach) == {1: side, 2: -side}
+    assert driven.troubles == []
+
+
+def test_lost_and_damaged_replies_on_the_way_do_not_matter(driven: Driven) -> None:
+    driven.send(shoulder=0.6)
+    for k in range(30):
+        driven.emulator.faults.drops[1 + k % 2] += 1
+        driven.emulator.faults.corrupt[2 - k % 2] += 1
+        driven.cycles(1)
+    driven.becomes(FollowerState.HOLDING)
+    driven.stands(shoulder=0.6)
+    assert driven.troubles == []
+    assert driven.arm.bus is not None and driven.arm.bus.counters.retries > 0
+
+
+def test_a_servo_that_falls_silent_stops_the_arm(driven: Driven) -> None:
+    driven.send(shoulder=1.0, boom=0.1)
+    driven.until(lambda _: driven.joints()["shoulder"] > 0.4)
+    driven.emulator.faults.silent.add(2)
+    driven.becomes(FollowerState.FAULT)
+    assert driven.troubles == [(ServoTrouble.SILENT, "boom")]
+    time.sleep(0.3)
+    assert driven.joints()["shoulder"] < 0.95
+    driven.emulator.faults.silent.discard(2)
+    driven.until(lambda cycle: cycle.joints)
+    driven.arm.release(time.monotonic())
+    driven.send(shoulder=0.3)
+    driven.becomes(FollowerState.HOLDING)
+
+
+def test_a_jammed_servo_is_relieved_of_its_load(driven: Driven) -> None:
+    driven.send(boom=0.1)
+    driven.until(lambda _: driven.joints()["boom"] > 0.04)
+    with driven.emulator.motor(2) as motor:
+        motor.blocked = True
+    driven.becomes(FollowerState.FAULT)
+    assert driven.troubles == [(ServoTrouble.STALLED, "boom")]
+    driven.until(lambda cycle: cycle.joints and abs(cycle.states[2].load) < 0.05)
+
+
+def test_an_overheating_servo_stops_the_arm_before_it_lets_go(driven: Driven) -> None:
+    driven.send(shoulder=1.0)
+    driven.cycles(1)
+    with driven.emulator.motor(1) as motor:
+        motor.temperature_c = 68.0  # above the joint's 65, below the servo's own 70
+    driven.becomes(FollowerState.FAULT)
+    assert driven.troubles == [(ServoTrouble.OVERHEATED, "shoulder")]
+    assert driven.emulator.torques_on() == {1: True, 2: True}
+
+
+def test_an_unplugged_bus_is_a_fault_and_the_arm_goes_on_after_release(driven: Driven) -> None:
+    driven.send(shoulder=1.0)
+    driven.until(lambda _: driven.joints()["shoulder"] > 0.3)
+    driven.emulator.unplug()
+    driven.becomes(FollowerState.FAULT)
+    assert {trouble for trouble, _ in driven.troubles} == {ServoTrouble.SILENT}
+    driven.emulator.start()
+    driven.until(lambda cycle: cycle.joints)
+    driven.arm.release(time.monotonic())
+    driven.send(shoulder=0.4)
+    driven.becomes(FollowerState.HOLDING)
+    driven.stands(shoulder=0.4)
 
 
 def test_what_moved_the_arm_before_its_torque_went_off_is_forgotten(driven: Driven) -> None:
@@ -235,24 +172,23 @@ def test_what_moved_the_arm_before_its_torque_went_off_is_forgotten(driven: Driv
     driven.cycles(20)
     driven.turn_by_hand(-300.0)
     driven.cycles(20)
-    at = driven.loop.joints()["shoulder"]
+    at = driven.joints()["shoulder"]
     driven.arm.power(True)
     driven.cycles(100)
-    assert driven.loop.joints()["shoulder"] == pytest.approx(at, abs=2e-3)
+    assert driven.joints()["shoulder"] == pytest.approx(at, abs=2e-3)
     assert driven.arm.follower.state is FollowerState.IDLE
 
 
 def test_a_jammed_servo_stops_pushing_though_frames_are_lost(driven: Driven) -> None:
     """The goal that stops it is sent until it is read back."""
-    emulator, lost = driven.loop.emulator, iter(range(5))
-    assert isinstance(emulator, FaultyBus)
+    emulator, lost = driven.emulator, iter(range(5))
     follower = driven.arm.follower
     emulator.loses = lambda: follower.state is FollowerState.FAULT and next(lost, None) is not None
     driven.send(shoulder=0.9)
     driven.until(lambda cycle: cycle.joints and cycle.joints["shoulder"].position > 0.3)
     with emulator.motor(1) as motor:
         motor.blocked = True
-    driven.until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+    driven.becomes(FollowerState.FAULT)
     driven.cycles(20)
     with emulator.motor(1) as motor:
         assert motor.goal == pytest.approx(motor.position, abs=1.0)
@@ -309,11 +245,11 @@ def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
 ) -> None:
     """A whole turn without power; half of one is a hand's."""
     driven.send(shoulder=0.9)
-    driven.until(lambda cycle: cycle.step.state is FollowerState.HOLDING)
+    driven.becomes(FollowerState.HOLDING)
     arm, torques = driven.arm, driven.emulator.torques_on
     if stopped == "in a fault":
         driven.emulator.faults.silent.add(1)
-        driven.until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+        driven.becomes(FollowerState.FAULT)
         driven.emulator.faults.silent.clear()
     elif stopped == "by an emergency stop":
         arm.estop()
@@ -335,14 +271,14 @@ def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
 def test_a_servo_that_was_without_power_is_a_fault_before_it_gets_a_goal(driven: Driven) -> None:
     """A goal would switch it on again, and it would jump back from where it sank to."""
     driven.send(shoulder=0.5)
-    driven.until(lambda cycle: cycle.step.state is FollowerState.HOLDING)
+    driven.becomes(FollowerState.HOLDING)
     driven.emulator.faults.silent.add(1)
     driven.cycles(3)
     driven.emulator.power_cycle(1)
     driven.turn_by_hand(-300.0)
     sunk = driven.emulator.positions()[1]
     driven.emulator.faults.silent.clear()
-    driven.until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+    driven.becomes(FollowerState.FAULT)
     driven.cycles(50)
     assert driven.emulator.positions()[1] == pytest.approx(sunk, abs=10.0)
 
@@ -350,7 +286,7 @@ def test_a_servo_that_was_without_power_is_a_fault_before_it_gets_a_goal(driven:
 def test_a_servo_without_torque_is_a_fault_before_the_first_move_too(driven: Driven) -> None:
     driven.cycles(3)
     driven.emulator.power_cycle(1)
-    driven.until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+    driven.becomes(FollowerState.FAULT)
 
 
 def test_what_another_servo_has_stored_is_not_rewritten_when_the_cable_is_back(
@@ -359,29 +295,22 @@ def test_what_another_servo_has_stored_is_not_rewritten_when_the_cable_is_back(
     driven.emulator.unplug()
     driven.until(lambda _: driven.arm.bus is None)
     driven.emulator.start()
-    with closing(driven.loop.config.open_bus()) as bus:
+    with closing(driven.config.open_bus()) as bus:
         own = bus.turns([1])
         bus.set_turns({1: False})
         other = bus.turns([1])
     assert own != other
     driven.until(lambda cycle: "set for other turns" in cycle.trouble)
-    with closing(driven.loop.config.open_bus()) as bus:
+    with closing(driven.config.open_bus()) as bus:
         assert bus.turns([1]) == other
 
 
 def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_it(
-    loop: Loop,
+    driven: Driven,
 ) -> None:
-    assert loop.bus is not None
-    loop.bus.close()
-    loop.bus = None
-    arm, emulator = ServoArm(loop.config), loop.emulator
+    arm, emulator, until = driven.arm, driven.emulator, driven.until
 
-    def until(done: Callable[[Cycle], object]) -> None:
-        while not done(arm.cycle(time.monotonic())):
-            time.sleep(0.005)
-
-    def driven() -> set[bool]:
+    def torques() -> set[bool]:
         return set(emulator.torques_on().values())
 
     arm.power(False)
@@ -392,27 +321,27 @@ def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_i
     arm.power(True)
     arm.accept(there, time.monotonic())
     arm.estop()
-    assert driven() == {False}
+    assert torques() == {False}
     for hot, why in ((67.0, "overheated"), (90.0, "OVERHEAT")):  # ours; the servo's own
         with emulator.motor(2) as motor:
             motor.temperature_c = hot
         until(lambda cycle, hot=hot: cycle.joints and cycle.states[2].temperature_c > hot - 2.0)
         with pytest.raises(JobError, match=why):
             arm.release(time.monotonic())
-        assert driven() == {False} and not arm.powered
+        assert torques() == {False} and not arm.powered
     with emulator.motor(2) as motor:
         motor.temperature_c = 30.0
     emulator.power_cycle(2)  # clears its alarm
     until(lambda cycle: cycle.joints and not cycle.states[2].error_flags)
     arm.release(time.monotonic())
-    assert driven() == {True} and arm.powered
+    assert torques() == {True} and arm.powered
     arm.accept(there, time.monotonic())
     with emulator.motor(2) as motor:
         motor.temperature_c = 67.0
-    until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+    driven.becomes(FollowerState.FAULT)
     with pytest.raises(JobError, match="overheated"):
         arm.release(time.monotonic())
-    assert driven() == {True} and arm.powered  # a heavy arm would drop
+    assert torques() == {True} and arm.powered  # a heavy arm would drop
     emulator.faults.silent.add(2)
     with pytest.raises(IncompleteReply):
         arm.estop()
@@ -427,8 +356,7 @@ def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_i
         arm.power(False)
     with pytest.raises(BusUnplugged):
         arm.power(True)  # this was not done, so off is still owing
-    assert driven() == {True}  # nobody can reach them
+    assert torques() == {True}  # nobody can reach them
     emulator.start()
     until(lambda cycle: arm.bus is not None)
-    assert driven() == {False}
-    arm.close()
+    assert torques() == {False}

@@ -25,10 +25,10 @@ CONFIGS = ROOT / "config"
 class Sagging(Rig):
     """The turning joint is a real motor under load; what its encoder says may be another thing."""
 
-    def __init__(self, spec: MotorSpec, load: float = -0.3, trim: bool = True) -> None:
+    def __init__(self, spec: MotorSpec, trim: bool = True) -> None:
         self.motor = Motor(spec, TURN.to_ticks(0.2))
         self.motor.switch(True)
-        self.motor.external_load = load
+        self.motor.external_load = -0.3
         self.says: Reading = lambda ticks: ticks
         super().__init__()
         self.obeys = {9}

@@ -17,6 +17,7 @@ from small_arm import ARM
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
+from nodes_bench import facts_of
 from quick_arm import QuickArm, quick_arm
 
 from longarm_comp.arm_folder.head import view_beside
@@ -55,10 +56,6 @@ def run(
         return collect(client, todo, bag, pace=QUICK, progress=show, **how)
 
 
-def values(message: Any) -> dict[str, str]:
-    return {entry.key: entry.value for entry in message.values}
-
-
 def test_where_no_pose_is_seen_it_ends_in_words_and_leaves_nothing(
     stage: QuickArm, tmp_path: Path
 ) -> None:
@@ -69,7 +66,7 @@ def test_where_no_pose_is_seen_it_ends_in_words_and_leaves_nothing(
     assert "--seen" in str(told.value) and "--give-up 0" in str(told.value)
     assert not bag.exists()
     ended = stage.heard[-1]
-    assert ended.level == b"\x02" and values(ended)["state"] == "ended"
+    assert ended.level == b"\x02" and facts_of(ended)["state"] == "ended"
     stage.sees = lambda q: True
     assert run(bag, plan, give_up=3).made == 4
     assert np.isfinite(read_session(bag, ARM).xyz).all()
@@ -93,7 +90,7 @@ def test_what_is_lost_has_its_likely_cause_and_the_graph_is_told(
         heard = stage.heard
     assert done.unseen == {k: text for k, text in enumerate(why) if text}
     assert "to the right" in next(iter(done.unseen.values()))
-    last = values(heard[-1])
+    last = facts_of(heard[-1])
     assert (last["state"], last["done"], last["total"]) == ("done", "6", "6")
     assert int(last["lost"]) == len(done.unseen) == 6 - int(last["seen"])
     assert float(last["eta_s"]) == 0.0

@@ -16,7 +16,7 @@ import yaml
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from at_work_arm import JOINT, NOISE, fitted, true_tip
-from nodes_bench import Bench
+from nodes_bench import Bench, facts_of, last_status
 from quick_arm import quick_arm
 from small_arm import ARM
 from std_srvs.srv import SetBool, Trigger
@@ -62,11 +62,8 @@ class Work:
 
     def said(self) -> tuple[str, dict[str, str]]:
         """The last report on what was learned: message and facts."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                if status.name == f"/kinematics: {LEARNED_SAID}":
-                    return status.message, {v.key: v.value for v in status.values}
-        return "", {}
+        status = last_status(self.diagnostics, f"/kinematics: {LEARNED_SAID}")
+        return "" if status is None else status.message, facts_of(status)
 
     def serve(self) -> float:
         """Serve a target until its sighting is learned; by how much the true tip misses it, m."""

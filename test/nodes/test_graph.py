@@ -16,7 +16,7 @@ from places import DEMO_ARM as ARM
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
-from nodes_bench import Bench, children, gone
+from nodes_bench import Bench, children, gone, last_status
 from target_requests import pose
 from visualization_msgs.msg import Marker
 
@@ -77,11 +77,8 @@ class Station:
 
     def told(self, part: str) -> tuple[bytes, str]:
         """Level and sentence of a part of /diagnostics, the last."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                if status.name == f"/{self.namespace}/{part}":
-                    return status.level, status.message
-        return b"", ""
+        status = last_status(self.diagnostics, f"/{self.namespace}/{part}")
+        return (b"", "") if status is None else (status.level, status.message)
 
 
 def bring_up(namespace: str, **more: Any) -> BringUp:

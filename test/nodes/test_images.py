@@ -24,11 +24,11 @@ MOSAIC = {
 }  # fmt: skip
 
 
-def image(encoding: str, numbers: np.ndarray, padding: int = 6, big: bool = False) -> Image:
-    """A message of numbers (H, W, ...), with some bytes of padding at the end of each row."""
+def image(encoding: str, numbers: np.ndarray, big: bool = False) -> Image:
+    """A message of numbers (H, W, ...), with six bytes of padding at the end of each row."""
     height, width = numbers.shape[:2]
     rows = numbers.astype(numbers.dtype.newbyteorder(">" if big else "<")).view(np.uint8)
-    rows = np.pad(rows.reshape(height, -1), ((0, 0), (0, padding)), constant_values=77)
+    rows = np.pad(rows.reshape(height, -1), ((0, 0), (0, 6)), constant_values=77)
     message = Image(height=height, width=width, encoding=encoding, is_bigendian=int(big))
     message.step, message.data = rows.shape[1], rows.tobytes()
     return message

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from kinematics_inside import kinematics_inside
-from nodes_bench import Bench
+from nodes_bench import Bench, facts_of
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64
 from watched_kinematics import Watched
@@ -125,13 +125,11 @@ def test_payloads_that_no_arm_carries_move_nothing_and_silence_nothing(
         moving.says("messages", "not used: payload: payload_kg", level=WARN)
         moving.until("", STATUS.SUCCESS, partial(payload.publish, Float64(data=2.5)))
     for told in (math.nan, math.inf):  # dropped: the word before holds
-        wait = moving.part("targets").values
-        before = {v.key: v.value for v in wait}.get("bad payload")
+        before = facts_of(moving.part("targets")).get("bad payload")
 
         def counted(told: float = told, before: Any = before) -> bool:
             payload.publish(Float64(data=told))
-            now = {v.key: v.value for v in moving.part("targets").values}
-            return now.get("bad payload") != before
+            return facts_of(moving.part("targets")).get("bad payload") != before
 
         stage.spin(counted)
         assert moving.ask(execute=True).status == STATUS.SUCCESS

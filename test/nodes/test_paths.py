@@ -137,7 +137,7 @@ def test_a_goal_is_no_later_than_its_time_tolerance_and_the_parameter_allow() ->
             trajectory=JointTrajectory(points=[end]), goal_time_tolerance=duration(late_s)
         )
         node: Any = SimpleNamespace(_limits=PathLimits(max_longer=given))
-        assert trajectory_compensator._TrajectoryCompensator._longer(node, goal) == share
+        assert trajectory_compensator._TrajectoryCompensator._longest_share(node, goal) == share
 
 
 def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything_moves(

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nodes_bench import facts_of, last_status
 from simulated_graph import simulated_graph
 from std_msgs.msg import Float64
 from target_requests import pose
@@ -44,11 +45,7 @@ def test_a_payload_that_is_told_wrong_is_felt_and_then_used(arm_at_work: ArmClie
     graph.COMPENSATION.subscription(client.node, done.append)
 
     def payload() -> DiagnosticStatus | None:
-        heard = [s for m in said for s in m.status if s.name.endswith("kinematics: payload")]
-        return heard[-1] if heard else None
-
-    def rests(status: DiagnosticStatus | None) -> int:
-        return 0 if status is None else int(_facts(status).get("rests", 0))
+        return last_status(said, "kinematics: payload")
 
     rng, arm = np.random.default_rng(3), client.arm
     for k in range(15):
@@ -56,13 +53,15 @@ def test_a_payload_that_is_told_wrong_is_felt_and_then_used(arm_at_work: ArmClie
         start = client.joints
         client.send(q[None], 0.2)
         client.arrive(q[None], Pace(dwell_s=0.2, tolerance=2e-3), start)
-        client.until(lambda n=k + 1: rests(payload()) >= n, 300.0, "weighed")
+        client.until(
+            lambda n=k + 1: int(facts_of(payload()).get("rests", 0)) >= n, 300.0, "weighed"
+        )
         found = payload()
         if found.level == DiagnosticStatus.WARN:
             break
     assert found.level == DiagnosticStatus.WARN, found.message
     assert f"{TOLD_KG:g} kg is told" in found.message
-    kg, sigma = (float(_facts(found)[name]) for name in ("kg", "sigma [kg]"))
+    kg, sigma = (float(facts_of(found)[name]) for name in ("kg", "sigma [kg]"))
     assert abs(kg - CARRIED_KG) < 4.0 * sigma < 0.6
     client.node.destroy_timer(timer)
 
@@ -77,7 +76,3 @@ def test_a_payload_that_is_told_wrong_is_felt_and_then_used(arm_at_work: ArmClie
     client.until(compensate.service_is_ready, 300.0, "compensate")
     client.until(asked, 300.0, "what is felt")
     assert "the payload is known to" in done[-1].message
-
-
-def _facts(status: DiagnosticStatus) -> dict[str, str]:
-    return {value.key: value.value for value in status.values}

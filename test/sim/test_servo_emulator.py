@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import serial
+from faulty_bus import wait_until
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
@@ -23,14 +22,6 @@ dxl = pytest.importorskip("dynamixel_sdk")
 scs = pytest.importorskip("scservo_sdk")
 
 START = {1: 2048.0, 2: 1000.0, 7: 3000.0}
-
-
-def _until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
-    """Wait for ``done``; the limit is only there to end a broken test."""
-    end = time.monotonic() + limit_s
-    while not done() and time.monotonic() < end:
-        time.sleep(0.005)
-    return done()
 
 
 def _patience(monkeypatch: pytest.MonkeyPatch, milliseconds: int) -> None:
@@ -64,7 +55,7 @@ def test_feetech_library_pings_reads_and_moves(feetech, monkeypatch) -> None:
     assert servo.ping(1) == (777, scs.COMM_SUCCESS, 0)
     assert servo.ReadPos(2) == (1000, scs.COMM_SUCCESS, 0)
     assert servo.WritePosEx(2, 1200, 2000, 0) == (scs.COMM_SUCCESS, 0)
-    assert _until(lambda: abs(emulator.positions()[2] - 1200) < 0.5)
+    assert wait_until(lambda: abs(emulator.positions()[2] - 1200) < 0.5)
     assert servo.ReadPos(2)[0] == 1200
     _patience(monkeypatch, 30)
     assert servo.ping(9)[1] == scs.COMM_RX_TIMEOUT
@@ -76,7 +67,7 @@ def test_feetech_library_sync_writes_and_sync_reads(feetech) -> None:
     for servo_id, ticks in goals.items():
         assert servo.SyncWritePosEx(servo_id, ticks, 0, 0)
     assert servo.groupSyncWrite.txPacket() == scs.COMM_SUCCESS
-    assert _until(lambda: all(abs(emulator.positions()[i] - t) < 0.5 for i, t in goals.items()))
+    assert wait_until(lambda: all(abs(emulator.positions()[i] - t) < 0.5 for i, t in goals.items()))
     group = scs.GroupSyncRead(servo, 56, 11)
     for servo_id in goals:
         group.addParam(servo_id)
@@ -97,7 +88,7 @@ def test_feetech_library_sees_the_faults(feetech, monkeypatch) -> None:
     emulator.faults.silent.discard(1)
     with emulator.motor(1) as motor:
         motor.temperature_c = 95.0
-    assert _until(lambda: servo.ReadPos(1)[2] == 4)
+    assert wait_until(lambda: servo.ReadPos(1)[2] == 4)
 
 
 def test_dynamixel_library_pings_reads_and_moves(dynamixel, monkeypatch) -> None:
@@ -105,7 +96,7 @@ def test_dynamixel_library_pings_reads_and_moves(dynamixel, monkeypatch) -> None
     assert packet.ping(port, 1) == (1060, dxl.COMM_SUCCESS, 0)
     assert packet.write1ByteTxRx(port, 2, 64, 1) == (dxl.COMM_SUCCESS, 0)
     assert packet.write4ByteTxRx(port, 2, 116, 1200) == (dxl.COMM_SUCCESS, 0)
-    assert _until(lambda: abs(emulator.positions()[2] - 1200) < 0.5)
+    assert wait_until(lambda: abs(emulator.positions()[2] - 1200) < 0.5)
     assert packet.read4ByteTxRx(port, 2, 132) == (1200, dxl.COMM_SUCCESS, 0)
     assert packet.write4ByteTxRx(port, 2, 116, 9999) == (dxl.COMM_SUCCESS, 6)
     assert packet.write1ByteTxRx(port, 2, 11, 4) == (dxl.COMM_SUCCESS, 7)
@@ -124,7 +115,7 @@ def test_dynamixel_library_sync_writes_and_sync_reads(dynamixel) -> None:
     for servo_id, ticks in goals.items():
         write.addParam(servo_id, list(ticks.to_bytes(4, "little")))
     assert write.txPacket() == dxl.COMM_SUCCESS
-    assert _until(lambda: all(abs(emulator.positions()[i] - t) < 0.5 for i, t in goals.items()))
+    assert wait_until(lambda: all(abs(emulator.positions()[i] - t) < 0.5 for i, t in goals.items()))
     sync = dxl.GroupSyncRead(port, packet, 132, 4)
     for servo_id in goals:
         sync.addParam(servo_id)
@@ -145,7 +136,7 @@ def test_dynamixel_library_sees_the_faults(dynamixel) -> None:
     assert packet.read4ByteTxRx(port, 1, 132)[1] == dxl.COMM_RX_CORRUPT
     with emulator.motor(1) as motor:
         motor.temperature_c = 95.0
-    assert _until(lambda: packet.read1ByteTxRx(port, 1, 70)[0] == 4)
+    assert wait_until(lambda: packet.read1ByteTxRx(port, 1, 70)[0] == 4)
     assert packet.read1ByteTxRx(port, 1, 70)[2] == 0x80
     assert packet.write1ByteTxRx(port, 1, 64, 1)[0] == dxl.COMM_SUCCESS
     assert not emulator.torques_on()[1]
@@ -160,7 +151,7 @@ def test_offset_reverse_mode_and_profile_of_a_dynamixel(dynamixel) -> None:
     packet.write1ByteTxRx(port, 1, 64, 1)
     assert packet.write4ByteTxRx(port, 1, 116, 99)[1] == 6
     assert packet.write4ByteTxRx(port, 1, 116, 3000) == (dxl.COMM_SUCCESS, 0)
-    assert _until(lambda: abs(emulator.positions()[1] - 2000) < 0.5)
+    assert wait_until(lambda: abs(emulator.positions()[1] - 2000) < 0.5)
     packet.write4ByteTxRx(port, 1, 116, 2000)
     packet.write4ByteTxRx(port, 1, 112, 10000)
     with emulator.motor(1) as motor:  # in 10 s
@@ -179,10 +170,10 @@ def test_offset_and_modes_of_a_feetech(feetech) -> None:
     device.put(31, 2, 1 << 11 | 500)
     assert servo.ReadPos(1)[0] == 2548
     servo.WritePosEx(1, 2600, 0, 0)
-    assert _until(lambda: abs(emulator.positions()[1] - 2100) < 0.5)
+    assert wait_until(lambda: abs(emulator.positions()[1] - 2100) < 0.5)
     device.put(33, 1, 3)
     servo.WritePosEx(1, 100, 0, 0)
-    assert _until(lambda: abs(emulator.positions()[1] - 2200) < 0.5)
+    assert wait_until(lambda: abs(emulator.positions()[1] - 2200) < 0.5)
     device.put(33, 1, 1)
     servo.WritePosEx(1, 3000, 0, 0)
     with emulator.motor(1) as motor:
@@ -286,7 +277,7 @@ def test_broken_instructions_do_not_stop_it(protocol: str) -> None:
             for params in (b"", b"\x38", b"\x38\x00", b"\xff\xff\xff\xff", bytes([0x38] * 40)):
                 port.write(dialect.encode(1, instruction, params))
                 port.write(dialect.encode(0xFE, instruction, params))
-        assert _until(lambda: emulator.frames_heard > 1000)
+        assert wait_until(lambda: emulator.frames_heard > 1000)
         port.close()
         servos = {7: models()["sts3215" if protocol == "feetech" else "xl430-w250"]}
         bus = open_bus(protocol, emulator.port, 1_000_000, servos, 0.05)
@@ -296,7 +287,7 @@ def test_broken_instructions_do_not_stop_it(protocol: str) -> None:
                 return bus.read([7])[7].voltage_v > 0
             return False
 
-        assert _until(answers)
+        assert wait_until(answers)
         bus.close()
 
 

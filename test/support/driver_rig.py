@@ -14,7 +14,7 @@ import pytest
 from builtin_interfaces.msg import Duration, Time
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from nodes_bench import Bench, bench
+from nodes_bench import Bench, bench, facts_of, last_status
 from own_graph import own_graph
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -168,20 +168,13 @@ class Rig:
 
     def told(self, part: str) -> str:
         """The last sentence of a part of /diagnostics."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                if status.name.endswith(part):
-                    return str(status.message)
-        return ""
+        status = last_status(self.diagnostics, part)
+        return "" if status is None else str(status.message)
 
     def refused(self) -> int:
         """How many trajectories it says it refused; -1 where it has told nothing yet."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                for value in status.values:
-                    if value.key == "refused":
-                        return int(value.value)
-        return -1
+        told = (facts_of(status) for array in reversed(self.diagnostics) for status in array.status)
+        return next((int(facts["refused"]) for facts in told if "refused" in facts), -1)
 
     def call(self, service: graph.Service, request: Any) -> Any:
         return self.stage.call(service.client(self.stage.node, of="servo_driver"), request)

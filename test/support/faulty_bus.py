@@ -14,6 +14,14 @@ from longarm_comp.sim.servo_emulator.wire import Device
 SYNC_WRITE = 0x83
 
 
+def wait_until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
+    """Wait for ``done``; the limit is only there to end a broken test."""
+    end = time.monotonic() + limit_s
+    while not done() and time.monotonic() < end:
+        time.sleep(0.005)
+    return done()
+
+
 @dataclass
 class LineFaults(WireFaults):
     """Also late replies, and bytes that come ahead of the next reply."""
@@ -52,11 +60,11 @@ class FaultyBus(ServoEmulator):
         """Another servo with the same id; both answer at once, and low wins."""
         self.twins = {servo_id: self._wire.device(servo_id, Motor(MotorSpec(), ticks))}
 
-    def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
+    def _answer_frame(self, frame: bytes) -> list[tuple[int, bytes]]:
         writes = frame[7 if self.protocol == "dynamixel" else 4] == SYNC_WRITE
         if writes and self.loses is not None and self.loses():
             return []
-        replies = super()._answers(frame)
+        replies = super()._answer_frame(frame)
         others = dict(self._wire.answer(frame, self.twins)) if replies else {}
         heard = [(0, frame)] if self.echo else []
         return heard + [

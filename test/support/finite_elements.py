@@ -46,8 +46,8 @@ def fe_sag(arm: Arm, q: np.ndarray) -> np.ndarray:
     return np.array([tip.DX["Combo 1"], tip.DY["Combo 1"], tip.DZ["Combo 1"]])
 
 
-def fe_frequencies(arm: Arm, q: np.ndarray, count: int = 4) -> np.ndarray:
-    """The slowest frequencies by frame elements in the undeformed posture, (count,) Hz."""
+def fe_frequencies(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """The slowest frequencies by frame elements in the undeformed posture, (4,) Hz."""
     model, _, weights, lumps = frame_model(arm, q, pieces=12, rigid=1e11)
     model.analyze_linear()
     names = list(model.nodes)
@@ -59,7 +59,7 @@ def fe_frequencies(arm: Arm, q: np.ndarray, count: int = 4) -> np.ndarray:
         heavy[np.ix_(at, at)] += mass * motion.T @ motion
     free = np.delete(np.arange(len(stiff)), 6 * names.index("N0") + np.arange(6))
     stiff, heavy = stiff[np.ix_(free, free)], heavy[np.ix_(free, free)]
-    slow = np.sort(np.linalg.eigvals(np.linalg.solve(stiff, heavy)).real)[::-1][:count]
+    slow = np.sort(np.linalg.eigvals(np.linalg.solve(stiff, heavy)).real)[::-1][:4]
     return np.asarray(1.0 / (2.0 * np.pi * np.sqrt(slow)))
 
 

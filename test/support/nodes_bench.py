@@ -207,6 +207,17 @@ def answered(client: ActionClient, kind: Any, spin: Callable[[Callable[[], Any]]
     return client
 
 
+def last_status(heard: Sequence[Any], ending: str) -> Any:
+    """The last report of the part whose name ends so, of messages on /diagnostics; None: none."""
+    told = (s for array in reversed(heard) for s in array.status if s.name.endswith(ending))
+    return next(told, None)
+
+
+def facts_of(status: Any) -> dict[str, str]:
+    """The values of a report on /diagnostics by name; none where there is no report."""
+    return {} if status is None else {value.key: value.value for value in status.values}
+
+
 def children(process: subprocess.Popen[str]) -> list[int]:
     """Process ids of what a process has started."""
     return [

@@ -27,8 +27,9 @@ def centre_line(q: np.ndarray) -> np.ndarray:
     return np.vstack([[0, 0, 0], [0, 0, 0.2], line])
 
 
-def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -> SeenRows:
+def held_out_rows(rng: np.random.Generator) -> SeenRows:
     """Errors that fall from stage to stage; what is left before the effect follows q2's side."""
+    n = 60
     q = rng.uniform(-1, 1, (n, 7)) * np.array([1.5, 0.9, 0.9, 0.7, 0.6, 0.05, 0.03])
     q[:, 5:] += (0.05, 0.03)
     approach = np.where(rng.random(n) < 0.5, -1.0, 1.0)
@@ -43,9 +44,8 @@ def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -
         "frames_only": 0.5 * sag + lash + noise,
         "calibrated": 0.05 * sag + lash + noise,
         "with_effects": 0.05 * sag + noise,
+        "with_network": 0.02 * sag + noise,
     }
-    if network:
-        errors["with_network"] = 0.02 * sag + noise
     inputs = [
         Input(name, unit, q[:, k]) for k, (name, unit) in enumerate(zip(JOINTS, UNITS, strict=True))
     ]

@@ -45,25 +45,25 @@ class Sensed:
         """(N, 3) m."""
         return self.xyz + sigma * self.rng.standard_normal((len(self), 3))
 
-    def quaternion(self, body: Rotation = BODY, sigma: float = SIGMA_ROT) -> np.ndarray:
+    def quaternion(self, sigma: float = SIGMA_ROT) -> np.ndarray:
         """(N, 4) x, y, z, w of the tracked body."""
         noise = Rotation.from_rotvec(sigma * self.rng.standard_normal((len(self), 3)))
-        return np.asarray((noise * self.axes * body).as_quat())
+        return np.asarray((noise * self.axes * BODY).as_quat())
 
-    def distance(self, names: np.ndarray, sigma: float = SIGMA) -> np.ndarray:
+    def distance(self, names: np.ndarray) -> np.ndarray:
         """(N, 1) m to the anchor of each row."""
         places = np.array([ANCHORS[name] for name in names])
         length = np.linalg.norm(self.xyz - places, axis=1, keepdims=True)
-        return np.asarray(length + sigma * self.rng.standard_normal((len(self), 1)))
+        return np.asarray(length + SIGMA * self.rng.standard_normal((len(self), 1)))
 
-    def ray(self, names: np.ndarray, sigma: float = SIGMA_ROT) -> np.ndarray:
+    def ray(self, names: np.ndarray) -> np.ndarray:
         """(N, 3) direction in the axes of the camera of each row, of any length."""
         made = np.empty((len(self), 3))
         for name, (place, turn) in CAMERAS.items():
             local = Rotation.from_euler("xyz", turn, degrees=True).inv().apply(self.xyz - place)
             local /= np.linalg.norm(local, axis=1, keepdims=True)
             made[names == name] = (
-                2.0 * (local + sigma * self.rng.standard_normal((len(self), 3)))[names == name]
+                2.0 * (local + SIGMA_ROT * self.rng.standard_normal((len(self), 3)))[names == name]
             )
         return made
 

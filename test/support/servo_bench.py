@@ -17,7 +17,6 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
-from longarm_comp.sim.servo_emulator.motor import MotorSpec
 
 ROWS = ("d=0.1 limits=-60..60", "alpha=90 limits=-30..50", "type=prismatic a=0.3 limits=0..0.1")
 
@@ -97,9 +96,9 @@ NAMES = {
 
 
 @contextmanager
-def two(protocol: str, *at: float, spec: MotorSpec | None = None) -> Iterator[ServoEmulator]:
+def two(protocol: str) -> Iterator[ServoEmulator]:
     """Two directly driven servos, with the ids 1 and 2."""
-    with ServoEmulator(protocol, dict(enumerate(at or (2048.0, 2048.0), 1)), spec) as emulator:
+    with ServoEmulator(protocol, {1: 2048.0, 2: 2048.0}) as emulator:
         yield emulator
 
 

@@ -32,12 +32,12 @@ SOCKETS = {
 DISTANCES = tuple((f"{name}_0", f"{name}_1", GAP, 1e-5) for name in PLACES)
 
 
-def errors_of_the_drawing(seed: int = 4, scale: float = 1.0) -> tuple[HiddenEffect, ...]:
+def errors_of_the_drawing() -> tuple[HiddenEffect, ...]:
     """Zeros and DH errors, as large as a Panda's."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(4)
     delta = np.array([[1e-3], [5e-3], [1e-3], [0.0]]) * rng.standard_normal((4, ARM.n))
     zeros = 5e-3 * rng.standard_normal(ARM.n)
-    return geometry.DhError(scale * delta), geometry.JointZero(scale * zeros)
+    return geometry.DhError(delta), geometry.JointZero(zeros)
 
 
 def touching(
@@ -45,7 +45,6 @@ def touching(
     rows: int,
     *,
     sockets: Mapping[str, np.ndarray] = SOCKETS,
-    sigma: float = SIGMA,
     seed: int = 1,
     distances: Sequence[tuple[str, str, float, float]] = DISTANCES,
 ) -> Session:
@@ -54,7 +53,7 @@ def touching(
     names = np.array([list(sockets)[k % len(sockets)] for k in range(rows)])
     points = np.array([sockets[name] for name in names])
     true = TrueArm(ARM, hidden)
-    q = joints_at(ARM, true, points + sigma * rng.standard_normal(points.shape), rng)
+    q = joints_at(ARM, true, points + SIGMA * rng.standard_normal(points.shape), rng)
     nowhere = np.full((rows, 3), np.nan)
     return Session.record(q, nowhere, labels={"touch": names}, touch_distances=distances)
 

@@ -19,9 +19,9 @@ from longarm_comp.workflows.verification import compare_runs
 NAMES = ("without", "with")
 
 
-def trial(target: np.ndarray, error: np.ndarray, status: int = 0) -> Trial:
+def trial(target: np.ndarray, error: np.ndarray) -> Trial:
     lost = np.full_like(target, np.nan)
-    return Trial("run", target, target + error, lost, np.full(len(target), status))
+    return Trial("run", target, target + error, lost, np.zeros(len(target), int))
 
 
 def test_the_error_is_tip_minus_target(rng: np.random.Generator, tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ class SerialServoBus:
 
     def ping(self, servo_id: int) -> int:
         """Read the servo's model number. Raises IncompleteReply."""
-        reply = self._fetch([servo_id], self._dialect.model)[servo_id]
+        reply = self._fetch_block([servo_id], self._dialect.model)[servo_id]
         return int.from_bytes(reply.data, "little")
 
     @property
@@ -85,14 +85,14 @@ class SerialServoBus:
 
     def memory(self, ids: Sequence[int]) -> dict[int, ServoMemory]:
         """Read what each servo keeps without power. Raises IncompleteReply."""
-        replies = self._fetch(ids, self._dialect.memory)
+        replies = self._fetch_block(ids, self._dialect.memory)
         return {i: self._dialect.memory_of(reply.data) for i, reply in replies.items()}
 
     def alarms(self, ids: Sequence[int]) -> dict[int, str]:
         """Read the alarms that servos raise now, in words, with supply and temperature."""
         replies = self.ask(ids, self._dialect.state).replies
         said = {}
-        for servo_id, flags in self._alarms(replies).items():
+        for servo_id, flags in self._read_alarms(replies).items():
             if len(replies[servo_id].data) != self._dialect.state.length:
                 continue
             # Neither supply nor temperature depends on the model
@@ -112,15 +112,15 @@ class SerialServoBus:
             ServoFault: a servo refused the read.
         """
         answers = self.ask(ids, self._dialect.state)
-        self._refuse(answers.replies)
-        alarms = self._alarms(answers.replies)
+        self._check_refusals(answers.replies)
+        alarms = self._read_alarms(answers.replies)
         states = {
             i: self._dialect.state_of(reply.data, alarms[i], self._models[i])
             for i, reply in answers.replies.items()
             if i in alarms
         }
         if len(states) < len(set(ids)):
-            raise _incomplete(answers, states)
+            raise _make_incomplete(answers, states)
         return states
 
     def write_goal(
@@ -132,7 +132,7 @@ class SerialServoBus:
         """
         speeds = speeds_ticks_s or {}
         values = {i: self._dialect.goal_bytes(t, speeds.get(i, 0.0)) for i, t in goals.items()}
-        self._send(self._dialect.sync_write(self._dialect.goal, values))
+        self._send_frame(self._dialect.sync_write(self._dialect.goal, values))
 
     def hold(self, goals: Mapping[int, int]) -> None:
         """Send goal positions (ticks) and read back that every servo has its own.
@@ -151,7 +151,7 @@ class SerialServoBus:
 
     def goals(self, ids: Sequence[int]) -> dict[int, int]:
         """Read the goal positions, ticks. Raises IncompleteReply."""
-        replies = self._fetch(ids, self._dialect.goal_position)
+        replies = self._fetch_block(ids, self._dialect.goal_position)
         return {i: self._dialect.ticks_of(reply.data) for i, reply in replies.items()}
 
     def torque(self, ids: Sequence[int], on: bool, kept: Container[int] = ()) -> None:
@@ -181,12 +181,12 @@ class SerialServoBus:
 
         Raises: IncompleteReply.
         """
-        replies = self._fetch(ids, self._dialect.torque)
+        replies = self._fetch_block(ids, self._dialect.torque)
         return {servo_id: reply.data == b"\1" for servo_id, reply in replies.items()}
 
     def turns(self, ids: Sequence[int]) -> dict[int, bytes]:
         """Read what each servo keeps about its turns, as it is stored. Raises IncompleteReply."""
-        return {i: r.data for i, r in self._fetch(ids, self._dialect.turns).items()}
+        return {i: r.data for i, r in self._fetch_block(ids, self._dialect.turns).items()}
 
     def set_turns(
         self,
@@ -229,7 +229,7 @@ class SerialServoBus:
         if lock is None:
             self._write_checked(self._dialect.turns, stored)
             return
-        before = {i: reply.data for i, reply in self._fetch(list(stored), lock).items()}
+        before = {i: reply.data for i, reply in self._fetch_block(list(stored), lock).items()}
         self._write_checked(lock, dict.fromkeys(stored, b"\0"))
         try:
             self._write_checked(self._dialect.turns, stored)
@@ -248,15 +248,17 @@ class SerialServoBus:
             self.counters.requests += 1
             self.counters.retries += answers.attempts > 0
             answers.attempts += 1
-            self._send(self._dialect.sync_read(missing, block))
-            damaged = self._collect(missing, block.length, answers.replies)
+            self._send_frame(self._dialect.sync_read(missing, block))
+            damaged = self._collect_replies(missing, block.length, answers.replies)
             missing = tuple(i for i in missing if i not in answers.replies)
             answers.corrupt = tuple(i for i in missing if i in damaged)
             answers.silent = tuple(i for i in missing if i not in damaged)
             self.counters.timeouts += len(answers.silent)
         return answers
 
-    def _collect(self, ids: Sequence[int], data_length: int, replies: dict[int, Reply]) -> set[int]:
+    def _collect_replies(
+        self, ids: Sequence[int], data_length: int, replies: dict[int, Reply]
+    ) -> set[int]:
         """Read until every id has answered or time is up; returns ids with a damaged answer."""
         frame_length = self._dialect.overhead + data_length
         deadline = self._port.deadline(frame_length * len(ids))
@@ -280,23 +282,23 @@ class SerialServoBus:
                     self.counters.stray_frames += 1
         return damaged
 
-    def _send(self, frame: bytes) -> None:
+    def _send_frame(self, frame: bytes) -> None:
         self.counters.stale_bytes += self._port.send(frame)
 
-    def _fetch(self, ids: Sequence[int], block: Block) -> dict[int, Reply]:
+    def _fetch_block(self, ids: Sequence[int], block: Block) -> dict[int, Reply]:
         answers = self.ask(ids, block)
-        self._refuse(answers.replies)
+        self._check_refusals(answers.replies)
         if answers.silent or answers.corrupt:
-            raise _incomplete(answers, {})
+            raise _make_incomplete(answers, {})
         return answers.replies
 
-    def _refuse(self, replies: Mapping[int, Reply]) -> None:
+    def _check_refusals(self, replies: Mapping[int, Reply]) -> None:
         for servo_id, reply in replies.items():
             code = self._dialect.refusal(reply.error)
             if code:
                 raise ServoFault("the servo refused the instruction", id=servo_id, code=code)
 
-    def _alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
+    def _read_alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
         """Return alarms by id. If a status byte only flags that there is one, read the register."""
         known = {i: self._dialect.alarms(reply.error) for i, reply in replies.items()}
         unread = [i for i, flags in known.items() if flags is None]
@@ -325,7 +327,7 @@ class SerialServoBus:
         if not wanted:
             return
         for _ in range(self._retries + 1):
-            self._send(self._dialect.sync_write(block, wanted))
+            self._send_frame(self._dialect.sync_write(block, wanted))
             answers = self.ask(list(wanted), block, retries=0)
             for servo_id, reply in answers.replies.items():
                 if taken(reply.data, wanted[servo_id]):
@@ -333,13 +335,13 @@ class SerialServoBus:
             if not wanted:
                 return
         if not harmless:
-            for servo_id, flags in self._alarms(answers.replies).items():
+            for servo_id, flags in self._read_alarms(answers.replies).items():
                 if flags:
                     raise ServoFault("the servo reports an alarm", id=servo_id, alarm=flags.words)
-        raise _incomplete(answers, {}, unconfirmed=wanted)
+        raise _make_incomplete(answers, {}, unconfirmed=wanted)
 
 
-def _incomplete(
+def _make_incomplete(
     answers: Answers, states: Mapping[int, ServoState], unconfirmed: Iterable[int] = ()
 ) -> IncompleteReply:
     silent = sorted({*answers.silent, *unconfirmed} - set(answers.corrupt))

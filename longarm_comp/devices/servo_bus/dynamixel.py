@@ -22,7 +22,7 @@ _VELOCITY_TICKS_S = 0.229 / 60.0 * 4096
 """One unit of velocity is 0.229 turns a minute."""
 
 
-def _x(
+def _x_model(
     name: str, number: int, full_load: float, top_rpm: float, friction: float | None = None
 ) -> ServoModel:
     turns, top = ((0, 4095), (-1048575, 1048575)), top_rpm / 60.0 * 4096
@@ -44,11 +44,11 @@ class DynamixelX(Dialect):
 
     name = "dynamixel"
     models = (
-        _x("xl330-m077", 1190, 1750.0, 456.0),  # present current, 1 mA a unit
-        _x("xl330-m288", 1200, 1750.0, 123.0),
-        _x("xl430-w250", 1060, 1000.0, 61.0),  # present load, 0.1 % a unit
-        _x("xm430-w350", 1020, 1193.0, 57.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
-        _x("xm540-w270", 1120, 2047.0, 37.0),
+        _x_model("xl330-m077", 1190, 1750.0, 456.0),  # present current, 1 mA a unit
+        _x_model("xl330-m288", 1200, 1750.0, 123.0),
+        _x_model("xl430-w250", 1060, 1000.0, 61.0),  # present load, 0.1 % a unit
+        _x_model("xm430-w350", 1020, 1193.0, 57.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
+        _x_model("xm540-w270", 1120, 2047.0, 37.0),
     )
     header = _HEADER
     overhead = 11
@@ -99,14 +99,14 @@ class DynamixelX(Dialect):
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
         body = (bytes((instruction,)) + params).replace(_PLAIN, _STUFFED)
         frame = _HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
-        return frame + _crc(frame).to_bytes(2, "little")
+        return frame + _compute_crc(frame).to_bytes(2, "little")
 
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
-        return self.encode(BROADCAST, _SYNC_READ, _range(block) + bytes(ids))
+        return self.encode(BROADCAST, _SYNC_READ, _encode_block(block) + bytes(ids))
 
     def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
         params = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
-        return self.encode(BROADCAST, _SYNC_WRITE, _range(block) + params)
+        return self.encode(BROADCAST, _SYNC_WRITE, _encode_block(block) + params)
 
     def frame_length(self, start: bytearray) -> int:
         servo_id, length, kind = start[4], start[5] | start[6] << 8, start[7]
@@ -115,7 +115,7 @@ class DynamixelX(Dialect):
 
     def reply(self, frame: bytes) -> Reply:
         body = frame[8:-2].replace(_STUFFED, _PLAIN)
-        intact = _crc(frame[:-2]) == int.from_bytes(frame[-2:], "little")
+        intact = _compute_crc(frame[:-2]) == int.from_bytes(frame[-2:], "little")
         return Reply(frame[4], body[0], body[1:], intact)
 
     def refusal(self, error: int) -> int:
@@ -146,12 +146,12 @@ class DynamixelX(Dialect):
         )
 
 
-def _crc(frame: bytes) -> int:
+def _compute_crc(frame: bytes) -> int:
     crc = 0
     for byte in frame:
         crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
     return crc
 
 
-def _range(block: Block) -> bytes:
+def _encode_block(block: Block) -> bytes:
     return block.address.to_bytes(2, "little") + block.length.to_bytes(2, "little")

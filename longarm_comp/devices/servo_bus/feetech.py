@@ -19,7 +19,7 @@ _position, _load = sign_magnitude(15), sign_magnitude(10)
 _LONGEST = 250  # bytes that a frame may say it has: a larger number is damage
 
 
-def _sts(name: str, number: int, top_rpm: float, friction: float | None = None) -> ServoModel:
+def _sts_model(name: str, number: int, top_rpm: float, friction: float | None = None) -> ServoModel:
     turns, top = ((0, 4095), (-30719, 30719)), top_rpm / 60.0 * 4096
     return ServoModel(name, "feetech", number, 4096, *turns, 1000.0, friction, top)
 
@@ -28,7 +28,7 @@ class FeetechSts(Dialect):
     """STS3215 and its family."""
 
     name = "feetech"
-    models = (_sts("sts3215", 777, 50.0, 0.18 / 2.7), _sts("sts3250", 2825, 79.0))
+    models = (_sts_model("sts3215", 777, 50.0, 0.18 / 2.7), _sts_model("sts3250", 2825, 79.0))
     header = _HEADER
     overhead = 6
     alarm_bits: ClassVar = {
@@ -75,7 +75,7 @@ class FeetechSts(Dialect):
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
         body = bytes((servo_id, len(params) + 2, instruction)) + params
-        return _HEADER + body + bytes((_checksum(body),))
+        return _HEADER + body + bytes((_compute_checksum(body),))
 
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
         return self.encode(BROADCAST, _SYNC_READ, bytes((block.address, block.length)) + bytes(ids))
@@ -89,12 +89,12 @@ class FeetechSts(Dialect):
         return length + 4 if servo_id < BROADCAST and 2 <= length <= _LONGEST else 0
 
     def reply(self, frame: bytes) -> Reply:
-        return Reply(frame[2], frame[4], frame[5:-1], _checksum(frame[2:-1]) == frame[-1])
+        return Reply(frame[2], frame[4], frame[5:-1], _compute_checksum(frame[2:-1]) == frame[-1])
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         speed = limit_units(speed_ticks_s, 1.0, 0x7FFF)
         # acceleration 0 (the servo's maximum), position, time (unused), speed
-        return b"\0" + _signed(ticks) + b"\0\0" + speed.to_bytes(2, "little")
+        return b"\0" + _encode_signed(ticks) + b"\0\0" + speed.to_bytes(2, "little")
 
     def ticks_of(self, position: bytes) -> int:
         return _position(position)
@@ -117,9 +117,9 @@ class FeetechSts(Dialect):
         )
 
 
-def _checksum(body: bytes) -> int:
+def _compute_checksum(body: bytes) -> int:
     return ~sum(body) & 0xFF
 
 
-def _signed(value: int) -> bytes:
+def _encode_signed(value: int) -> bytes:
     return (abs(value) | (value < 0) << 15).to_bytes(2, "little")

@@ -41,7 +41,7 @@ def calibrate_stereo(
     """
     common = [left.shared_corners(right) for left, right in pairs]
     views = {
-        i: (_flat(board.points(ids)), _flat(left), _flat(right))
+        i: (_flatten_points(board.points(ids)), _flatten_points(left), _flatten_points(right))
         for i, (ids, left, right) in enumerate(common)
         if len(ids) >= FEWEST_CORNERS
     }
@@ -76,7 +76,7 @@ def calibrate_stereo(
     return StereoCalibration(rig, float(rms), tuple(used), rejected)
 
 
-def _flat(points: np.ndarray) -> np.ndarray:
+def _flatten_points(points: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(points, dtype=np.float32).reshape(len(points), 1, -1)
 
 
@@ -108,23 +108,20 @@ def calibrate_board(
     rest = [pair for i, pair in enumerate(kept) if i % _HELD_OUT_EVERY]
     out = kept[::_HELD_OUT_EVERY]
     other = calibrate_stereo(board, rest, size).rig
-    squares = [_off(board, other, *pair) for pair in out]
-    depths = [float(np.median(_points(fit.rig, *pair)[1][:, 2])) for pair in kept]
+    squares = []  # m^2, of the distances of triangulated corners from the declared board
+    for pair in out:
+        ids, points = _shared_points(other, *pair)
+        turn, move = kabsch(board.points(ids), points, np.ones(len(ids)))
+        squares.append(np.sum((points - board.points(ids) @ turn.T - move) ** 2, axis=1))
+    depths = [float(np.median(_shared_points(fit.rig, *pair)[1][:, 2])) for pair in kept]
     rms = 1e3 * float(np.sqrt(np.mean(np.concatenate(squares))))
     return BoardCalibration(fit, rms, len(out), (min(depths), max(depths)))
 
 
-def _points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.ndarray, np.ndarray]:
+def _shared_points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.ndarray, np.ndarray]:
     ids, left_px, right_px = left.shared_corners(right)
     points, _ = triangulate(rig, left_px, right_px)
     return ids, points
-
-
-def _off(board: Target, rig: StereoRig, left: Corners, right: Corners) -> np.ndarray:
-    """Return squared distances (N,) m^2 of triangulated corners from the declared board."""
-    ids, points = _points(rig, left, right)
-    turn, move = kabsch(board.points(ids), points, np.ones(len(ids)))
-    return np.sum((points - board.points(ids) @ turn.T - move) ** 2, axis=1)
 
 
 @dataclass(frozen=True)

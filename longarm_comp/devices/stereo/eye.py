@@ -56,7 +56,7 @@ class StereoEye:
             StereoRefusal: with the reason.
         """
         try:
-            return self._measure(left, right)
+            return self._measure_pair(left, right)
         except np.linalg.LinAlgError as error:  # rays so nearly parallel that nothing can be solved
             raise StereoRefusal(RefusalReason.REPROJECTION, cause=str(error)) from error
 
@@ -72,7 +72,7 @@ class StereoEye:
         sigma_px = self.noise.estimate(np.sqrt(self._square_px2), self._freedom)
         return PixelNoise(sigma_px, self.noise.weight)
 
-    def _measure(self, left: Grey, right: Grey) -> StereoSighting:
+    def _measure_pair(self, left: Grey, right: Grey) -> StereoSighting:
         greys = _as_grey(left, self.rig.left, "left"), _as_grey(right, self.rig.right, "right")
         in_left = find_corners(self.target, greys[0], "left", self.limits)
         in_right = find_corners(self.target, greys[1], "right", self.limits)

@@ -68,7 +68,7 @@ def find_corners(target: Target, grey: Grey, side: str, limits: Limits) -> Corne
     if seen.repeated:
         raise StereoRefusal(RefusalReason.AMBIGUOUS, image=side, ids=seen.repeated)
     if not len(seen):
-        raise _refusal(grey, side, limits)
+        raise _make_refusal(grey, side, limits)
     low = np.maximum(np.floor(seen.pixels.min(axis=0)).astype(int) - 4, 0)
     high = np.ceil(seen.pixels.max(axis=0)).astype(int) + 5
     patch = grey[low[1] : high[1], low[0] : high[0]]
@@ -78,7 +78,7 @@ def find_corners(target: Target, grey: Grey, side: str, limits: Limits) -> Corne
     return seen
 
 
-def _refusal(grey: Grey, side: str, limits: Limits) -> StereoRefusal:
+def _make_refusal(grey: Grey, side: str, limits: Limits) -> StereoRefusal:
     dark, bright = np.percentile(grey[::2, ::2], [1.0, 99.0])
     facts: dict[str, object] = {"image": side, "bright": round(bright), "dark": round(dark)}
     if not bright >= 45.0:

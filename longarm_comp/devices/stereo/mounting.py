@@ -25,7 +25,7 @@ def check_mounting(views: Sequence[BoardView]) -> None:
     """
     if len(views) < _TOLD_FROM:
         return
-    quarters = round(np.degrees(_turn(views)) / 90) % 4
+    quarters = round(np.degrees(_find_turn(views)) / 90) % 4
     if quarters:
         how, by = ("upside down", 180) if quarters == 2 else ("on its side", 90)
         raise JobError(
@@ -46,7 +46,7 @@ def check_mounting(views: Sequence[BoardView]) -> None:
         )
 
 
-def _turn(views: Sequence[BoardView]) -> float:
+def _find_turn(views: Sequence[BoardView]) -> float:
     """Return the angle (rad) by which corners in the right pictures are turned against the left."""
     whole = 0j
     for view in views:
@@ -58,8 +58,8 @@ def _turn(views: Sequence[BoardView]) -> float:
 
 
 def _off_px(views: Sequence[BoardView], shift: int) -> float:
-    """Median distance (px) of right corners from the epipolar lines of the left ones, if each left
-    picture belongs to the right one so many later; infinite where they have too few in common.
+    """Return the median distance (px) of right corners from the epipolar lines of the left ones, if
+    each left picture belongs to the right one so many later; infinite where too few are in common.
 
     The lines are fitted without knowing the cameras (Zhang, Determining the Epipolar Geometry,
     1998), so that lenses bend the corners off them by little.

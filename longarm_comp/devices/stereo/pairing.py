@@ -66,19 +66,19 @@ class StereoPairer(Generic[Image]):
                 waiting.clear()
             self._done_ns = [None, None]
         if len(mine) == self.queue:
-            self._drop(side.value, Drop.OVERFLOW)
+            self._drop_older(side.value, Drop.OVERFLOW)
         mine.append((stamp_ns, image))
-        return self._match()
+        return self._match_images()
 
-    def _match(self) -> list[Pair[Image]]:
+    def _match_images(self) -> list[Pair[Image]]:
         left, right = self._waiting
         found: list[Pair[Image]] = []
         while left and right:
             apart = right[0][0] - left[0][0]
             if apart > self.slop_ns or self._next_is_nearer(left, right[0][0], apart):
-                self._drop(Side.LEFT.value, Drop.UNSYNCHRONISED)
+                self._drop_older(Side.LEFT.value, Drop.UNSYNCHRONISED)
             elif -apart > self.slop_ns or self._next_is_nearer(right, left[0][0], apart):
-                self._drop(Side.RIGHT.value, Drop.UNSYNCHRONISED)
+                self._drop_older(Side.RIGHT.value, Drop.UNSYNCHRONISED)
             else:
                 (stamp, left_image), (other, right_image) = left.popleft(), right.popleft()
                 self._done_ns = [stamp, other]
@@ -90,6 +90,6 @@ class StereoPairer(Generic[Image]):
     def _next_is_nearer(waiting: deque[tuple[int, Image]], partner_ns: int, apart: int) -> bool:
         return len(waiting) > 1 and abs(waiting[1][0] - partner_ns) < abs(apart)
 
-    def _drop(self, side: int, why: Drop) -> None:
+    def _drop_older(self, side: int, why: Drop) -> None:
         self._done_ns[side] = self._waiting[side].popleft()[0]
         self.drops[why] += 1

@@ -39,11 +39,11 @@ def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
         middle = (across[1:] + across[:-1]) / 2
         offset = (rise @ middle / np.maximum(rise.sum(axis=1), 1e-9)).reshape(feet.shape[:3])
         edge = feet + offset[..., None] * normal[:, :, None]
-        quads = _intersections(edge, quads)
+        quads = _intersect_sides(edge, quads)
     return quads
 
 
-def _intersections(edge: Array, fallback: Array) -> Array:
+def _intersect_sides(edge: Array, fallback: Array) -> Array:
     """Intersect the lines through the points `edge` (N, 4, M, 2) of neighbouring sides."""
     centre = edge.mean(axis=2)
     x, y = np.moveaxis(edge - centre[:, :, None], -1, 0)
@@ -83,9 +83,9 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
     window = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2) + middle[:, None]
     values = grey[window[..., 1], window[..., 0]].astype(float)
     weight = np.exp(-(dx**2 + dy**2) / (2 * (0.6 * half) ** 2))
-    state = _start(grey, values, start - middle, middle)
+    state = _guess_state(grey, values, start - middle, middle)
     for _ in range(12):
-        jacobian, residual = _linearise(state, dx, dy, values)
+        jacobian, residual = _linearise_model(state, dx, dy, values)
         weighted = jacobian.transpose(0, 2, 1) * weight
         normal = weighted @ jacobian
         # Damped by a hundredth: what a corner hardly tells stays near its start
@@ -99,7 +99,9 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
     return out
 
 
-def _start(grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np.int64]) -> Array:
+def _guess_state(
+    grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np.int64]
+) -> Array:
     """Return a state (N, 9): u, v, angle 1, angle 2, blur, contrast, level, slope x, slope y.
 
     The curvature of the smoothed image is a saddle whose principal axes halve the angles between
@@ -119,7 +121,7 @@ def _start(grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np
     return state
 
 
-def _linearise(state: Array, dx: Array, dy: Array, values: Array) -> tuple[Array, Array]:
+def _linearise_model(state: Array, dx: Array, dy: Array, values: Array) -> tuple[Array, Array]:
     """Return the Jacobian of the model (N, M, 9) and residuals (N, M)."""
     from scipy.special import erf  # a quarter of a second; tags do without
 

@@ -59,7 +59,7 @@ class TagBoard:
         if min(self.columns, self.rows) < 1 or self.gap_m < 0.0:
             grid = (self.columns, self.rows, self.gap_m)
             raise InputError("tag board", "columns, rows, gap_m", grid, ">= 1, >= 1, >= 0")
-        known = len(_dictionary(self.dictionary).bytesList)
+        known = len(_load_dictionary(self.dictionary).bytesList)
         if not 0 <= self.first_id <= known - self.columns * self.rows:
             raise InputError("tag board", "first_id", self.first_id, f"ids inside 0..{known - 1}")
 
@@ -105,7 +105,7 @@ class TagBoard:
 
     @cached_property
     def _modules(self) -> int:
-        return int(_dictionary(self.dictionary).markerSize) + 2
+        return int(_load_dictionary(self.dictionary).markerSize) + 2
 
     @cached_property
     def _detectors(self) -> tuple[cv2.aruco.ArucoDetector, cv2.aruco.ArucoDetector]:
@@ -114,7 +114,7 @@ class TagBoard:
         quick = cv2.aruco.DetectorParameters()
         quick.adaptiveThreshWinSizeMin = quick.adaptiveThreshWinSizeMax = 11
         thorough = cv2.aruco.DetectorParameters()
-        known = _dictionary(self.dictionary)
+        known = _load_dictionary(self.dictionary)
         return cv2.aruco.ArucoDetector(known, quick), cv2.aruco.ArucoDetector(known, thorough)
 
 
@@ -133,7 +133,7 @@ class CharucoTarget:
         if min(self.columns, self.rows) < 3 or self.tag_m >= self.square_m:
             shape = (self.columns, self.rows, self.tag_m)
             raise InputError("charuco board", "columns, rows, tag_m", shape, ">= 3, >= 3, < square")
-        _dictionary(self.dictionary)
+        _load_dictionary(self.dictionary)
 
     @property
     def n_corners(self) -> int:
@@ -168,7 +168,7 @@ class CharucoTarget:
     @cached_property
     def _detector(self) -> cv2.aruco.CharucoDetector:
         board = cv2.aruco.CharucoBoard(
-            (self.columns, self.rows), self.square_m, self.tag_m, _dictionary(self.dictionary)
+            (self.columns, self.rows), self.square_m, self.tag_m, _load_dictionary(self.dictionary)
         )
         return cv2.aruco.CharucoDetector(board)
 
@@ -183,7 +183,7 @@ def _check_size(what: str, **sizes: float) -> None:
             raise InputError(what, name, size, "more than 0 m")
 
 
-def _dictionary(name: str) -> cv2.aruco.Dictionary:
+def _load_dictionary(name: str) -> cv2.aruco.Dictionary:
     known = sorted(key for key in vars(cv2.aruco) if key.startswith("DICT_"))
     if name not in known:
         raise InputError("marker", "dictionary", name, ", ".join(known))

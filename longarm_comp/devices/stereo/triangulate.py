@@ -46,7 +46,7 @@ def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> tuple[Array,
     Raises:
         StereoRefusal: BEHIND_CAMERA, if a point does not lie in front of both cameras.
     """
-    points = _linear(rig, left_px, right_px)
+    points = _triangulate_linearly(rig, left_px, right_px)
     # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
     for _ in range(2):
         in_front(rig, points)
@@ -85,7 +85,7 @@ def epipolar_px(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
     return focal * np.abs(off) / np.sqrt(slopes)
 
 
-def _linear(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
+def _triangulate_linearly(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
     cameras = rig.left, rig.right
     poses = [np.column_stack([camera.rotation, camera.translation]) for camera in cameras]
     rays = [c.rays(pixels)[:, :2].T for c, pixels in zip(cameras, (left_px, right_px), strict=True)]

@@ -34,7 +34,7 @@ from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.stereo_bridge import MARKER_LOST
-from longarm_comp.sessions.bag import open_bag, read_visit
+from longarm_comp.sessions.bag import last_part, open_bag, read_visit
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
 
@@ -49,9 +49,9 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
     done: set[int] = set()
     command = np.zeros((0, n))
     with open_bag(path) as reader:
-        kept = [c for c in reader.connections if _last_name(c.topic) in _READ]
+        kept = [c for c in reader.connections if last_part(c.topic) in _READ]
         for connection, _, raw in reader.messages(connections=kept) if kept else ():
-            name = _last_name(connection.topic)
+            name = last_part(connection.topic)
             message: Any = message_types().deserialize_cdr(raw, _READ[name])
             try:
                 if name == _COMMAND_TOPIC:
@@ -67,10 +67,6 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
                 raise InputError(path, f"visit {index}", command.tolist(), allowed)
             done.add(index)
     return done
-
-
-def _last_name(topic: str) -> str:
-    return topic.rpartition("/")[2]
 
 
 _CIRCUMSTANCES_S = 5.0
@@ -229,13 +225,13 @@ class _Run:
         self._client.wait(lambda: not self._recorder.waits_for(), _CIRCUMSTANCES_S)
         half = max(5, len(left) // 2)
         while left:
-            visit = self._next(left)
+            visit = self._choose_next(left)
             if visit is None:
                 break
             left.remove(visit)
             self._visit = visit
-            self._tell()
-            self._make(visit)
+            self._tell_progress()
+            self._make_visit(visit)
             now = self.now()
             if now.lost == self.made and not self._before and 0 < give_up <= len(self.made):
                 raise JobError(f"{now.losses}. {_HINT}")
@@ -246,10 +242,10 @@ class _Run:
 
     def end(self, state: str, why: str = "") -> None:
         """Tell everybody how it ended, and why."""
-        self._tell(state, why)
+        self._tell_progress(state, why)
         self._client.spin(0.2)  # s for it to be heard before the node ends
 
-    def _make(self, visit: Visit) -> None:
+    def _make_visit(self, visit: Visit) -> None:
         """Drive to one pose, look, and keep it; again where the driver was held meanwhile."""
         begun_s = time.monotonic()
         while True:
@@ -262,16 +258,16 @@ class _Run:
             except DriverStopped as stopped:
                 if not stopped.held:
                     raise
-                self._tell("waiting", str(stopped))
+                self._tell_progress("waiting", str(stopped))
                 takes = partial(self._client.driver_takes, held=True)
                 self._client.until(takes, math.inf, "driver")
                 begun_s = time.monotonic()
         why = row.lost.get(visit.index, "")
-        self.made[visit.index] = "" if row.located[0] else self._cause(visit.q, why)
+        self.made[visit.index] = "" if row.located[0] else self._describe_cause(visit.q, why)
         self._driving_s += time.monotonic() - begun_s
-        self._tell()
+        self._tell_progress()
 
-    def _cause(self, q: np.ndarray, recorded: str) -> str:
+    def _describe_cause(self, q: np.ndarray, recorded: str) -> str:
         """Say why the marker is likely lost at joints q (n,).
 
         It is as the recording says, or by the cameras' geometry, or as `stereo_bridge` says.
@@ -321,7 +317,7 @@ class _Run:
         recorder.keep(since_ns=begun)
         return row
 
-    def _next(self, left: list[Visit]) -> Visit | None:
+    def _choose_next(self, left: list[Visit]) -> Visit | None:
         """Return the first visit whose way from here is free; without one all are blocked."""
         here = self._client.joints
         if not self._client.arm.keep_out or here is None:
@@ -349,7 +345,7 @@ class _Run:
             why,
         )
 
-    def _tell(self, state: str = "running", why: str = "") -> None:
+    def _tell_progress(self, state: str = "running", why: str = "") -> None:
         now = self.now(state, why)
         self._show(now)
         self._publisher.publish(progress_message(now, self._client.node.get_namespace()))

@@ -108,17 +108,17 @@ def plan_checks(
     """Return questions to the visits of a plan: those that can be asked with what is known."""
     model = declared_model(arm)
     q = np.array([visit.q for visit in visits])
-    outside = tuple(_outside(arm.joint_names, v.path, arm.lower, arm.upper) for v in visits)
+    outside = tuple(_why_outside(arm.joint_names, v.path, arm.lower, arm.upper) for v in visits)
     checks = [PlanCheck("inside the limits of arm.yaml", outside, True)]
     if servos is not None:
         joints = [servos.joints[name] for name in arm.joint_names]
         tick = np.array([joint.si_per_tick for joint in joints])
         lower = np.array([joint.lower for joint in joints]) - tick
         upper = np.array([joint.upper for joint in joints]) + tick
-        faults = tuple(_outside(arm.joint_names, row[None], lower, upper) for row in q)
+        faults = tuple(_why_outside(arm.joint_names, row[None], lower, upper) for row in q)
         checks.append(PlanCheck("inside the servos' limits", faults, True))
     if arm.keep_out:
-        checks += _boxes(model, visits)
+        checks += _keep_out_boxes(model, visits)
         # The way from the visit before, and the run-up
         starts = [visits[0].path[0], *q[:-1]]
         ways = (np.vstack([start, v.path]) for start, v in zip(starts, visits, strict=True))
@@ -166,7 +166,9 @@ def in_words(faults: Iterable[str]) -> str:
     return ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
 
 
-def _outside(names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
+def _why_outside(
+    names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> str:
     off = (path < lower - SAME_POSE) | (path > upper + SAME_POSE)
     if not off.any():
         return ""
@@ -174,7 +176,7 @@ def _outside(names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: n
     return f"{names[j]} outside: {path[row, j]:.4g}, allowed {lower[j]:.4g} to {upper[j]:.4g}"
 
 
-def _boxes(model: Model, visits: Sequence[Visit]) -> list[PlanCheck]:
+def _keep_out_boxes(model: Model, visits: Sequence[Visit]) -> list[PlanCheck]:
     """Make a check of the floor and one of other boxes, at pose and begin of its run-up."""
     stops = np.concatenate([visit.path for visit in visits])
     owner = np.repeat(np.arange(len(visits)), [len(visit.path) for visit in visits])

@@ -150,7 +150,7 @@ def find_columns(
             both, one = f"{first.source} and {column.source}", f"--map NAME={column.name}"
             raise InputError(where, f"column {column.name}", both, f"one; choose it with {one}")
     made = [replace(c, unit=_choose_unit(cells, c, defaults, arm)) for _, c in found.values()]
-    return sorted(made, key=lambda c: _order(c.name))
+    return sorted(made, key=lambda c: _sort_key(c.name))
 
 
 def _choose_unit(
@@ -174,7 +174,7 @@ def _choose_unit(
     return unit
 
 
-def _order(name: str) -> tuple[int, int, str]:
+def _sort_key(name: str) -> tuple[int, int, str]:
     joint = re.fullmatch(r"q(\d+)", name)
     if joint:
         return 2, int(joint.group(1)), ""

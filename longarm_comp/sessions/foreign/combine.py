@@ -149,8 +149,7 @@ def melt_markers(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
 
 
 def _read_clocks(tables: Sequence[Cells], places: Sequence[int], column: str) -> list[np.ndarray]:
-    """Times (s, or as written where no unit is) of the same column of two tables; empty where it
-    holds no times."""
+    """Read times (s, or as written without a unit) of a column of two tables; empty where none."""
     texts = [table.column(place) for table, place in zip(tables, places, strict=True)]
     both = seconds([*texts[0], *texts[1]])
     if both is not None:

@@ -30,16 +30,16 @@ class Conventions:
         """Tell whether the rows clearly follow another convention."""
         best = next(iter(self.errors))
         own = self.errors.get(rotation.spelt, np.inf)
-        return self._clear and own > max(SUSPECT_TURN, _CLEAR * self.errors[best])
+        return self._is_clear and own > max(SUSPECT_TURN, _CLEAR * self.errors[best])
 
     @property
-    def _clear(self) -> bool:
+    def _is_clear(self) -> bool:
         return next(iter(self.errors.values())) < SUSPECT_TURN
 
     def describe(self, columns: str) -> str:
         """Say which convention fits, with its columns, and what others leave; or that none does."""
         best, *others = self.errors.items()
-        if not self._clear:
+        if not self._is_clear:
             return f"no convention fits (the best leaves {1e3 * best[1]:.3g} mrad)"
         alike = [best, *(other for other in others if other[1] < _CLEAR * best[1])]
         fit = " or ".join(f"{name}:{columns}" for name, _ in alike)

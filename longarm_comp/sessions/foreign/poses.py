@@ -27,7 +27,7 @@ class Form:
     parts: tuple[str, ...]
 
     @cached_property
-    def _pattern(self) -> re.Pattern[str]:
+    def _name_pattern(self) -> re.Pattern[str]:
         """Heading, word and part of a name."""
         digits = self.parts[0].isdigit()
         near = _APART if digits else "_?"
@@ -40,7 +40,7 @@ class Form:
 
     def read(self, name: str) -> tuple[str, str, int] | None:
         """Return heading, word and number of the part that a name without unit means, or None."""
-        found = self._pattern.fullmatch(name)
+        found = self._name_pattern.fullmatch(name)
         if found is None:
             return None
         part = re.sub(_APART, "", found["part"].lower())
@@ -107,7 +107,7 @@ def find_forms(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]
         for form in FORMS:
             if turn == (form.convention == POSITION):
                 continue
-            for found in _complete(form, names):
+            for found in _find_all(form, names):
                 if not used & set(found.places) and _is_meant(found, names):
                     whole.append(found)
                     used |= set(found.places)
@@ -119,7 +119,7 @@ def unit_in(name: str) -> Unit | None:
     return None if any(form.read(name) for form in FORMS) else split_name(name)[1]
 
 
-def _complete(form: Form, names: Sequence[str]) -> Iterable[Found]:
+def _find_all(form: Form, names: Sequence[str]) -> Iterable[Found]:
     groups: dict[tuple[str, str], dict[int, int]] = {}
     for place, name in enumerate(names):
         read = form.read(name)
@@ -137,7 +137,7 @@ def _is_meant(found: Found, names: Sequence[str]) -> bool:
     """Tell whether three turns about x, y, z are an orientation: only beside a position."""
     if found.form.convention or found.form.parts != ("x", "y", "z"):
         return True
-    positions = (p for form in FORMS if form.convention == POSITION for p in _complete(form, names))
+    positions = (p for form in FORMS if form.convention == POSITION for p in _find_all(form, names))
     return any(p.heading == found.heading and p.places != found.places for p in positions)
 
 

@@ -87,7 +87,7 @@ class Like:
                 return value
             return (float(value) - (unit.offset if moved else 0.0)) / unit.factor
 
-        forms = [self._form(name) for name in header]
+        forms = [self._read_form(name) for name in header]
         cells = [
             [convert(value, *form[1:]) for value, form in zip(row, forms, strict=True)]
             for row in rows
@@ -102,7 +102,7 @@ class Like:
             form = {"sep": self._separator, "decimal": self._sign, "lineterminator": "\n"}
             write_text(path, frame.to_csv(index=False, **form))
 
-    def _form(self, name: str) -> tuple[str, Unit | None, bool]:
+    def _read_form(self, name: str) -> tuple[str, Unit | None, bool]:
         """Return the user's name of a column, its unit, and whether a zero point moves values."""
         joint, side, point = (p.fullmatch(name) for p in (_JOINT, _SIDE, _POINT))
         if side and side[1] in self.columns:

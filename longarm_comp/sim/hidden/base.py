@@ -61,7 +61,7 @@ class HiddenEffect(Dosed):
     """Whether it acts on the command of a joint, before all effects on the joint."""
 
     def joints(self, q: Array, state: State) -> Array:
-        """True joint values (N, n) from those after the effects before it (`TrueArm`)."""
+        """Return true joint values (N, n) from those after the effects before it (`TrueArm`)."""
         return q
 
     def held(self, torques: Array, state: State) -> Array | float:
@@ -73,11 +73,11 @@ class HiddenEffect(Dosed):
         return 0.0
 
     def rows(self, rows: Array, state: State) -> Array:
-        """True geometry (4, R, N): alpha, a, theta offset, d of every row (without q)."""
+        """Return true geometry (4, R, N): alpha, a, theta offset, d of every row (without q)."""
         return rows
 
     def base(self, pose: Array) -> Array:
-        """True placement of the foot: x, y, z, roll, pitch, yaw, (6,) m and rad."""
+        """Return the true placement of the foot: x, y, z, roll, pitch, yaw, (6,) m and rad."""
         return pose
 
     def foot(self, state: State) -> Array | float:
@@ -85,7 +85,7 @@ class HiddenEffect(Dosed):
         return 0.0
 
     def gravity(self, gravity: Array) -> Array:
-        """True gravity in the base frame, (3,) m/s^2."""
+        """Return the true gravity in the base frame, (3,) m/s^2."""
         return gravity
 
     def softness(self, beam: Beam, state: State) -> Array | float:

@@ -18,28 +18,28 @@ from longarm_comp.sim.rods import QUICK_STEPS
 _Maker = Callable[[Arm, np.random.Generator], HiddenEffect]
 
 
-def _turning(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Array:
+def _draw_turning(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Array:
     """Return a draw per turning motor, 0 for sliding ones, (n,)."""
     return ~arm.slides * rng.uniform(low, high, arm.n)
 
 
-def _signs(rng: np.random.Generator, size: int) -> Array:
+def _draw_signs(rng: np.random.Generator, size: int) -> Array:
     return rng.choice([-1.0, 1.0], size)
 
 
-def _joint_zero(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+def _draw_joint_zero(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     sd = np.where(arm.slides, 1e-3, 4e-3)
     return geometry.JointZero(sd * rng.standard_normal(arm.n))
 
 
-def _dh_error(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+def _draw_dh_error(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     sd = np.array([[3e-3], [1e-3], [0.0], [1e-3]])  # theta is the joint zero
     delta = sd * rng.standard_normal((4, len(arm.joints)))
     delta[:, [j.type == "fixed" and j.pose is not None for j in arm.joints]] = 0.0
     return geometry.DhError(delta)
 
 
-def _loose_screw(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+def _draw_loose_screw(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint = int(rng.choice(np.flatnonzero(~arm.slides)))
     at = rng.uniform(0.35, 0.65)
     threshold = arm.lower[joint] + at * (arm.upper[joint] - arm.lower[joint])
@@ -47,87 +47,87 @@ def _loose_screw(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return geometry.LooseScrew(arm.commanded[joint], joint, threshold, jump)
 
 
-def _eccentricity(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    amplitude = np.stack([_turning(arm, rng, 4e-3, 1e-2), _turning(arm, rng, 1e-3, 4e-3)])
+def _draw_eccentricity(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+    amplitude = np.stack([_draw_turning(arm, rng, 4e-3, 1e-2), _draw_turning(arm, rng, 1e-3, 4e-3)])
     return drives.GearEccentricity(amplitude, rng.uniform(-np.pi, np.pi, (2, arm.n)))
 
 
-def _cogging(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+def _draw_cogging(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint = int(rng.choice(np.flatnonzero(~arm.slides)))
     span = arm.upper[joint] - arm.lower[joint]
     centre = arm.lower[joint] + rng.uniform(0.3, 0.7) * span
     return drives.CoggingBump(joint, centre, 0.12 * span, float(rng.choice([-1e-2, 1e-2])))
 
 
-def _coupling(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+def _draw_coupling(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     pairs = ~arm.slides & np.r_[False, ~arm.slides[:-1]]
-    return drives.JointCoupling(pairs * rng.uniform(0.005, 0.02, arm.n) * _signs(rng, arm.n))
+    return drives.JointCoupling(pairs * rng.uniform(0.005, 0.02, arm.n) * _draw_signs(rng, arm.n))
 
 
-def _cable(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+def _draw_cable(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint, one, two = rng.permutation(np.flatnonzero(~arm.slides))[:3]
     return drives.CableDrag(int(joint), (int(one), int(two)), float(rng.choice([-1e-2, 1e-2])))
 
 
-def _link_stiffness(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+def _draw_link_stiffness(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     common = rng.uniform(0.15, 0.35)
     return loads.LinkStiffness({b.name: common * rng.uniform(0.7, 1.3) for b in arm.links})
 
 
-def _link_mass(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+def _draw_link_mass(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     middle = [row.id for row in arm.joints][2:-1]
     return loads.LinkMass(int(rng.choice(middle)), rng.uniform(0.1, 0.3))
 
 
 HIDDEN: dict[str, _Maker] = {
-    "joint_zero": _joint_zero,
-    "dh_error": _dh_error,
+    "joint_zero": _draw_joint_zero,
+    "dh_error": _draw_dh_error,
     "base_pose": lambda arm, rng: geometry.BasePose(
         rng.standard_normal(6) * ([2e-3] * 3 + [4e-3] * 3)
     ),
-    "gravity_direction": lambda arm, rng: geometry.GravityDirection(0.05 * _signs(rng, 2)),
+    "gravity_direction": lambda arm, rng: geometry.GravityDirection(0.05 * _draw_signs(rng, 2)),
     "thermal_growth": lambda arm, rng: geometry.ThermalGrowth(rng.uniform(7e-5, 1.2e-4)),
     "thermal_softening": lambda arm, rng: loads.ThermalSoftening(rng.uniform(5e-3, 2e-2)),
     "joint_gain": lambda arm, rng: drives.JointGain(
-        _turning(arm, rng, 0.01, 0.03) * _signs(rng, arm.n)
+        _draw_turning(arm, rng, 0.01, 0.03) * _draw_signs(rng, arm.n)
     ),
-    "joint_coupling": _coupling,
+    "joint_coupling": _draw_coupling,
     "prismatic_pitch": lambda arm, rng: drives.PrismaticPitch(
-        arm.slides * rng.uniform(0.02, 0.05, arm.n) * _signs(rng, arm.n)
+        arm.slides * rng.uniform(0.02, 0.05, arm.n) * _draw_signs(rng, arm.n)
     ),
-    "gear_eccentricity": _eccentricity,
+    "gear_eccentricity": _draw_eccentricity,
     "servo_quantisation": lambda arm, rng: drives.ServoQuantisation(2 * np.pi / 1000 * ~arm.slides),
-    "servo_droop": lambda arm, rng: drives.ServoDroop(_turning(arm, rng, 1e-3, 4e-3)),
+    "servo_droop": lambda arm, rng: drives.ServoDroop(_draw_turning(arm, rng, 1e-3, 4e-3)),
     "servo_deadband": lambda arm, rng: drives.ServoDeadband(
-        _turning(arm, rng, 1e-3, 3e-3), gate=0.1
+        _draw_turning(arm, rng, 1e-3, 3e-3), gate=0.1
     ),
     "backlash": lambda arm, rng: drives.Backlash(
-        _turning(arm, rng, 3e-3, 8e-3), gate=rng.uniform(0.25, 0.45)
+        _draw_turning(arm, rng, 3e-3, 8e-3), gate=rng.uniform(0.25, 0.45)
     ),
     "friction_hysteresis": lambda arm, rng: drives.FrictionHysteresis(
-        _turning(arm, rng, 2e-3, 6e-3)
+        _draw_turning(arm, rng, 2e-3, 6e-3)
     ),
-    "friction_memory": lambda arm, rng: drives.FrictionMemory(_turning(arm, rng, 1e-3, 3e-3)),
+    "friction_memory": lambda arm, rng: drives.FrictionMemory(_draw_turning(arm, rng, 1e-3, 3e-3)),
     "servo_lag": lambda arm, rng: drives.ServoLag(rng.uniform(1e-3, 5e-3, arm.n)),
-    "joint_compliance": lambda arm, rng: loads.JointCompliance(_turning(arm, rng, 1e-3, 5e-3)),
-    "bearing_tilt": lambda arm, rng: loads.BearingTilt(_turning(arm, rng, 5e-4, 2e-3)),
+    "joint_compliance": lambda arm, rng: loads.JointCompliance(_draw_turning(arm, rng, 1e-3, 5e-3)),
+    "bearing_tilt": lambda arm, rng: loads.BearingTilt(_draw_turning(arm, rng, 5e-4, 2e-3)),
     "base_compliance": lambda arm, rng: loads.BaseCompliance(rng.uniform(5e-4, 1.5e-3, 2)),
     "base_settling": lambda arm, rng: loads.BaseSettling(
-        -rng.uniform(5e-4, 1.5e-3), rng.uniform(1e-3, 3e-3, 2) * _signs(rng, 2)
+        -rng.uniform(5e-4, 1.5e-3), rng.uniform(1e-3, 3e-3, 2) * _draw_signs(rng, 2)
     ),
     "telescope_clearance": lambda arm, rng: loads.TelescopeClearance(
         rng.uniform(3e-4, 8e-4), pads=rng.uniform(2e-6, 1e-5)
     ),
-    "link_stiffness": _link_stiffness,
+    "link_stiffness": _draw_link_stiffness,
     "creep": lambda arm, rng: loads.Creep(rng.uniform(0.1, 0.3), rng.uniform(1500, 6000)),
     "tip_payload": lambda arm, rng: loads.TipPayload(rng.uniform(0.05, 0.15)),
-    "link_mass": _link_mass,
+    "link_mass": _draw_link_mass,
     "measured_tilt": lambda arm, rng: loads.MeasuredTilt(
         0, rng.uniform(1e-3, 3e-3, 2), rng.uniform(1500, 4000), rng.uniform(-3e-3, 3e-3, 2)
     ),
-    "cogging_bump": _cogging,
-    "cable_drag": _cable,
-    "loose_screw": _loose_screw,
+    "cogging_bump": _draw_cogging,
+    "cable_drag": _draw_cable,
+    "loose_screw": _draw_loose_screw,
 }
 OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
 
@@ -186,7 +186,7 @@ def scale_to_size(
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> TrueContext:
     """Return random approach, winding and ways, two hours, some warming."""
     return TrueContext(
-        approach=np.repeat(_signs(rng, postures)[:, None], arm.n, axis=1),
+        approach=np.repeat(_draw_signs(rng, postures)[:, None], arm.n, axis=1),
         temperature_c=arm.reference_temperature_c + rng.uniform(0, 12, postures),
         t_s=rng.uniform(0, 7200, postures),
         wound=rng.spawn(1)[0].uniform(-1.0, 1.0, (postures, arm.n)),

@@ -62,7 +62,7 @@ class DynamixelWire(RegisterWire):
                 continue
             if len(buffer) < end:
                 break
-            if _crc16(bytes(buffer[: end - 2])) == int.from_bytes(buffer[end - 2 : end], "little"):
+            if _crc_of(bytes(buffer[: end - 2])) == int.from_bytes(buffer[end - 2 : end], "little"):
                 frames.append(bytes(buffer[:end]))
                 del buffer[:end]
             else:
@@ -77,7 +77,7 @@ class DynamixelWire(RegisterWire):
         body = (bytes((0x55, error)) + data).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
         size = (len(body) + 2).to_bytes(2, "little")
         frame = b"\xff\xff\xfd\x00" + bytes((device.servo_id,)) + size + body
-        return device.servo_id, frame + _crc16(frame).to_bytes(2, "little")
+        return device.servo_id, frame + _crc_of(frame).to_bytes(2, "little")
 
     def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
         if instruction == Told.PING:
@@ -92,7 +92,7 @@ class DynamixelWire(RegisterWire):
     def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
         if address + length > _At.MEMORY:
             return _Refused.BAD_RANGE, b""
-        _refresh(device)
+        _refresh_memory(device)
         return 0, bytes(device.memory[address : address + length])
 
     def write(self, device: Device, address: int, data: bytes) -> int:
@@ -116,14 +116,16 @@ class DynamixelWire(RegisterWire):
                 motor.goal = motor.position
             motor.switch(device.get(_At.TORQUE, 1) == 1)
         if address <= _At.GOAL < end and device.get(_At.MODE, 1) in (_POSITION, _EXTENDED):
-            motor.goal = float(_sign(device) * (_signed(device, _At.GOAL) - _offset(device)))
+            motor.goal = float(
+                _sign_of(device) * (_signed_at(device, _At.GOAL) - _signed_at(device, _At.OFFSET))
+            )
         if address <= _At.PROFILE_VELOCITY < end:
-            motor.speed_limit = _speed(device)
+            motor.speed_limit = _profile_speed(device)
         return 0
 
 
-def _speed(device: Device) -> float:
-    """Speed limit of the profile, ticks/s; 0: none. Time-based: the way in so many ms."""
+def _profile_speed(device: Device) -> float:
+    """Return the profile's speed limit, ticks/s; 0: none. Time-based: the way in so many ms."""
     profile = device.get(_At.PROFILE_VELOCITY, 4)
     if not device.get(_At.DRIVE_MODE, 1) & _TIME_BASED:
         return min(profile, device.get(_At.VELOCITY_LIMIT, 4)) * _SPEED_UNIT
@@ -131,24 +133,20 @@ def _speed(device: Device) -> float:
     return abs(motor.goal - motor.position) / (profile / 1000.0) if profile else 0.0
 
 
-def _sign(device: Device) -> int:
+def _sign_of(device: Device) -> int:
     return -1 if device.get(_At.DRIVE_MODE, 1) & _REVERSE else 1
 
 
-def _offset(device: Device) -> int:
-    return _signed(device, _At.OFFSET)
-
-
-def _signed(device: Device, address: int) -> int:
+def _signed_at(device: Device, address: int) -> int:
     return int.from_bytes(device.memory[address : address + 4], "little", signed=True)
 
 
 def _as_stored(device: Device, ticks: int) -> int:
     """Return a position of the encoder as the servo stores it."""
-    return (_sign(device) * ticks + _offset(device)) & 0xFFFFFFFF
+    return (_sign_of(device) * ticks + _signed_at(device, _At.OFFSET)) & 0xFFFFFFFF
 
 
-def _refresh(device: Device) -> None:
+def _refresh_memory(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
     device.put(_At.TORQUE, 1, int(motor.torque_on))
@@ -156,14 +154,14 @@ def _refresh(device: Device) -> None:
     device.put(_At.GOAL, 4, _as_stored(device, round(motor.goal)))
     device.put(_At.MOVING, 1, int(motor.moving))
     device.put(_At.LOAD, 2, round(motor.effort * motor.spec.load_units) & 0xFFFF)
-    velocity = _sign(device) * round(motor.velocity / _SPEED_UNIT)
+    velocity = _sign_of(device) * round(motor.velocity / _SPEED_UNIT)
     device.put(_At.VELOCITY, 4, velocity & 0xFFFFFFFF)
     device.put(_At.POSITION, 4, _as_stored(device, motor.reading))
     device.put(_At.VOLTS, 2, round(motor.voltage_v * 10))
     device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
 
 
-def _crc16(data: bytes) -> int:
+def _crc_of(data: bytes) -> int:
     """Compute CRC-16 with polynomial 0x8005, initial value 0, not reflected: the e-Manual's."""
     register = 0
     for byte in data:

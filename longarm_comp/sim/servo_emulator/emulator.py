@@ -32,16 +32,16 @@ class WireFaults:
 
     def apply(self, servo_id: int, reply: bytes) -> bytes:
         """Return the bytes that are sent for ``reply``."""
-        if servo_id in self.silent or _take(self.drops, servo_id):
+        if servo_id in self.silent or _take_one(self.drops, servo_id):
             return b""
-        if _take(self.corrupt, servo_id):
+        if _take_one(self.corrupt, servo_id):
             reply = reply[:-1] + bytes((reply[-1] ^ 0x5A,))
-        if _take(self.cuts, servo_id):
+        if _take_one(self.cuts, servo_id):
             reply = reply[: len(reply) // 2]
         return reply
 
 
-def _take(counts: Counter[int], servo_id: int) -> bool:
+def _take_one(counts: Counter[int], servo_id: int) -> bool:
     if counts[servo_id] <= 0:
         return False
     counts[servo_id] -= 1
@@ -105,7 +105,7 @@ class ServoEmulator:
             fresh.symlink_to(self.port)
             fresh.replace(self._link)  # in one step, so that it is never missing
         self._stop.clear()
-        self._thread = threading.Thread(target=self._serve, args=(master,), daemon=True)
+        self._thread = threading.Thread(target=self._serve_bus, args=(master,), daemon=True)
         self._thread.start()
 
     def unplug(self) -> None:
@@ -134,15 +134,15 @@ class ServoEmulator:
 
     @contextlib.contextmanager
     def motor(self, servo_id: int) -> Iterator[Motor]:
-        """The mechanics of a servo at the present, to look at or to change."""
+        """Yield the mechanics of a servo at the present, to look at or to change."""
         with self._lock:
-            self._advance()
+            self._advance_motors()
             yield self._devices[servo_id].motor
 
     def each(self, of: Callable[[Motor], Of]) -> dict[int, Of]:
         """Return something of every servo's mechanics at the present, by id."""
         with self._lock:
-            self._advance()
+            self._advance_motors()
             return {i: of(device.motor) for i, device in self._devices.items()}
 
     def positions(self) -> dict[int, float]:
@@ -155,7 +155,7 @@ class ServoEmulator:
     def power_cycle(self, servo_id: int) -> None:
         """Take a servo's power away and give it back."""
         with self._lock:
-            self._advance()
+            self._advance_motors()
             self._wire.power_cycle(self._devices[servo_id])
 
     def push(self, servo_id: int, ticks: float) -> None:
@@ -163,7 +163,7 @@ class ServoEmulator:
         with self.motor(servo_id) as motor:
             motor.turn(ticks - motor.position)
 
-    def _advance(self) -> None:
+    def _advance_motors(self) -> None:
         """Bring the mechanics up to the present in small steps (the load follows the motion)."""
         now = self._clock()
         while self._now < now:
@@ -174,26 +174,26 @@ class ServoEmulator:
             for device in self._devices.values():
                 device.motor.advance(dt)
 
-    def _serve(self, master: int) -> None:
+    def _serve_bus(self, master: int) -> None:
         buffer = bytearray()
         while not self._stop.is_set():
             ready, _, _ = select.select([master], [], [], _STEP_S)
             if ready:
                 buffer += os.read(master, 4096)
             with self._lock:
-                self._advance()
+                self._advance_motors()
                 frames = self._wire.take(buffer)
                 self.frames_heard += len(frames)
                 sent = [
                     self.faults.apply(servo_id, reply)
                     for frame in frames
-                    for servo_id, reply in self._answers(frame)
+                    for servo_id, reply in self._answer_frame(frame)
                 ]
             for reply in sent:
                 with contextlib.suppress(BlockingIOError):  # bytes that nobody reads are lost
                     os.write(master, reply)
 
-    def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
+    def _answer_frame(self, frame: bytes) -> list[tuple[int, bytes]]:
         try:
             replies = self._wire.answer(frame, self._devices)
         except IndexError:

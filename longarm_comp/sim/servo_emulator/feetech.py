@@ -67,7 +67,7 @@ class FeetechWire(RegisterWire):
         return device.servo_id, b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
     def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
-        _refresh(device)
+        _refresh_memory(device)
         return 0, bytes(device.memory[address : address + length])
 
     def write(self, device: Device, address: int, data: bytes) -> int:
@@ -87,7 +87,10 @@ class FeetechWire(RegisterWire):
         if address <= _At.GOAL < end:
             if not motor.torque_on:
                 motor.switch(True)  # a goal wakes an STS servo up
-            goal = _clip_goal(device, _signed(device.get(_At.GOAL, 2), 15))
+            low, high = device.get(_At.MIN_ANGLE, 2), device.get(_At.MAX_ANGLE, 2)
+            low, high = (low, high) if high else (-30719, 30719)
+            asked = _from_sign_magnitude(device.get(_At.GOAL, 2), 15)
+            goal = float(max(low, min(high, asked)))
             if device.get(_At.MODE, 1) == _STEPS:
                 motor.goal = motor.position + goal
             elif device.get(_At.MODE, 1) == 0:
@@ -95,7 +98,7 @@ class FeetechWire(RegisterWire):
         return 0
 
 
-def _refresh(device: Device) -> None:
+def _refresh_memory(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
     device.put(_At.TORQUE, 1, int(motor.torque_on))
@@ -111,11 +114,6 @@ def _refresh(device: Device) -> None:
     device.put(_At.MOVING, 1, int(motor.moving))
 
 
-def _clip_goal(device: Device, goal: int) -> float:
-    low, high = device.get(_At.MIN_ANGLE, 2), device.get(_At.MAX_ANGLE, 2)
-    return float(max(-30719, min(30719, goal)) if high == 0 else max(low, min(high, goal)))
-
-
 def _status_bits(motor: Motor) -> int:
     return sum(_STATUS_BITS[name] for name in motor.alarms)
 
@@ -125,9 +123,9 @@ def _sign_magnitude(value: int, bit: int) -> int:
 
 
 def _offset(device: Device) -> int:
-    return _signed(device.get(_At.OFFSET, 2), 11)
+    return _from_sign_magnitude(device.get(_At.OFFSET, 2), 11)
 
 
-def _signed(raw: int, bit: int) -> int:
+def _from_sign_magnitude(raw: int, bit: int) -> int:
     size = raw & ((1 << bit) - 1)
     return -size if raw >> bit & 1 else size

@@ -78,14 +78,14 @@ def read_arm(path: str | Path) -> EmulatedArm:
     try:
         protocol = str(data["bus"]["protocol"])
         turn = wire_of(protocol, path).ticks_per_turn
-        joints = tuple(_joint(name, fields, turn) for name, fields in data["joints"].items())
+        joints = tuple(_make_joint(name, fields, turn) for name, fields in data["joints"].items())
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         allowed = "bus.protocol and joints.<name>.servo_id, type, zero_ticks, lower, upper"
         raise InputError(path, "servo configuration", repr(error), allowed) from error
     return EmulatedArm(protocol, joints)
 
 
-def _joint(name: str, fields: Mapping[str, Any], ticks_per_turn: float) -> EmulatedJoint:
+def _make_joint(name: str, fields: Mapping[str, Any], ticks_per_turn: float) -> EmulatedJoint:
     turn = 2.0 * math.pi  # rad, or the radius' m
     if fields["type"] == "prismatic" and "screw_lead_m" in fields:
         turn = float(fields["screw_lead_m"])

@@ -72,7 +72,7 @@ class Motor:
         return round(self.seen)
 
     def turn(self, by: float) -> None:
-        """The horn turns by so many ticks."""
+        """Turn the horn by so many ticks."""
         self.position += by
         self.seen += self.follows * by
 
@@ -87,7 +87,7 @@ class Motor:
         return self.position - self._stood
 
     def switch(self, on: bool) -> None:
-        """Torque on or off; it stays off while there is an alarm."""
+        """Switch the torque; it stays off while there is an alarm."""
         self.torque_on = on and not self.alarms
 
     def clear_alarms(self) -> None:
@@ -113,12 +113,12 @@ class Motor:
         moved = 1 if self.position > start else -1
         if abs(self.position - start) > 1e-3 and moved == self._towards:
             self.approach = moved  # giving way afterwards turns nothing round
-        self._drive(dt_s)
+        self._update_effort(dt_s)
 
     def _next_position(self, dt_s: float) -> float:
         """Return the position after ``dt_s``: constant speed, first-order lag near the goal."""
         spec = self.spec
-        low, high = self._rest()
+        low, high = self._rest_range()
         if low <= self.position <= high:
             return self.position
         error = (low if self.position < low else high) - self.position
@@ -135,7 +135,7 @@ class Motor:
         left *= math.exp(-time_left / spec.lag_s)
         return self.position + math.copysign(distance - left, error)
 
-    def _rest(self) -> tuple[float, float]:
+    def _rest_range(self) -> tuple[float, float]:
         """Return the ends of where the horn may rest: the controller against load and friction."""
         spec = self.spec
 
@@ -146,7 +146,7 @@ class Motor:
         load, held = self.external_load, spec.hold_share
         return balanced(load - held, -1.0), balanced(load + held, 1.0)
 
-    def _drive(self, dt_s: float) -> None:
+    def _update_effort(self, dt_s: float) -> None:
         """Update effort, temperature and the servo's own protection."""
         spec = self.spec
         own = _FRICTION * self.velocity / spec.max_speed_ticks_s
@@ -160,10 +160,10 @@ class Motor:
         overloaded = abs(self.effort) >= _OVERLOAD
         self._overloaded_s = self._overloaded_s + dt_s if overloaded else 0.0
         if self._overloaded_s > spec.overload_s:
-            self._alarm("overload")
+            self._raise_alarm("overload")
         if self.temperature_c > _SHUTDOWN_C:
-            self._alarm("overheat")
+            self._raise_alarm("overheat")
 
-    def _alarm(self, name: str) -> None:
+    def _raise_alarm(self, name: str) -> None:
         self.alarms.add(name)
         self.torque_on = False

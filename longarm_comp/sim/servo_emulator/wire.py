@@ -46,7 +46,7 @@ class Wire(ABC):
         """Return a servo with this protocol's factory memory."""
 
     def power_cycle(self, device: Device) -> None:
-        """State after a loss of power: kept registers, torque off, no alarm."""
+        """Take a servo's power away: kept registers stay, torque is off, no alarm stands."""
         motor = device.motor
         fresh = self.device(device.servo_id, motor).memory
         device.memory[:] = device.kept[: self.kept_below] + fresh[self.kept_below :]
@@ -59,7 +59,7 @@ class Wire(ABC):
 
     @abstractmethod
     def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
-        """Carry out one instruction; the replies, in the order in which they go out."""
+        """Carry out one instruction; return the replies in the order in which they go out."""
 
 
 class RegisterWire(Wire):
@@ -109,7 +109,7 @@ class RegisterWire(Wire):
 
     @abstractmethod
     def write(self, device: Device, address: int, data: bytes) -> int:
-        """Write registers; the error code (0: done)."""
+        """Write registers; return the error code (0: done)."""
 
     @abstractmethod
     def status(self, device: Device, error: int, data: bytes) -> tuple[int, bytes]:
