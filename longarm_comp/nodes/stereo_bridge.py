@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -71,6 +72,10 @@ PARAMS = (
 )
 
 
+_ENOUGH = 10
+"""Sightings from which on their mean size counts."""
+
+
 class _StereoBridge(ArmNode):
     """The node that measures pairs of images, on a worker thread.
 
@@ -99,6 +104,7 @@ class _StereoBridge(ArmNode):
             self._files = {s: read_camera(Path(folder) / f"{s.name.lower()}.yaml") for s in Side}
         self._eye: StereoEye | None = None
         self._sightings = 0
+        self._sizes: deque[float] = deque(maxlen=50)  # seen in declared size, of the last ones
         self._last = "no pair of images yet"
         self._lost = True
         if self._files:
@@ -169,6 +175,7 @@ class _StereoBridge(ArmNode):
             self._refuse_pair(error, pair.stamp_ns)
             return
         self._sightings += 1
+        self._sizes.append(seen.scale)
         self._lost = False
         self._last = f"{seen.corners} corners, rms {seen.rms_px:.3f} px"
         message = tip_message(
@@ -200,6 +207,7 @@ class _StereoBridge(ArmNode):
         facts: dict[str, object] = {
             "sightings": self._sightings,
             "pairs": self._pairer.pairs,
+            "seen in declared size": round(self._size, 4),
             **dict(sorted(self.tally.counts.items())),
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
             **{f"lost on the way: {s.name.lower()}": i.watch.lost for s, i in self._inlets.items()},
@@ -210,7 +218,16 @@ class _StereoBridge(ArmNode):
             return Report(STALE, self._last, facts)
         if self._lost:
             return Report(WARN, MARKER_LOST + self._last, facts)
+        off = self._size - 1.0
+        if len(self._sizes) >= _ENOUGH and abs(off) > self._limits.size_tolerance:
+            said = f"the marker looks {abs(off):.1%} too {'large' if off > 0 else 'small'}: "
+            return Report(WARN, said + "measure the print, or calibrate the cameras again", facts)
         return Report(OK, f"tip measured: {self._last}", facts)
+
+    @property
+    def _size(self) -> float:
+        """The marker's seen size, in its declared one: the mean of the last sightings."""
+        return float(np.mean(self._sizes)) if self._sizes else 1.0
 
 
 main = program(_StereoBridge)

@@ -50,7 +50,7 @@ class Cameras:
             stage.connected(publisher)
         self.ns = 1_000_000_000
 
-    def calibrated(self, scale: float = 1.0) -> None:
+    def calibrated(self, scale: float = 1.0, baseline: float = 1.0) -> None:
         """Publish calibrations until the bridge has both (best effort: one may be lost)."""
         for _ in range(3):
             for publisher, info, side in zip(
@@ -58,6 +58,7 @@ class Cameras:
             ):
                 message = info_message(info, self.ns, side)
                 message.p[0] *= scale
+                message.p[3] *= baseline
                 publisher.publish(message)
 
     def render(self, pose: np.ndarray = FACING, **conditions: object) -> tuple:
@@ -118,6 +119,37 @@ def test_the_tip_is_where_it_is_and_its_covariance_is_honest(cameras: Cameras) -
         squares.append(off**2 / cameras.covariance)
     # chi-square of 24 numbers: the claimed sigma is neither ten times too small nor too large
     assert 0.01 < np.mean(squares) < 4.0
+
+
+def test_a_wrong_baseline_shows_in_the_size_of_the_marker(cameras: Cameras) -> None:
+    def said() -> str:
+        return next(
+            (
+                status.message
+                for array in reversed(cameras.diagnostics)
+                for status in array.status
+                if status.name == "/stereo_bridge: stereo"
+            ),
+            "",
+        )
+
+    cameras.stage.spin(lambda: said().startswith("tip measured"))
+    assert float(cameras.facts()["seen in declared size"]) == pytest.approx(1.0, abs=2e-3)
+    cameras.calibrated(baseline=1.02)
+    pair = cameras.render()
+
+    def warned() -> bool:
+        cameras.seen(*pair)
+        return "too large: measure the print" in said()
+
+    cameras.stage.spin(warned)
+    cameras.calibrated()
+
+    def well() -> bool:
+        cameras.seen(*pair)
+        return said().startswith("tip measured")
+
+    cameras.stage.spin(well)
 
 
 @pytest.mark.skipif(not graph.HAS_TF, reason="tf2_msgs is not installed: run make setup")
