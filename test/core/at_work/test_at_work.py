@@ -169,19 +169,40 @@ def test_a_doubtful_sighting_teaches_nothing() -> None:
     fooled = work.learned(calm, 1, off=0.05)
     assert np.array_equal(fooled.model.values, calm.model.values)
     q, context, _ = work.pose()
-    before, now = (
-        expected_miss(m, q, context, m.tip(q, context)).sizes[1] for m in (calm.model, fooled.model)
-    )
-    assert now > 3 * before
     after = work.learned(fooled, 3)
+    before, meanwhile, then = (
+        expected_miss(m, q, context, m.tip(q, context)).sizes[1]
+        for m in (calm.model, fooled.model, after.model)
+    )
+    assert meanwhile > 3 * before and then < 1.1 * before
     assert after.doubtful == 1 and after.named == ()
     assert work.missed(after.model, 0.0) < 1e-4
+
+
+def test_what_may_have_changed_is_in_the_covariance() -> None:
+    """Play has grown by 0.8 mrad with a probability of some 80 %."""
+    work = Work()
+    learner = work.learned(work.learned(Learner.of(fitted()), 5), 3, more=4e-4)
+    assert learner.known is not None
+    known = learner.known.branches[0].known
+    chance = known.probability.sum(axis=0)
+    c = known.space.keys.index(("friction_hysteresis", f"joint {JOINT}"))
+    assert 0.5 < chance[c] < 0.95 and chance.argmax() == c
+    (width, *_), jump = known.space.own(c), 8e-4
+    (unchanged,) = np.flatnonzero(known.active == width)
+    for active, covariance in (known.spread, learner.known.covariance):
+        (at,) = np.flatnonzero(active == width)
+        more = covariance[at, at] - known.covariance[unchanged, unchanged]
+        assert 0.3 < more / (chance[c] * (1.0 - chance[c]) * jump**2) < 3.0
 
 
 def test_what_no_effect_explains_is_handed_over() -> None:
     work = Work()
     learner = work.learned(work.learned(Learner.of(fitted()), 5), 12, noise=12.0)
     assert learner.unexplained and learner.named == ()
+    later = work.learned(learner, 5, noise=12.0)
+    assert np.array_equal(later.model.values, learner.model.values)
+    assert np.trace(later.record.structure) > 9.0 * np.trace(later.given.structure)
 
 
 def test_frozen_undone_and_learning_again() -> None:
