@@ -121,6 +121,10 @@ class Learning:
                 f"{learner.disagreeing} of the last sightings seem wrong: look at marker and camera"
             )
             return Report(WARN, said, facts)
+        if learner.knocked:
+            moved = "; ".join(n.text for n in learner.now)
+            said = f"base or camera, tip or marker was moved: calibrate again ({moved})"
+            return Report(WARN, said, facts)
         now = [f"{n.text}, since {datetime.fromtimestamp(n.since_s):%H:%M}" for n in learner.now]
         found = "; ".join(now)
         state = "frozen" if learner.frozen else "learning"

@@ -38,17 +38,18 @@ class WornArm:
 
     Attributes:
         more: half play that has grown, rad.
+        wrong: how far the marker that is seen is beside the tip, m.
         stands: joints (n,) where it stands, and the true tip there (3,) m.
     """
 
     def __init__(self) -> None:
-        self.more, self.noise = 0.0, np.random.default_rng(2)
+        self.more, self.wrong, self.noise = 0.0, 0.0, np.random.default_rng(2)
         self.stands, self.true = ARM.mid, np.zeros(3)
 
     def seen(self, q: np.ndarray, side: np.ndarray) -> np.ndarray:
         self.true = true_tip(q[None], side[None], self.more)[0]
         self.stands = q
-        return np.asarray(self.true + NOISE * self.noise.standard_normal(3))
+        return np.asarray(self.true + NOISE * self.noise.standard_normal(3) + [0, self.wrong, 0])
 
 
 class Work:
@@ -167,6 +168,10 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
         thaw = graph.FREEZE.client(stage.node, of="kinematics")
         assert stage.call(thaw, SetBool.Request(data=False)).success
         stage.spin(lambda: work.said()[0].startswith("learning"))
+        for k in range(14):  # every second sighting shows another marker
+            arm.wrong = 0.03 * (k % 2)
+            work.serve()
+        assert "of the last sightings seem wrong" in work.said()[0]
 
     day = read_day(bag, ARM, None, (LEARNED_SAID,))
     errors = day.error_mm

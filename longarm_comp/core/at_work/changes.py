@@ -62,7 +62,8 @@ class Parameters:
         at: dict[Key, list[int]] = {}
         for k, slot in enumerate(slots):
             owner = slot.owner
-            if owner.slips or (owner.searched and not owner.geometry and not owner.passing):
+            wears = owner.searched and not owner.geometry and not owner.passing
+            if wears or owner.slips or owner.knocked:
                 at.setdefault(slot.owner.key, []).append(k)
         keys = tuple(at)
         places = np.full((len(keys), max(map(len, at.values()), default=0)), -1)
@@ -75,6 +76,11 @@ class Parameters:
 
     def __len__(self) -> int:
         return len(self.slots)
+
+    @cached_property
+    def knocks(self) -> np.ndarray:
+        """(C,) which changes a knock of what measures the arm imitates."""
+        return np.array([self.slots[own[0]].owner.knocked for own in self.places.tolist()], bool)
 
     def own(self, c: int) -> list[int]:
         """List the positions of the parameters of a possible change."""

@@ -184,6 +184,24 @@ class Explanations:
         made[active] = most_probable_within(self.expected[active], covariance, lower, upper)
         return made
 
+    def chance_of_knock(self, columns: np.ndarray, least: float) -> float:
+        """Return the probability that base or tip, or what measures them, stands elsewhere.
+
+        Args:
+            columns: (3, q) m per unit, of a sighting.
+            least: shift there that counts, m.
+        """
+        made, space = 0.0, self.space
+        for b in self.branches:
+            off = np.zeros(len(space))
+            for change in b.changes:
+                if space.knocks[c := space.keys.index(change.key)]:
+                    own = space.own(c)
+                    off[own] = b.known.expected[own] - change.before
+            gone = float(np.linalg.norm(columns @ off)) > least
+            made += b.weight * (1.0 if gone else b.known.probability[:, space.knocks].sum())
+        return made
+
     @property
     def disputed(self) -> bool:
         """True if the last sighting may be wrong by the most probable explanation."""

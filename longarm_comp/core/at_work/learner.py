@@ -30,6 +30,8 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 from longarm_comp.core.yaml_file import Declared
 
+KNOCK = 3.0
+"""Shift of the tip, in standard deviations of a sighting, from which on a knock is one."""
 LATELY = 20
 """Last sightings, of which the report says how many disagree."""
 POOL = 256
@@ -112,7 +114,8 @@ class Learner:
     doubtful: int = 0  # left out
     lately: tuple[int, ...] = ()  # `doubtful` after each of the last `LATELY` sightings
     older: int = 1  # versions from before what is known
-    in_doubt: bool = False  # whether the last one is disputed or unexplained: then no model moves
+    in_doubt: bool = False  # whether the last one is disputed, unexplained or of a knock
+    knocked: bool = False  # whether base or tip, or what measures them, stands elsewhere
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
@@ -189,7 +192,9 @@ class Learner:
         wanted = known.within_bounds - at
         step = float(np.linalg.norm(columns @ wanted))
         scatter = math.sqrt(float(np.trace(self.given.noise + self.given.structure)))
-        in_doubt = known.disputed or known.unexplained > 0.5
+        knocked = known.chance_of_knock(columns, KNOCK * scatter)
+        in_doubt = known.disputed or max(known.unexplained, knocked) > 0.5
+        after = dataclasses.replace(after, knocked=knocked > 0.5)
         if step < WORTH * scatter and not (in_doubt or self.in_doubt):
             return after
         share = 0.0

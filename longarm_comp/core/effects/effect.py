@@ -56,7 +56,8 @@ class _Term:
         part: attribute of `Arm` that an arm with this effect must have: ``links``, ``camera``.
         needs: recorded inputs that every instance needs.
         geometry: whether it is always fitted, and never "named" by a diagnosis.
-        slips: whether a slip or a knock may change it while the arm works, though it is geometry.
+        slips: whether it may slip while the arm works, though it is geometry.
+        knocked: whether a knock may change it, and one of what measures the arm looks alike.
         passing: whether it belongs to one fit only (where a touched point was) and is never
             written into model.yaml.
         seen_only: whether it moves the frame of the measurements, and gravity with it.
@@ -90,6 +91,7 @@ class _Term:
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
     slips: ClassVar[bool] = False
+    knocked: ClassVar[bool] = False
     passing: ClassVar[bool] = False
     seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False

@@ -44,7 +44,7 @@ class BasePose(RigidMotion, Effect):
     title = "base placement"
     action = "Fix the base so that it cannot shift; calibrate after every move of it."
     geometry = True
-    slips = True
+    knocked = True
     seen_only = True
 
     group: str = place(default="")
@@ -93,7 +93,7 @@ class TipOffset(Effect):
     whole = "tip"
     action = "Check the mount of the marker or tool."
     geometry = True
-    slips = True
+    knocked = True
 
     marker: str = place(markers, default="")
     x: float = parameter("m", "tip position error along x", prior=3e-3, unknown=True)

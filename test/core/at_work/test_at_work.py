@@ -179,6 +179,18 @@ def test_a_doubtful_sighting_teaches_nothing() -> None:
     assert work.missed(after.model, 0.0) < 1e-4
 
 
+def test_one_wrong_sighting_that_a_slipped_joint_would_explain_is_forgotten() -> None:
+    work = Work()
+    calm = work.learned(Learner.of(fitted()), 5)
+    q, context, side = work.pose()
+    tip = true_tip(q[None] + 5e-3 * np.eye(ARM.n)[0], side[None])[0]
+    fooled = calm.learn(q, context, tip, VARIANCE, 400.0)
+    assert np.array_equal(fooled.model.values, calm.model.values)
+    assert fooled.known is not None and fooled.doubtful == 0  # it explains the sighting well
+    after = work.learned(fooled, 4)
+    assert after.doubtful == 1 and work.missed(after.model, 0.0) < 1e-4
+
+
 def test_what_may_have_changed_is_in_the_covariance() -> None:
     """Play has grown by 0.8 mrad with a probability of some 80 %."""
     work = Work()
@@ -224,7 +236,8 @@ def test_a_restart_goes_on_from_the_file(tmp_path: Path) -> None:
     back = file.load(path, fitted(), "hash")
     assert back.named == grown.named and back.sightings == grown.sightings
     assert work.missed(back.model, 2e-3) == pytest.approx(work.missed(grown.model, 2e-3), abs=2e-5)
-    assert work.missed(work.learned(back, 5, 2e-3).model, 2e-3) < 1e-4
+    on = work.learned(back, 5, 2e-3)
+    assert work.missed(on.model, 2e-3) < 1e-4 and on.named == grown.named
     assert file.load(path, fitted(), "another model").sightings == 0
     path.write_text("{")
     with pytest.raises(InputError, match=r"at_work\.json"):

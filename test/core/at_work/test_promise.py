@@ -138,29 +138,54 @@ def test_no_step_goes_farther_than_the_given_model_promised_there() -> None:
 
 
 @pytest.mark.parametrize("joint", [1, 2])
-def test_a_slipped_zero_is_named_and_the_promise_holds_from_its_third_sighting(joint: int) -> None:
-    zeros = ZEROS.offset + 3e-3 * np.eye(ARM.n)[joint - 1]
-    slipped = TrueArm(ARM, [JointZero(zeros)])
+@pytest.mark.parametrize("effect", ["joint_zero", "joint_gain"])
+def test_a_change_is_named_and_the_promise_holds_from_its_third_sighting(
+    effect: str, joint: int
+) -> None:
+    """The one changes what the model holds, the other is new to it."""
+    own = np.eye(ARM.n)[joint - 1]
+    size = {"joint_zero": 3e-3, "joint_gain": 0.01}[effect]
+    changed = {
+        "joint_zero": TrueArm(ARM, [JointZero(ZEROS.offset + size * own)]),
+        "joint_gain": TrueArm(ARM, [ZEROS, JointGain(size * own)]),
+    }[effect]
     learner = learned(Learner.of(calibrated(RIGID, "wide")), RIGID, 0, 5)
-    learner = learned(learner, slipped, 5, 7)
+    learner = learned(learner, changed, 5, 7)
     for k in range(7, 20):
-        learner = learned(learner, slipped, k, k + 1)
-        assert judged(learner.model, slipped)[0] >= 0.85
-    assert judged(learner.model, slipped)[1] < SIGMA
+        learner = learned(learner, changed, k, k + 1)
+        assert judged(learner.model, changed)[0] >= 0.85
+    assert judged(learner.model, changed)[1] < SIGMA
     (named,) = learner.now
-    assert (named.effect, named.where) == ("joint_zero", f"joint {joint}")
-    assert named.by[0][2] == pytest.approx(3e-3, abs=5e-4)
+    assert (named.effect, named.where) == (effect, f"joint {joint}")
+    assert named.by[0][2] == pytest.approx(size, rel=0.17)
 
 
-def test_a_knocked_base_is_named_and_the_tip_is_right_again() -> None:
+@pytest.mark.parametrize("what", ["base", "tip"])
+def test_where_a_knock_of_what_measures_looks_alike_the_model_stays_and_promises_both(
+    what: str,
+) -> None:
     learner = learned(Learner.of(calibrated(RIGID, "wide")), RIGID, 0, 5)
-    knocked = np.array([4e-3, -2e-3, 3e-3])
+    given, off = learner.model, np.array([4e-3, -2e-3, 3e-3])
+
+    def moved(q: np.ndarray) -> np.ndarray:
+        turn = RIGID.pose(q)[:, :3, :3] if what == "tip" else np.eye(3)
+        return RIGID.tip(q) + turn @ off
+
     for k in range(5, 25):
-        tip = RIGID.tip(WORK[k][None])[0] + knocked + NOISE[k]
+        tip = moved(WORK[k][None])[0] + NOISE[k]
         learner = learner.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
-    assert [n.effect for n in learner.now] == ["base_pose"]
-    off = learner.model.tip(FRESH, Context()) - RIGID.tip(FRESH) - knocked
-    assert np.linalg.norm(off, axis=1).mean() < SIGMA
+        shift = np.linalg.norm(learner.model.tip(FRESH) - given.tip(FRESH), axis=1)
+        assert shift.max() < 0.3 * np.linalg.norm(off)  # before it was sure
+    assert learner.knocked and [n.where for n in learner.now] == [what]
+    predicted = learner.model.tip(FRESH)
+    radius = expected_miss(learner.model, FRESH, Context(), predicted).sizes[1]
+    for truth in (RIGID.tip(FRESH), moved(FRESH)):
+        assert (np.linalg.norm(predicted - truth, axis=1) <= radius).mean() >= 0.85
+    for k in range(25, 35):  # set back
+        tip = RIGID.tip(WORK[k][None])[0] + NOISE[k]
+        learner = learner.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
+    inside, error, radius = judged(learner.model, RIGID)
+    assert not learner.knocked and inside >= 0.85 and error < SIGMA and radius < 4.0 * SIGMA
 
 
 def test_wrong_sightings_among_right_ones_move_nothing() -> None:
