@@ -1,6 +1,7 @@
 """The file of what was learned at work, from which a restart continues.
 
 Rivals that were not yet told apart are merged: the model served, and how well it is known, stay.
+What is in doubt is not kept: else a restart would take it for what the calibration left open.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def save(path: str | Path, learner: Learner, given: str) -> None:
         frozen=learner.frozen,
         sightings=learner.sightings,
         doubtful=learner.doubtful,
-        served=store(learner.model),
+        served=store(learner.settled or learner.model),
         versions=tuple(
             _StoredVersion(
                 at_s=None if v.named is None else v.at_s, model=store(v.model), named=v.named

@@ -116,6 +116,7 @@ class Learner:
     older: int = 1  # versions from before what is known
     in_doubt: bool = False  # whether the last one is disputed, unexplained or of a knock
     knocked: bool = False  # whether base or tip, or what measures them, stands elsewhere
+    settled: Model | None = None  # served before the doubt
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
@@ -201,7 +202,8 @@ class Learner:
         if not in_doubt:
             share = self._share_of_step(known.space.at(known.within_bounds), q, context)
         model = self._model_at(known, at + share * wanted)
-        return dataclasses.replace(after, model=model, in_doubt=in_doubt)
+        settled = (self.settled or self.model) if in_doubt else None
+        return dataclasses.replace(after, model=model, in_doubt=in_doubt, settled=settled)
 
     def _share_of_step(self, wanted: Model, q: np.ndarray, context: Context) -> float:
         """Choose the share, 0 to 1, of the step to another model that one sighting may make.

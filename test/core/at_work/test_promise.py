@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hidden_arm import SIGMA
 from read_arm import ARM
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
@@ -162,7 +164,7 @@ def test_a_change_is_named_and_the_promise_holds_from_its_third_sighting(
 
 @pytest.mark.parametrize("what", ["base", "tip"])
 def test_where_a_knock_of_what_measures_looks_alike_the_model_stays_and_promises_both(
-    what: str,
+    what: str, tmp_path: Path
 ) -> None:
     learner = learned(Learner.of(calibrated(RIGID, "wide")), RIGID, 0, 5)
     given, off = learner.model, np.array([4e-3, -2e-3, 3e-3])
@@ -181,6 +183,13 @@ def test_where_a_knock_of_what_measures_looks_alike_the_model_stays_and_promises
     radius = expected_miss(learner.model, FRESH, Context(), predicted).sizes[1]
     for truth in (RIGID.tip(FRESH), moved(FRESH)):
         assert (np.linalg.norm(predicted - truth, axis=1) <= radius).mean() >= 0.85
+    file.save(tmp_path / "at_work.json", learner, "hash")
+    back = file.load(tmp_path / "at_work.json", calibrated(RIGID, "wide"), "hash")
+    for k in range(25, 35):  # after a restart it is seen again, and followed no more than before
+        tip = moved(WORK[k][None])[0] + NOISE[k]
+        back = back.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
+    shift = np.linalg.norm(back.model.tip(FRESH) - given.tip(FRESH), axis=1)
+    assert back.knocked and shift.max() < 0.3 * np.linalg.norm(off)
     for k in range(25, 35):  # set back
         tip = RIGID.tip(WORK[k][None])[0] + NOISE[k]
         learner = learner.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
