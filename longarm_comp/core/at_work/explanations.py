@@ -204,8 +204,10 @@ class Explanations:
 
     @property
     def disputed(self) -> bool:
-        """True if the last sighting may be wrong by the most probable explanation."""
-        return self.branches[0].age == 0
+        """True if the last sighting surprised, and it is open whether it is wrong."""
+        first = self.branches[0]
+        other = sum(b.weight for b in self.branches if b.left_out != first.left_out)
+        return first.age == 0 and other > NEGLIGIBLE
 
     @property
     def grown(self) -> float:
