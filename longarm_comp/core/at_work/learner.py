@@ -153,6 +153,19 @@ class Learner:
         if self.frozen:
             return self
         known = self.known or _begin(self.model, self.record, context)
+        row = self._make_row(known, q, context, tip, variance, t_s)
+        return self._take_in(known, row)._serve(row, q, context)
+
+    def _make_row(
+        self,
+        known: Explanations,
+        q: np.ndarray,
+        context: Context,
+        tip: np.ndarray,
+        variance: np.ndarray,
+        t_s: float,
+    ) -> Row:
+        """Make the equation of a sighting; arguments as of `learn`."""
         point, columns = known.space.columns(self.model, q, context)
         at = known.space.values(self.model)
         (spread,), _ = unknown_history(self.model, q[None], context)
@@ -161,49 +174,55 @@ class Learner:
         bent = known.space.at(known.within_bounds).measured(q, context) - point
         bent = bent - columns @ (known.within_bounds - at)
         noise = noise + self.given.structure + np.outer(bent, bent)
-        value = tip - point + columns @ at
-        row = Row(t_s, columns, value, noise, float(np.linalg.norm(point)))
-        doubtful = self.doubtful - known.left_out
-        known = known.update(row)
-        doubtful += known.left_out
+        return Row(t_s, columns, tip - point + columns @ at, noise, float(np.linalg.norm(point)))
+
+    def _take_in(self, before: Explanations, row: Row) -> Learner:
+        """Return the learner that knows one more sighting, and serves the same model."""
+        known = before.update(row)
+        doubtful = self.doubtful + known.left_out - before.left_out
         older = self.older if self.known else len(self.versions)
-        after = dataclasses.replace(
+        places = known.places
+        versions = self.versions[:older]
+        for v in self.versions[older:]:  # without changes that were none
+            if v.named and places.get(v.named.where, 0.0) > 0.5:
+                versions = (*versions, v)
+        said = {v.named.where for v in versions if v.named}
+        for where, chance in places.items():  # at which something has surely changed
+            if where not in said and chance >= CREDIBLE:
+                served = self._model_at(known, known.within_bounds)
+                versions = (*versions, Version(row.t_s, served, _name_change(known, where)))
+        return dataclasses.replace(
             self,
             known=known,
+            versions=versions,
+            older=older,
             sightings=self.sightings + 1,
             doubtful=doubtful,
             lately=(*self.lately, doubtful)[-LATELY:],
-            older=older,
         )
-        versions = (
-            self.versions[:older]
-            + tuple(  # without changes that were none
-                v
-                for v in self.versions[older:]
-                if v.named and known.places.get(v.named.where, 0) > 0.5
-            )
-        )
-        said = {v.named.where for v in versions if v.named}
-        for where, chance in known.places.items():  # at which something has surely changed
-            if where not in said and chance >= CREDIBLE:
-                served = self._model_at(known, known.within_bounds)
-                versions = (*versions, Version(t_s, served, _name_change(known, where)))
-        after = dataclasses.replace(after, versions=versions)
-        # Serve the mean over all explanations, in a bounded step, once sightings agree
+
+    def _serve(self, row: Row, q: np.ndarray, context: Context) -> Learner:
+        """Serve the mean over all explanations, in a bounded step, once sightings agree."""
+        known = self.known
+        assert known is not None
+        at = known.space.values(self.model)
         wanted = known.within_bounds - at
-        step = float(np.linalg.norm(columns @ wanted))
+        step = float(np.linalg.norm(row.columns @ wanted))
         scatter = math.sqrt(float(np.trace(self.given.noise + self.given.structure)))
-        knocked = known.chance_of_knock(columns, KNOCK * scatter)
-        in_doubt = known.disputed or max(known.unexplained, knocked) > 0.5
-        after = dataclasses.replace(after, knocked=knocked > 0.5)
+        knocked = known.chance_of_knock(row.columns, KNOCK * scatter) > 0.5
+        in_doubt = known.disputed or known.unexplained > 0.5 or knocked
         if step < WORTH * scatter and not (in_doubt or self.in_doubt):
-            return after
+            return dataclasses.replace(self, knocked=knocked)
         share = 0.0
         if not in_doubt:
             share = self._share_of_step(known.space.at(known.within_bounds), q, context)
-        model = self._model_at(known, at + share * wanted)
-        settled = (self.settled or self.model) if in_doubt else None
-        return dataclasses.replace(after, model=model, in_doubt=in_doubt, settled=settled)
+        return dataclasses.replace(
+            self,
+            model=self._model_at(known, at + share * wanted),
+            in_doubt=in_doubt,
+            knocked=knocked,
+            settled=(self.settled or self.model) if in_doubt else None,
+        )
 
     def _share_of_step(self, wanted: Model, q: np.ndarray, context: Context) -> float:
         """Choose the share, 0 to 1, of the step to another model that one sighting may make.
