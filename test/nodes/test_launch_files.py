@@ -116,6 +116,9 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
     assert scaled["joints.joint1.max_velocity"] == pytest.approx(1.6)
     assert scaled["bus.port"] == "/tmp/bus"
     assert Path(scaled["state"]).parent == state_folder() / "simulated"  # not the real arm's stops
+    learned = fast.parameters("kinematics", "/tmp/bus")["learned_file"]
+    assert Path(learned).parent == Path(scaled["state"])  # nor what the real arm learned
+    assert "learned_file" not in real.parameters("kinematics", "unused")
     assert scaled["follower.lost_error_ticks"] == pytest.approx(1600.0)
     assert scaled["follower.max_step_s"] == pytest.approx(0.04)  # two cycles
     assert scaled["joints.joint1.top_speed_ticks_s"] == pytest.approx(4 * 50 / 60 * 4096)
