@@ -255,7 +255,7 @@ class Posture:
         if payload is not None:
             kg = self.context.payload_kg(payload.mass_kg)
             made.append(Lumped(self.frame(payload.frame), kg, payload.position_m))
-        return [*made, *self._overhangs(), *self.extra]
+        return [*made, *self._list_overhangs(), *self.extra]
 
     @cached_property
     def line_loads(self) -> LineLoads:
@@ -273,12 +273,12 @@ class Posture:
                     own.append((e.beam.mass_kg / float(e.beam.length_m), length))
                 for beam in (e.beam, *e.covers):
                     if beam.mass_kg > 0 and beam.body_length_m is not None:
-                        reach = beam.body_length_m - self._beyond(elements, k, beam)
+                        reach = beam.body_length_m - self._measure_beyond(elements, k, beam)
                         reach = spatial.minimum(spatial.maximum(reach, 0.0), length)
                         own.append((beam.mass_kg / beam.body_length_m, reach))
         return loads
 
-    def _overhangs(self) -> Iterator[Lumped]:
+    def _list_overhangs(self) -> Iterator[Lumped]:
         """Yield the parts of bodies that reach back behind their row's first beam."""
         for number, row in enumerate(self.chain.rows):
             before = self.chain.frame_station(number)
@@ -286,7 +286,7 @@ class Posture:
                 for beam in {e.beam.name: e.beam for e in elements}.values():
                     if beam.mass_kg == 0 or beam.body_length_m is None:
                         continue
-                    behind = beam.body_length_m - self._beyond(elements, -1, beam)
+                    behind = beam.body_length_m - self._measure_beyond(elements, -1, beam)
                     behind = spatial.maximum(behind, 0.0)
                     if type(behind) is float and behind == 0.0:
                         continue
@@ -295,7 +295,7 @@ class Posture:
                     density = beam.mass_kg / beam.body_length_m
                     yield Lumped(station, density * behind, (at[0], at[1], at[2]))
 
-    def _beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
+    def _measure_beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
         """Sum lengths from element k's far end (-1: the row's begin) to the end of `beam`."""
         last = max(j for j, e in enumerate(elements) if e.beam is beam)
         beyond: Scalar = 0.0
@@ -345,13 +345,13 @@ class Posture:
 
     def force(self, station: int) -> Vec:
         """Return the weight of all that is carried at a station, in its axes (N)."""
-        return self._loads(station)[1]
+        return self._loads_at(station)[1]
 
     def moment(self, station: int) -> Vec:
         """Return the moment of all carried at a station, about its origin, in its axes (N m)."""
-        return self._loads(station)[2]
+        return self._loads_at(station)[2]
 
-    def _loads(self, station: int) -> tuple[Vec, Vec, Vec]:
+    def _loads_at(self, station: int) -> tuple[Vec, Vec, Vec]:
         mass, first = self.carried
         return self.once(
             ("loads", station),

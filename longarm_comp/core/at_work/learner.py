@@ -152,9 +152,9 @@ class Learner:
         """
         if self.frozen:
             return self
-        known = self.known or _begin(self.model, self.record, context)
+        known = self.known or _begin_explanations(self.model, self.record, context)
         row = self._make_row(known, q, context, tip, variance, t_s)
-        return self._take_in(known, row)._serve(row, q, context)
+        return self._take_in(known, row)._serve_mean(row, q, context)
 
     def _make_row(
         self,
@@ -201,7 +201,7 @@ class Learner:
             lately=(*self.lately, doubtful)[-LATELY:],
         )
 
-    def _serve(self, row: Row, q: np.ndarray, context: Context) -> Learner:
+    def _serve_mean(self, row: Row, q: np.ndarray, context: Context) -> Learner:
         """Serve the mean over all explanations, in a bounded step, once sightings agree."""
         known = self.known
         assert known is not None
@@ -376,7 +376,7 @@ def _name_change(known: Explanations, where: str) -> Named:
     )
 
 
-def _begin(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
+def _begin_explanations(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
     """Begin with the uncertainty in a fitted model's record."""
     space = Parameters.of(model, context)
     fitted = [name for name in space.position if name in record.row]

@@ -210,7 +210,7 @@ class RecursivePosterior:
         grown = np.exp(self.possible.unnamed - self.total).sum(axis=0)
         return 1.0 + float(grown @ (_GROWN**2 - 1.0))
 
-    def _jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _describe_jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a change's positions, its mean jump (k,), and how parameters follow it, (q, k)."""
         places = np.array(self.space.own(c))
         jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
@@ -224,7 +224,7 @@ class RecursivePosterior:
         """The mean of the parameters over all possible changes and none, (q,)."""
         made = self.mean.copy()
         for t, c in np.argwhere(self.probability > NEGLIGIBLE):
-            _, jump, follows = self._jump(t, c)
+            _, jump, follows = self._describe_jump(t, c)
             made += self.probability[t, c] * (follows @ jump)
         return made
 
@@ -253,7 +253,7 @@ class RecursivePosterior:
         off = (self.mean - mean)[active]
         covariance += max(1.0 - sum(weights.values()), 0.0) * np.outer(off, off)
         for (t, c), weight in weights.items():
-            places, jump, follows = self._jump(t, c)
+            places, jump, follows = self._describe_jump(t, c)
             own = self.possible.spread[t, c][: len(places), : len(places)]
             carried = follows[active] * self.space.widths[places]
             off = (self.mean + follows @ jump - mean)[active]
@@ -267,7 +267,7 @@ class RecursivePosterior:
         likely = {(t, c): float(p) for t, p in enumerate(chance) if p > NEGLIGIBLE}
         whole = sum(likely.values())
         weights = {at: p / whole for at, p in likely.items()}
-        jumps = {at: self._jump(*at) for at in weights}
+        jumps = {at: self._describe_jump(*at) for at in weights}
         mean = self.mean + sum(p * (jumps[at][2] @ jumps[at][1]) for at, p in weights.items())
         active, covariance = self._covariance_over(weights, mean)
         again = self.again.copy()

@@ -204,22 +204,24 @@ class _Way:
     def solve(self, seed: np.ndarray | None) -> CompensatedPath:
         """Find the joints; repeat until learned error and play are those at the joints found."""
         options, learned = self.options, self.predictor is not None
-        take, seeds = TakeUp(self.physics, self.limits.turn_m), self._seeds(seed)
+        take, seeds = TakeUp(self.physics, self.limits.turn_m), self._find_seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
-        context = self._context(self.history)  # as if no joint turned: so the way of each is known
+        context = self._find_context(
+            self.history
+        )  # as if no joint turned: so the way of each is known
         lag = take.lag(seeds, context)
-        q, turn = self._reach(seeds + lag, error, context)
+        q, turn = self._find_joints(seeds + lag, error, context)
         bare = q - lag
         if learned:
-            error, sigma = self._predict(q, context)
-            q, turn = self._reach(q, error, context)
+            error, sigma = self._predict_errors(q, context)
+            q, turn = self._find_joints(q, error, context)
         way, passes = q - lag, int(learned)
         while True:
             came = take.follow(way, lag, self.history, self.start)
-            context, before = self._context(came), (lag, error)
+            context, before = self._find_context(came), (lag, error)
             lag = take.lag(q, context)
             if learned and not options.single_pass:
-                error, sigma = self._predict(q, context)
+                error, sigma = self._predict_errors(q, context)
             near = np.maximum(take.near, options.tol_m)
             changes = np.linalg.norm(error - before[1], axis=1) / options.tol_m
             changes = np.maximum(changes, (np.abs(lag - before[0]) / near).max(axis=1))
@@ -227,11 +229,11 @@ class _Way:
                 break
             if passes == options.max_passes:
                 raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), options.unsettled)
-            q, turn = self._reach(q - before[0] + lag, error, context)
+            q, turn = self._find_joints(q - before[0] + lag, error, context)
             passes += 1
         lag = before[0]  # that q was found with
         check_no_turn(self.model.arm, q)
-        timed = self._time(way, q - lag - way, lag, take.turns(way, lag, came.approach))
+        timed = self._give_times(way, q - lag - way, lag, take.turns(way, lag, came.approach))
         command = timed.joints
         moved = self._measure_corrections(command)
         if self.model.arm.keep_out:
@@ -254,7 +256,7 @@ class _Way:
             notes.insert(0, f"the joints cannot hold the orientation: it is off by {off}")
         return CompensatedPath(
             timed=timed,
-            ideal=self._standing(bare + lag) if learned else command,
+            ideal=self._begin_where_it_stands(bare + lag) if learned else command,
             error=before[1],
             sigma=sigma,
             context=context,
@@ -277,13 +279,13 @@ class _Way:
             raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
         return moved
 
-    def _time(
+    def _give_times(
         self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]
     ) -> CubicPath:
         """Give the commands their times; their parts (k, n) are those of `take_up_play`."""
         plan, arm = self.plan, self.model.arm
         planned = np.arange(float(len(way))) if plan.times is None else plan.times
-        begun = self._standing(way + off + lag)[:2]
+        begun = self._begin_where_it_stands(way + off + lag)[:2]
         first = np.diff((way if plan.joints is None else plan.joints)[:2], axis=0).sum(axis=0)
         begins = np.diff(begun, axis=0).sum(axis=0) - first
         second = min(1, len(way) - 1)
@@ -309,18 +311,18 @@ class _Way:
         except JobError as error:
             raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
 
-    def _context(self, came: History) -> Context:
+    def _find_context(self, came: History) -> Context:
         context = self.context_at(came)
         if lacking := missing_column(self.physics, context):
             raise PathRefused(Status.STALE_CONTEXT, 0, lacking)
         return context
 
-    def _seeds(self, seed: np.ndarray | None) -> np.ndarray:
+    def _find_seeds(self, seed: np.ndarray | None) -> np.ndarray:
         """Return joints (k, n) to start from: as planned, or each from those found before."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
-            return self._standing(np.clip(plan.joints, *arm.bounds))
-        each, physics = self._context(self.history).each(len(plan.targets)), self.physics
+            return self._begin_where_it_stands(np.clip(plan.joints, *arm.bounds))
+        each, physics = self._find_context(self.history).each(len(plan.targets)), self.physics
         made: list[np.ndarray] = []
         first = self.start if seed is None else seed
         for row, (target, context) in enumerate(zip(plan.targets, each, strict=True)):
@@ -334,17 +336,17 @@ class _Way:
                 locked=self.options.locked,
                 max_starts=1 if made else self.options.starts,
             )
-            self._refuse(row, found)
+            self._refuse_unreached(row, found)
             made.append(found.q)
-        return self._standing(np.array(made))
+        return self._begin_where_it_stands(np.array(made))
 
-    def _standing(self, q: np.ndarray) -> np.ndarray:
+    def _begin_where_it_stands(self, q: np.ndarray) -> np.ndarray:
         """Replace the first of joints (k, n) by where the arm stands, if the path has begun."""
         if self.begun:
             q[0] = self.start
         return q
 
-    def _reach(
+    def _find_joints(
         self, seeds: np.ndarray, error: np.ndarray, context: Context
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find joints (k, n), and by how much the orientation is off there (k,), rad."""
@@ -362,10 +364,10 @@ class _Way:
         turn[: int(self.begun)] = 0.0  # the arm stands there already
         for row in np.flatnonzero(~found.ok | (turn > self.limits.max_turn_rad)):
             if row or not self.begun:
-                self._refuse(int(row), found[int(row)])
-        return self._standing(found.q), turn
+                self._refuse_unreached(int(row), found[int(row)])
+        return self._begin_where_it_stands(found.q), turn
 
-    def _refuse(self, row: int, found: ik.Solution) -> None:
+    def _refuse_unreached(self, row: int, found: ik.Solution) -> None:
         """Refuse a way-point that was not reached, or whose orientation is too far off."""
         if not found.ok:
             here = ik.position_of(self.plan.targets[row])
@@ -376,7 +378,7 @@ class _Way:
             why = f"{off}, allowed {self.limits.max_turn_rad:g} rad; position_only leaves it free"
             raise PathRefused(Status.UNREACHABLE, row, why)
 
-    def _predict(self, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+    def _predict_errors(self, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
         """Look up what is learned at all way-points (k, n): error and sigma (k, 3) m."""
         error, sigma = np.zeros((len(q), 3)), np.full((len(q), 3), np.nan)
         assert self.predictor is not None

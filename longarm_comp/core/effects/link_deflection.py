@@ -67,15 +67,15 @@ def cantilever(posture: Posture, element: Element) -> Twist:
     foreshortening, half the integral of the slope squared, is 0.4 of it under an end force
     (a third under an end moment, 0.43 under dead weight), so a tenth is given back.
     """
-    return posture.once(("cantilevers",), lambda: _cantilevers(posture))[element.station]
+    return posture.once(("cantilevers",), lambda: _compute_cantilevers(posture))[element.station]
 
 
-def _cantilevers(posture: Posture) -> dict[int, Twist]:
+def _compute_cantilevers(posture: Posture) -> dict[int, Twist]:
     """Compute the twists of all elements, by station; those of one kind at once."""
     kinds: dict[tuple, dict[tuple[int, int], tuple[Scalar, ...]]] = {}
     masses, firsts = posture.carried
     for e in elements(posture):
-        length, sign, inverse = _beam(posture, e)
+        length, sign, inverse = _describe_beam(posture, e)
         spread = posture.line_loads[e.station]
         frame, at = posture.frames[e.station], e.station
         n, o, a = _beam_axes(e.axis, frame[:3])
@@ -105,7 +105,7 @@ def _cantilever(
     """Twist at the end of an element, as `cantilever`, in the beam's axes.
 
     Args:
-        sign, length, inverse: as `_beam` gives them.
+        sign, length, inverse: as `_describe_beam` gives them.
         felt: gravity, force and moment at the end, in the beam's axes.
         spread: density (kg/m) and loaded length (m) of each mass along it, and whether that is
             the element's whole length.
@@ -129,7 +129,7 @@ def _cantilever(
     for k, w in enumerate(_across(sign, gravity)):
         slope[k + 1] = slope[k + 1] + slope_w * w
         sag[k] = sag[k] + sag_w * w
-    _, y, z, *theta = _bend(sign, slope, sag, inverse)
+    _, y, z, *theta = _bend_beam(sign, slope, sag, inverse)
     about_x, about_y, about_z = (0.5 * t for t in theta)
     shortened = -0.2 * (about_y * z - about_z * y)
     return (shortened, y - about_x * z, z + about_x * y, *theta)  # type: ignore[return-value]
@@ -138,13 +138,15 @@ def _cantilever(
 def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
     """Twist at the end of a beam element under a force (N) and moment (N m) in its axes there, to
     first order."""
-    length, sign, inverse = _beam(posture, element)
+    length, sign, inverse = _describe_beam(posture, element)
     ends = (_beam_axes(element.axis, v) for v in (force, moment))
     slope, sag = _end_loaded(length, sign, *ends)
-    return _frame_axes(element.axis, _bend(sign, slope, sag, inverse))
+    return _frame_axes(element.axis, _bend_beam(sign, slope, sag, inverse))
 
 
-def _beam(posture: Posture, element: Element) -> tuple[Scalar, float, tuple[float, float, float]]:
+def _describe_beam(
+    posture: Posture, element: Element
+) -> tuple[Scalar, float, tuple[float, float, float]]:
     """Length (m), sign along its axis and compliances (1/(N m^2)) along and across an element."""
     signed = posture.lengths[element.station]
     sign = -1.0 if type(signed) is float and signed < 0 else 1.0
@@ -181,7 +183,7 @@ def _end_loaded(
     return slope, sag
 
 
-def _bend(sign: float, slope: list[Scalar], sag: list[Scalar], inverse: Vec) -> Twist:
+def _bend_beam(sign: float, slope: list[Scalar], sag: list[Scalar], inverse: Vec) -> Twist:
     """Displacement and turn of a beam's end from these integrals."""
     y, z = _across(-sign, (0.0, sag[0] * inverse[1], sag[1] * inverse[2]))
     return (0.0, y, z, slope[0] * inverse[0], slope[1] * inverse[1], slope[2] * inverse[2])

@@ -219,23 +219,23 @@ class Model:
         Its loads save a pass; where they differ so little (`close`), one pass will do.
         """
         if any(e.changes_loads for e in self.effects):
-            known = self._weigh(known)
+            known = self._weigh_masses(known)
         return self._pass_loads(known, 1 if close else max(self.load_passes - 1, 1))
 
-    def _weigh(self, posture: Posture) -> Posture:
+    def _weigh_masses(self, posture: Posture) -> Posture:
         """Return a posture's frames under this model's gravity and masses."""
         gravity: Vec = self.arm.gravity_mps2  # in the frame of the measurements
         for effect in self.effects:
             gravity = effect.gravity(gravity)
         home = self.arm.base.frame()
-        for twists in self._placements(posture.context):
+        for twists in self._list_placements(posture.context):
             turn = spatial.exp_large(twists[PLACEMENT])
             gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
         bare = dataclasses.replace(posture, gravity=gravity, extra=())
         extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
         return dataclasses.replace(bare, extra=extra) if extra else bare
 
-    def _placements(self, context: Context) -> list[Twists]:
+    def _list_placements(self, context: Context) -> list[Twists]:
         """Return the twists of the effects that place the base."""
         bare = self.posture_without_frames((), context)
         return [effect.twists(bare) for effect in self.effects if effect.seen_only]
@@ -252,7 +252,9 @@ class Model:
 
     def posture_without_sag(self, q: Sequence[Scalar], context: Context) -> Posture:
         """Return the arm at q as its base stands, without other effects: the first load pass."""
-        return self.posture_with_twists(q, context, spatial.sum_twists(self._placements(context)))
+        return self.posture_with_twists(
+            q, context, spatial.sum_twists(self._list_placements(context))
+        )
 
     def posture_without_frames(self, q: Sequence[Scalar], context: Context) -> Posture:
         """Return the joints at q without frames and loads, for effects that depend on neither."""
@@ -261,7 +263,7 @@ class Model:
     def posture_with_twists(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """Return the arm at q with given twists (by station), and its loads."""
         placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
-        return self._weigh(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
+        return self._weigh_masses(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
 
     def twists(self, posture: Posture) -> Twists:
         """Return the sum of all effects' twists, by station."""
@@ -349,7 +351,7 @@ class Model:
             else:
                 up, down = ([(term, end.twists(posture))] for end in slot.ends)
                 ends.append(TwistChange(up, down, per))
-        return self._motion(posture, ends, turns)
+        return self._move_tip(posture, ends, turns)
 
     def motion_with(
         self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
@@ -364,9 +366,9 @@ class Model:
                 ends.append(Reseen(self.plus(term), self, 1.0, term.sees))
             else:
                 ends.append(TwistChange([(term, term.twists(posture))], [], 1.0))
-        return self._motion(posture, ends, turns)
+        return self._move_tip(posture, ends, turns)
 
-    def _motion(
+    def _move_tip(
         self, posture: Posture, ends: Sequence[TwistChange | Reseen], turns: bool
     ) -> TipMotion:
         tip = self.tip_frame(posture)
@@ -381,7 +383,7 @@ class Model:
             none = {p.name: 0.0 for p in slot.owner.parameters(self.arm)}
             slot = dataclasses.replace(slot, owner=slot.owner.with_values(none))
         model = self._with_changed(slot.owner, slot.ends[0])
-        raised = model._under_load(model._weigh(posture))
+        raised = model._under_load(model._weigh_masses(posture))
         return TwistChange(raised, self._under_load(posture), 1.0 / slot.step)
 
     def _under_load(self, posture: Posture) -> Parts:

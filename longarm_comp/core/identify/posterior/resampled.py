@@ -122,10 +122,10 @@ class Resampling:
         Those of its name are taken together, because a sample may find at single joints what
         another finds at all.
         """
-        mine = self._shift(found.terms)
-        shares = {e: _correlate(mine, self._shift(e.terms)) ** 2 for e in effects}
+        mine = self._shift_rows(found.terms)
+        shares = {e: _correlate_shifts(mine, self._shift_rows(e.terms)) ** 2 for e in effects}
         namesakes = [e for e in effects if found.name in e.credible]
-        each = [self._shift((t,)) for e in namesakes for t in e.terms]
+        each = [self._shift_rows((t,)) for e in namesakes for t in e.terms]
         if each and _explained_share(mine, np.stack(each, axis=1)) >= SAME_ROLE:
             missing = math.prod(1.0 - e.presence for e in namesakes)
             return replace(max(namesakes, key=shares.__getitem__), presence=1.0 - missing)
@@ -136,7 +136,7 @@ class Resampling:
     def _geometry(self) -> Marginal:
         return FitColumns(self.fit).marginal_without(keys_of(self.found))
 
-    def _shift(self, terms: Sequence[Term]) -> np.ndarray:
+    def _shift_rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return the (m,) shift of the rows by terms beyond the geometry, in units of the noise."""
         shift = FitColumns(self.fit).shift_by(terms)
         return self._geometry.project(self.fit.whiten_columns(shift[..., None]))[:, 0]
@@ -148,5 +148,5 @@ def _explained_share(y: np.ndarray, columns: np.ndarray) -> float:
     return 1.0 - float(left @ left / max(y @ y, 1e-300))
 
 
-def _correlate(a: np.ndarray, b: np.ndarray) -> float:
+def _correlate_shifts(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
