@@ -35,16 +35,27 @@ class Followed:
         point.time_from_start = duration(times)
         goal = graph.FOLLOW.type.Goal(**(tolerances or {}))
         goal.trajectory = JointTrajectory(joint_names=list(to), points=[point])
-        sent = self.client.send_goal_async(goal, lambda said: self.feedback.append(said.feedback))
-        rig.stage.spin(sent.done)
+        self.asked = goal
+        self._send()
+
+    def _send(self) -> None:
+        sent = self.client.send_goal_async(
+            self.asked, lambda said: self.feedback.append(said.feedback)
+        )
+        self.rig.stage.spin(sent.done)
         self.goal = sent.result()
         assert self.goal.accepted
         self.result = self.goal.get_result_async()
 
     def ends(self, status: int, code: int) -> str:
-        """Wait for the end; what it says."""
+        """Wait for the end; what it says.
+
+        A driver that had no processor time refuses what may be old; then it is asked again.
+        """
         self.rig.stage.spin(self.result.done)
-        got = self.result.result()
+        while "this node was away" in (got := self.result.result()).result.error_string:
+            self._send()
+            self.rig.stage.spin(self.result.done)
         assert (got.status, got.result.error_code) == (status, code), got.result.error_string
         self.client.destroy()
         return str(got.result.error_string)
@@ -72,8 +83,7 @@ def test_a_goal_of_joints_is_followed_told_of_and_reached(rig: Rig) -> None:
         assert one.error.positions[0] == pytest.approx(off, abs=1e-12)
         assert min(start, 0.6) - 0.01 < one.desired.positions[0] < max(start, 0.6) + 0.01
     # The same story is told on the topic, by an id of its own.
-    (name,) = {motion.id for motion in rig.motions}
-    rig.becomes(name, Motion.ACCEPTED, Motion.REACHED)
+    rig.becomes(rig.motions[-1].id, Motion.ACCEPTED, Motion.REACHED)
 
 
 @needs_follow
