@@ -134,5 +134,5 @@ class Learning:
 
 
 _MANY = 5
-"""Of the last twenty sightings: so many seem wrong by chance once in 40,000 times."""
+"""Of the last twenty sightings: so many seem wrong by chance once in 700,000 times (`DOUBT`)."""
 _OFF = "nothing is learned at work: its parameter `learning` is false"

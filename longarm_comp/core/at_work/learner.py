@@ -114,9 +114,8 @@ class Learner:
     doubtful: int = 0  # left out
     lately: tuple[int, ...] = ()  # `doubtful` after each of the last `LATELY` sightings
     older: int = 1  # versions from before what is known
-    in_doubt: bool = False  # whether the last one is disputed, unexplained or of a knock
     knocked: bool = False  # whether base or tip, or what measures them, stands elsewhere
-    settled: Model | None = None  # served before the doubt
+    settled: Model | None = None  # served before the doubt, if there is one now
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
@@ -211,7 +210,7 @@ class Learner:
         scatter = math.sqrt(float(np.trace(self.given.noise + self.given.structure)))
         knocked = known.chance_of_knock(row.columns, KNOCK * scatter) > 0.5
         in_doubt = known.disputed or known.unexplained > 0.5 or knocked
-        if step < WORTH * scatter and not (in_doubt or self.in_doubt):
+        if step < WORTH * scatter and not (in_doubt or self.settled):
             return dataclasses.replace(self, knocked=knocked)
         share = 0.0
         if not in_doubt:
@@ -219,7 +218,6 @@ class Learner:
         return dataclasses.replace(
             self,
             model=self._model_at(known, at + share * wanted),
-            in_doubt=in_doubt,
             knocked=knocked,
             settled=(self.settled or self.model) if in_doubt else None,
         )
@@ -327,15 +325,17 @@ class Learner:
         return dataclasses.replace(self, frozen=True)
 
     def thaw(self) -> Learner:
-        """Learn again, from the model that is served."""
-        return dataclasses.replace(self, frozen=False, known=None)
+        """Learn again, from the model that is served, or was before the present doubt."""
+        return dataclasses.replace(self._settle(self.settled or self.model), frozen=False)
 
     def undo(self) -> Learner:
         """Serve the version before the last, and stop learning until `thaw`."""
         kept = self.versions[:-1] or self.versions
-        return dataclasses.replace(
-            self, model=kept[-1].model, versions=kept, known=None, frozen=True
-        )
+        return dataclasses.replace(self._settle(kept[-1].model), versions=kept, frozen=True)
+
+    def _settle(self, model: Model) -> Learner:
+        """Serve a model, and forget what was seen since."""
+        return dataclasses.replace(self, model=model, known=None, knocked=False, settled=None)
 
 
 def _at_all(context: Context, count: int) -> Context:

@@ -193,12 +193,17 @@ def test_where_a_knock_of_what_measures_looks_alike_the_model_stays_and_promises
     for truth in (RIGID.tip(FRESH), moved(FRESH)):
         assert (np.linalg.norm(predicted - truth, axis=1) <= radius).mean() >= 0.85
     file.save(tmp_path / "at_work.json", learner, "hash")
-    back = file.load(tmp_path / "at_work.json", calibrated(RIGID, "wide"), "hash")
-    for k in range(25, 35):  # after a restart it is seen again, and followed no more than before
-        tip = moved(WORK[k][None])[0] + NOISE[k]
-        back = back.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
-    shift = np.linalg.norm(back.model.tip(FRESH) - given.tip(FRESH), axis=1)
-    assert back.knocked and shift.max() < 0.3 * np.linalg.norm(off)
+    restarted = file.load(tmp_path / "at_work.json", calibrated(RIGID, "wide"), "hash")
+    for back in (restarted, learner.freeze().thaw()):  # it is seen again, and followed no more
+        for k in range(25, 35):
+            tip = moved(WORK[k][None])[0] + NOISE[k]
+            back = back.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
+        shift = np.linalg.norm(back.model.tip(FRESH) - given.tip(FRESH), axis=1)
+        assert back.knocked and shift.max() < 0.3 * np.linalg.norm(off)
+    undone = learner.undo()
+    file.save(tmp_path / "at_work.json", undone, "hash")
+    kept = file.load(tmp_path / "at_work.json", calibrated(RIGID, "wide"), "hash")
+    assert np.array_equal(kept.model.values, undone.model.values) and not undone.knocked
     for k in range(25, 35):  # set back
         tip = RIGID.tip(WORK[k][None])[0] + NOISE[k]
         learner = learner.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
