@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from nodes_bench import Bench, bench
+from nodes_bench import Bench, bench, facts_of, last_status
 from own_graph import own_graph
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage
@@ -82,11 +82,7 @@ class Cameras:
 
     def facts(self, space: str = "/") -> dict[str, str]:
         """The bridge's last report."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                if status.name == f"{space}stereo_bridge: stereo":
-                    return {value.key: value.value for value in status.values}
-        return {}
+        return facts_of(last_status(self.diagnostics, f"{space}stereo_bridge: stereo"))
 
     def counted(self, what: str) -> None:
         """Wait until a refusal or drop is reported."""
@@ -123,15 +119,8 @@ def test_the_tip_is_where_it_is_and_its_covariance_is_honest(cameras: Cameras) -
 
 def test_a_wrong_baseline_shows_in_the_size_of_the_marker(cameras: Cameras) -> None:
     def said() -> str:
-        return next(
-            (
-                status.message
-                for array in reversed(cameras.diagnostics)
-                for status in array.status
-                if status.name == "/stereo_bridge: stereo"
-            ),
-            "",
-        )
+        status = last_status(cameras.diagnostics, "/stereo_bridge: stereo")
+        return "" if status is None else str(status.message)
 
     cameras.stage.spin(lambda: said().startswith("tip measured"))
     assert float(cameras.facts()["seen in declared size"]) == pytest.approx(1.0, abs=2e-3)
