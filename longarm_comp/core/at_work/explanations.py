@@ -32,7 +32,7 @@ SURPRISE = -math.log(DOUBT)
 _PATIENCE = 10
 """Sightings for which both are kept that differ about one that surprised."""
 _HOPELESS = 1e-20
-"""Probability below which they are not: no ten sightings would raise it again."""
+"""Probability below which they are not: two sightings that one alone explains raise it so far."""
 _FEWEST, _LATEST = 2, 15
 """Sightings of a change after which posteriors part: at least, as one alone may be wrong; at last,
 as its jump is then known four times better than by one."""
