@@ -124,21 +124,15 @@ def test_a_wrong_baseline_shows_in_the_size_of_the_marker(cameras: Cameras) -> N
 
     cameras.stage.spin(lambda: said().startswith("tip measured"))
     assert float(cameras.facts()["seen in declared size"]) == pytest.approx(1.0, abs=2e-3)
-    cameras.calibrated(baseline=1.02)
     pair = cameras.render()
 
-    def warned() -> bool:
+    def seen_with(baseline: float) -> str:
+        cameras.calibrated(baseline=baseline)
         cameras.seen(*pair)
-        return "too large: measure the print" in said()
+        return said()
 
-    cameras.stage.spin(warned)
-    cameras.calibrated()
-
-    def well() -> bool:
-        cameras.seen(*pair)
-        return said().startswith("tip measured")
-
-    cameras.stage.spin(well)
+    cameras.stage.spin(lambda: "too large: measure the print" in seen_with(1.02))
+    cameras.stage.spin(lambda: seen_with(1.0).startswith("tip measured"))
 
 
 @pytest.mark.skipif(not graph.HAS_TF, reason="tf2_msgs is not installed: run make setup")
