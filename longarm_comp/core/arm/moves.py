@@ -34,35 +34,56 @@ class Move:
 
 
 def run_up_lengths(arm: Arm) -> np.ndarray:
-    """Return (n,) length of a run-up of every joint (rad, m)."""
+    """Return (n,) shortest length of a run-up of every joint (rad, m)."""
     # Way of a run-up, as a share of each joint's range: longer than the play of most joints
     return 0.06 * (arm.upper - arm.lower)
 
 
-def plan_move(arm: Arm, start: np.ndarray | None, q: np.ndarray, wanted: np.ndarray) -> Move:
+def plan_move(
+    arm: Arm,
+    start: np.ndarray | None,
+    q: np.ndarray,
+    wanted: np.ndarray,
+    *,
+    length: np.ndarray | None = None,
+    leg: np.ndarray | None = None,
+) -> Move:
     """Return the shortest move that arrives at q from the wanted sides, inside the limits.
 
-    A joint whose direct way comes from its side and is as long as a run-up needs none.  One that
-    has no room for a run-up goes directly and is marked.  Joints that need no run-up are put on
-    their own way to q while the others run up, so that they too arrive from their side.
+    A joint needs no run-up whose direct way comes from its side and is as long as the shortest one,
+    if with the way before it is as long as a run-up.  One that has no room for the shortest goes
+    directly and is marked.  Joints that need no run-up are put on their own way to q while the
+    others run up, so that they too arrive from their side.
 
     Args:
         start, q: (n,) where the joints stand (None: nobody knows), and where they shall rest.
         wanted: (n,) of -1, 0, +1; 0: any side.
+        length: (n,) of a run-up that has room for it (rad, m); by default the shortest.
+        leg: (n,) signed way (rad, m) of every joint at ``start`` since it turned; 0: not known.
     """
-    length = run_up_lengths(arm)
+    least = run_up_lengths(arm)
     step = np.zeros_like(q) if start is None else q - start
     natural = np.where(np.abs(step) < SAME_POSE, 0.0, np.sign(step))
-    via = q - wanted * length
-    room = (via >= arm.bounds[0]) & (via <= arm.bounds[1])
-    direct = (wanted == 0) | ((natural == wanted) & (np.abs(step) >= length))
-    runs_up = ~direct & room
-    doubtful = ~direct & ~room
+    room = _room(arm, q, wanted)
+    length = np.minimum(least if length is None else np.maximum(least, length), room)
+    before = np.zeros_like(q) if leg is None else np.maximum(natural * leg, 0.0)
+    way = np.abs(step) + before
+    arrives = (natural == wanted) & (np.abs(step) >= least) & (way >= length)
+    direct = (wanted == 0) | arrives
+    runs_up = ~direct & (room >= least)
+    doubtful = ~direct & ~runs_up
     if not runs_up.any():
         return Move(q, None, natural, doubtful)
-    on_the_way = q - natural * np.minimum(length, np.abs(step))
+    via = np.clip(q - wanted * length, *arm.bounds)
+    on_the_way = q - natural * np.minimum(least, np.abs(step))
     run_up = np.where(runs_up, via, on_the_way)
     return Move(q, run_up, np.where(runs_up, wanted, natural), doubtful)
+
+
+def _room(arm: Arm, q: np.ndarray, sides: np.ndarray | float) -> np.ndarray:
+    """Return the (n,) longest run-up (rad, m) to q from each joint's side, -1 or +1."""
+    lower, upper = arm.bounds
+    return np.where(np.greater(sides, 0.0), q - lower, upper - q)
 
 
 def wanted_sides(
@@ -71,23 +92,28 @@ def wanted_sides(
     q: np.ndarray,
     known: np.ndarray,
     sure: np.ndarray | float = 0.0,
+    length: np.ndarray | None = None,
 ) -> np.ndarray:
     """Choose the (n,) side, -1 or +1, from which each joint shall arrive.
 
     It is the side at which the effects are surest, else that of the direct way. The other side is
-    taken where this one has no room, or where the data know the other one three times better.
+    taken where this one has no room, or where the other one is three times better: by what the data
+    know of it, and by the share of a run-up that it has room for.
 
     Args:
         start, q: as in `plan_move`.
         sure: (n,) sides at which the effects are surest; 0: either.
         known: (n, 2) weight of what the data know of arrivals from above (-1) and from below (+1).
+        length: (n,) of a run-up, as in `plan_move`.
     """
-    length = run_up_lengths(arm)
-    room = np.stack([q + length <= arm.bounds[1], q - length >= arm.bounds[0]], axis=-1)
+    least = run_up_lengths(arm)
+    length = least if length is None else np.maximum(least, length)
+    rooms = np.stack([_room(arm, q, side) for side in (-1.0, 1.0)], axis=-1)
+    share = np.where(rooms >= least[:, None], np.minimum(rooms / length[:, None], 1.0), 0.0)
     forward = np.ones(len(q), bool) if start is None else q > start
     forward = np.where(np.equal(sure, 0.0), forward, np.greater(sure, 0.0))
     joints, natural = np.arange(len(q)), forward.astype(int)
-    usable = known * room
-    # A side that the data know so many times better is worth a longer way
+    usable = known * share
+    # A side that is so many times better is worth a longer way
     better = usable[joints, 1 - natural] > 3.0 * usable[joints, natural]
     return np.where(better ^ forward, 1.0, -1.0)

@@ -55,7 +55,9 @@ class SessionProblem:
         context = seen.context()
         for term in model.terms:
             term.require(context)
-        self.model = model = dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None)
+        self.model = model = dataclasses.replace(
+            model, arrivals=seen.arrivals, row_legs=seen.row_legs, uncertainty=None
+        )
         self.sigma, self.fixed, self.robust, self.rho = sigma, weights, robust, rho
         self.usual = usual or {}
         self.weights = np.ones(len(seen)) if weights is None else np.asarray(weights, float)

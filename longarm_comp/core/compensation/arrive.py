@@ -63,9 +63,10 @@ def compensate_move(
     physics = physics_of(model, options.method)
     seed, to = start if seed is None else seed, np.asarray(target, dtype=float)[None]
     by_field = history_joints(physics)
+    length = np.array(model.row_legs or np.zeros(arm.n))
 
     def move_to(q: np.ndarray) -> Move:
-        return plan_move(arm, start, q, wanted)
+        return plan_move(arm, start, q, wanted, length=length, leg=history.legs[:, 0])
 
     def context_at(q: np.ndarray) -> Context:
         """Give the circumstances (M,) of the joints (M, n), each after its own move."""
@@ -94,7 +95,7 @@ def compensate_move(
         )
         if sides is None and options.run_up:
             joints = sorted({joint for each in by_field.values() for joint in each})
-            wanted = _choose_sides(physics, start, first.q, joints, here)
+            wanted = _choose_sides(physics, start, first.q, joints, here, length)
         move = move_to(first.q)
         arrived = history.after(move.points, start)
     # Commands that are tried until one arrives as it assumes; the last assumes less
@@ -116,9 +117,17 @@ def compensate_move(
 
 
 def _choose_sides(
-    model: Model, start: np.ndarray | None, q: np.ndarray, joints: list[int], context: Context
+    model: Model,
+    start: np.ndarray | None,
+    q: np.ndarray,
+    joints: list[int],
+    context: Context,
+    length: np.ndarray,
 ) -> np.ndarray:
-    """Choose sides (n,) for the joints whose side matters; 0 for the others."""
+    """Choose sides (n,) for the joints whose side matters; 0 for the others.
+
+    ``length``: (n,) of a run-up that has room for it.
+    """
     wanted, sure = np.zeros((2, model.arm.n))
     if joints:
         posture = model.posture_without_sag(tuple(q), context)
@@ -126,5 +135,5 @@ def _choose_sides(
             for joint, side in effect.sure_sides(posture).items():
                 sure[joint] = side
         known = np.array(model.arrivals or np.ones((model.arm.n, 2)), float)
-        wanted[joints] = wanted_sides(model.arm, start, q, known, sure)[joints]
+        wanted[joints] = wanted_sides(model.arm, start, q, known, sure, length)[joints]
     return wanted

@@ -225,6 +225,20 @@ class Session(MeasuredRows):
         return tuple(zip(above.tolist(), below.tolist(), strict=True))
 
     @cached_property
+    def row_legs(self) -> tuple[float, ...]:
+        """Per joint, the way (rad, m) since it turned that three of four rows reach.
+
+        0 for a joint of which no way is recorded; empty where none is of any joint.
+        """
+        legs = np.where(self.legs[..., 0] == 0.0, np.nan, np.abs(self.legs[..., 0]))
+        known = np.isfinite(legs).any(axis=0)
+        if not known.any():
+            return ()
+        usual = np.zeros(legs.shape[1])
+        usual[known] = np.nanquantile(legs[:, known], 0.25, axis=0)
+        return tuple(usual.tolist())
+
+    @cached_property
     def pose_id(self) -> np.ndarray:
         """(N,) a number per pose: rows of equal joints, or of one `repeat_id`, share it."""
         keys = np.round(self.q / SAME_POSE).astype(np.int64)

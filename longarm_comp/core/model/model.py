@@ -75,6 +75,8 @@ class Model:
         elements_per_beam: number of elements of each beam.
         arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
             from below (+1); empty if not recorded.
+        row_legs: per commanded joint, the way (rad, m) since it turned that three of four fitted
+            rows reach; 0: not recorded; empty: of no joint.
         tolerances: share of the drawing's tolerances by which the geometry may be wrong; below 1
             if other arms of the kind are known.
         beyond: (parameter, factor) of priors made wider or narrower: geometry beyond its tolerance,
@@ -92,6 +94,7 @@ class Model:
     passes: int = 3
     elements_per_beam: int = 2
     arrivals: tuple[tuple[int, int], ...] = ()
+    row_legs: tuple[float, ...] = ()
     tolerances: float = 1.0
     beyond: tuple[tuple[tuple[object, ...], float], ...] = field(default=(), compare=False)
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)

@@ -10,7 +10,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, get_type_hints
+from typing import Annotated, Literal, get_type_hints
 
 import numpy as np
 import yaml
@@ -102,6 +102,11 @@ class StoredModel(Declared):
     camera: list[_StoredTerm]
     provenance: dict[str, str | int | float]
     arrivals: tuple[tuple[int, int], ...]
+    row_legs: tuple[Annotated[float, Field(ge=0.0)], ...] = Field(
+        default=(),
+        description="way of each joint since it turned that three of four fitted rows reach, "
+        "rad or m: run-ups are as long",
+    )
     placement: dict[str, Pose] = Field(
         description="where bases stand in the frame of the measurements: for people and other "
         "programs; `geometry` is what counts",
@@ -168,6 +173,7 @@ def store(
         passes=model.passes,
         elements_per_beam=model.elements_per_beam,
         arrivals=model.arrivals,
+        row_legs=model.row_legs,
         provenance={**(provenance or {}), **outside},
         placement=_base_poses(model),
         uncertainty=_store_uncertainty(model),
@@ -263,9 +269,11 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             raise InputError(where, f"{term.name}, {term.where}", "twice", "each effect once")
         held.add(same)
         terms.append(term)
-    if stored.arrivals and len(stored.arrivals) != arm.n:
-        allowed = f"two numbers for each of {arm.n} joints, or none"
-        raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
+    by_joint = {"arrivals": stored.arrivals, "row_legs": stored.row_legs}
+    for name, values in by_joint.items():
+        if values and len(values) != arm.n:  # type: ignore[arg-type]
+            allowed = f"one entry for each of {arm.n} joints, or none"
+            raise InputError(where, name, f"of {len(values)} joints", allowed)  # type: ignore[arg-type]
     ended_s = stored.ended_s
     if ended_s is None:  # functions of the session's clock may say when it ended
         factors = (f for term in terms for f in getattr(term, "of", Function()).factors)
@@ -277,6 +285,7 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         passes=stored.passes,
         elements_per_beam=stored.elements_per_beam,
         arrivals=stored.arrivals,
+        row_legs=stored.row_legs,
         ended_s=ended_s,
         frame_shift=stored.frame_shift_m,
     )

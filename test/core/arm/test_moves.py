@@ -38,12 +38,13 @@ def joints(share: list[float]) -> np.ndarray:
 
 
 @settings(deadline=None, max_examples=300)
-@given(SHARE, SHARE, SIDES)
-def test_every_joint_arrives_from_its_side_or_is_marked(start, goal, wanted) -> None:
+@given(SHARE, SHARE, SIDES, SHARE, st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_every_joint_arrives_from_its_side_or_is_marked(start, goal, wanted, far, before) -> None:
     start, q, wanted = joints(start), joints(goal), np.array(wanted)
-    move = plan_move(ARM, start, q, wanted)
+    length, leg = np.array(far) * SPAN, np.array(before) * SPAN
+    move = plan_move(ARM, start, q, wanted, length=length, leg=leg)
     points = move.points
-    assert (points >= ARM.lower - 1e-12).all() and (points <= ARM.upper + 1e-12).all()
+    assert (points >= ARM.lower).all() and (points <= ARM.upper).all()
     np.testing.assert_array_equal(points[-1], q)
     came = History.unknown(ARM.n).after(points, start)
     np.testing.assert_array_equal(came.approach, move.side)
@@ -51,6 +52,12 @@ def test_every_joint_arrives_from_its_side_or_is_marked(start, goal, wanted) -> 
     np.testing.assert_array_equal(move.side[asked], wanted[asked])
     last = np.abs(q - (points[-2] if len(points) > 1 else start))
     assert (last[asked] >= LENGTH[asked] * (1 - 1e-9)).all()  # long enough to take up the play
+    room = np.where(wanted > 0, q - ARM.lower, ARM.upper - q)
+    goes_on = (len(points) == 1) & (leg * (q - start) > 0)
+    way = last + np.where(goes_on, np.abs(leg), 0.0)
+    needed = np.minimum(np.maximum(length, LENGTH), room)
+    once = len(points) == 1  # beside joints that run up, one that needs none goes the last part so
+    assert (way[asked] >= needed[asked] * (1 - 1e-9)).all() or not once
     via = q - wanted * LENGTH
     np.testing.assert_array_equal(
         move.doubtful & ((via >= ARM.lower) & (via <= ARM.upper)), np.zeros(ARM.n, bool)
@@ -68,6 +75,19 @@ def test_a_move_that_comes_from_its_side_already_needs_no_run_up() -> None:
     np.testing.assert_allclose(short.run_up, q - LENGTH)
     other = plan_move(ARM, start, q, -np.ones(ARM.n))
     np.testing.assert_allclose(other.run_up, q + LENGTH)
+
+
+def test_a_run_up_is_as_long_as_asked_where_there_is_room_or_goes_on_with_the_last_leg() -> None:
+    q, up = ARM.mid, np.ones(ARM.n)
+    start, long = q - 2 * LENGTH, 4 * LENGTH
+    np.testing.assert_allclose(plan_move(ARM, start, q, up, length=long).run_up, q - long)
+    near = ARM.lower + 3 * LENGTH
+    np.testing.assert_allclose(plan_move(ARM, None, near, up, length=long).run_up, ARM.lower)
+    assert plan_move(ARM, start, q, up, length=long, leg=2.1 * LENGTH).run_up is None
+    assert plan_move(ARM, start, q, up, length=long, leg=1.9 * LENGTH).run_up is not None
+    assert plan_move(ARM, start, q, up, length=long, leg=-2.1 * LENGTH).run_up is not None
+    # A step that is too short to leave a deadband is none, however long the leg before it
+    assert plan_move(ARM, q - 0.5 * LENGTH, q, up, length=long, leg=long).run_up is not None
 
 
 def test_from_nowhere_every_wanted_side_needs_its_run_up() -> None:
@@ -88,6 +108,9 @@ def test_the_side_is_the_one_that_is_known_has_room_and_is_near() -> None:
     assert wanted_sides(ARM, high + 0.1, high, both).tolist() == [1.0] * ARM.n
     never = both * [0.0, 1.0]
     assert wanted_sides(ARM, q + 0.1 * SPAN, q, never).tolist() == [1.0] * ARM.n
+    low, length = ARM.lower + 2 * LENGTH, 7 * LENGTH  # less than a third of it below
+    assert wanted_sides(ARM, low - 0.1, low, both, length=length).tolist() == [-1.0] * ARM.n
+    assert wanted_sides(ARM, low - 0.1, low, both, length=5 * LENGTH).tolist() == [1.0] * ARM.n
 
 
 @pytest.fixture

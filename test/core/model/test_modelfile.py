@@ -47,7 +47,8 @@ def everything(arm: Arm, rng: np.random.Generator) -> Model:
     effects = tuple(t for t in terms if isinstance(t, Effect))
     biases = tuple(t for t in terms if not isinstance(t, Effect))
     arrivals = tuple((k, 2 * k) for k in range(arm.n))
-    return Model(arm, effects, biases, passes=4, elements_per_beam=3, arrivals=arrivals)
+    more = {"passes": 4, "elements_per_beam": 3, "arrivals": arrivals}
+    return Model(arm, effects, biases, row_legs=tuple(rng.random(arm.n)), **more)
 
 
 def test_round_trip_to_the_last_bit(arm: Arm, tmp_path: Path, rng: np.random.Generator) -> None:
@@ -56,7 +57,7 @@ def test_round_trip_to_the_last_bit(arm: Arm, tmp_path: Path, rng: np.random.Gen
     back = load_model(tmp_path / "model.yaml", arm)
     assert set(back.effects) == set(model.effects)  # files sort geometry before effects
     assert back.biases == model.biases
-    assert back.arrivals == model.arrivals
+    assert (back.arrivals, back.row_legs) == (model.arrivals, model.row_legs)
     assert (back.passes, back.elements_per_beam) == (4, 3)
     save_model(tmp_path / "again.yaml", store(back, provenance={"seed": 3}))
     assert (tmp_path / "again.yaml").read_bytes() == (tmp_path / "model.yaml").read_bytes()
