@@ -34,7 +34,7 @@ SIDES = st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=ARM.n, max_size=ARM
 
 
 def joints(share: list[float]) -> np.ndarray:
-    return ARM.lower + SPAN * np.array(share)
+    return np.clip(ARM.lower + SPAN * np.array(share), ARM.lower, ARM.upper)
 
 
 @settings(deadline=None, max_examples=300)
