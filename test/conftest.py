@@ -67,6 +67,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: order.get(item.path.stem, len(order)))
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say why each test ran once more."""
+    for report in terminalreporter.stats.get("rerun", []):
+        why = getattr(report.longrepr, "reprcrash", None)
+        terminalreporter.line(f"again: {report.nodeid}: {why.message if why else report.longrepr}")
+
+
 Once = Callable[[str, Callable[[Path], object]], Path]
 
 
