@@ -73,6 +73,8 @@ $(STAMPS)/stand_ins: $(STAND_INS) $(STAMPS)/interfaces
 
 $(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
 	$(INSTALL) --no-build-isolation --editable '.[dev]'
+	@# Compiled here once: the workers of the first run would each compile all that tests import.
+	@$(BIN)/python -m pytest --collect-only -q >/dev/null 2>&1 || true
 	@touch $@
 
 # What tests look at pages with is installed where that asks for no password; else they are skipped.
