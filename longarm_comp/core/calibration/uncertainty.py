@@ -15,8 +15,10 @@ the fit explains projected out (restricted likelihood; Patterson and Thompson 19
 and by repeats, however few.  No more of it is the sensor's than it may have stated, and than
 scatters alike in all directions where the scatter turns with the tool.
 
-Every long arm yields, and a fit whose rows do not show it has put it into the geometry.  So the
-covariance is that of the fitted parameters together with the compliances that were not fitted.
+Every long arm yields, and a fit whose rows do not show it has put it into the geometry.  And what
+measures it may drift: in rows that were measured along one joint's range that looks like a fault of
+this joint.  So the covariance is that of the fitted parameters together with the compliances and
+the drift that were not fitted.
 """
 
 from __future__ import annotations
@@ -40,6 +42,8 @@ from longarm_comp.core.calibration.noise import (
     share_of_sensor,
 )
 from longarm_comp.core.data.commanded import moved_by_measuring, moved_with_time
+from longarm_comp.core.data.measurement import make_equations
+from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.catalogue import possible_compliances
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model, slots_of
@@ -74,7 +78,8 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     # or that of the session's start, where that of any row may be meant; and that of the end, where
     # the base moved, or seemed to
     rows = fit.session.take(kept)
-    moved, since = moved_by_measuring(fit.model, rows), moved_with_time(fit.model, rows)
+    moved = moved_by_measuring(fit.model, rows)
+    since = moved_with_time(fit.model, rows, float(np.trace(noise)) / 3.0)
     moved = moved - fit.model.frame_shift if len(moved) else moved
     frames = (FRAME * each for each in (moved, since) if len(each))
     frame = np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
@@ -91,9 +96,11 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
             circumstances[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
     absent = possible_compliances(fit.model.arm, {term.key for term in fit.model.terms})
     slots = (*fit.slots, *slots_of(fit.model.arm, absent))
+    covariance, drift = _covariance_with_absent(fit, absent, alike)
+    frame += FRAME**2 * np.outer(drift, drift) * float(rows.share_of_time.var())
     record = ModelUncertainty(
         tuple(slot.identity for slot in slots),
-        factor_of(_covariance_with_compliances(fit, absent, alike)),
+        factor_of(covariance),
         structure,
         noise,
         largest_m=0.0,
@@ -108,7 +115,7 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     arm_side = [k for k, slot in enumerate(slots) if isinstance(slot.owner, Effect)]
     columns = _columns_with_absent(fit, absent)[pointed][:, :3, arm_side]
     covariance = record.carry_to_tip(columns, [slots[k].identity for k in arm_side])
-    expected = sizes(covariance + record.structure)[0]
+    expected = sizes(covariance + record.structure + record.frame)[0]
     return dataclasses.replace(record, largest_m=float(expected.max()))
 
 
@@ -118,14 +125,32 @@ def _columns_with_absent(fit: ModelFit, absent: Sequence[Effect]) -> np.ndarray:
     return np.concatenate([fit.columns, further], axis=-1)
 
 
-def _covariance_with_compliances(
+def _usual_drift(fit: ModelFit) -> np.ndarray:
+    """Return (3,) m, how far what measures usually drifts in the session, an hour if no time is
+    known; hardly, where the model holds what moves with time alone."""
+    held = any(term.inputs and {CLOCK, ORDER}.issuperset(term.inputs) for term in fit.model.terms)
+    hours = 1.0 if fit.session.t_s is None else float(np.ptp(fit.session.t_s)) / 3600.0
+    rates = [p.prior for p in CameraDrift().parameters(fit.model.arm)]
+    return np.maximum(np.array(rates) * (0.0 if held else hours), 1e-12)
+
+
+def _drift_columns(fit: ModelFit) -> np.ndarray:
+    """Return (N, d, 3) change of the channels by a steady drift of what measures, m from first row
+    to last, along each axis."""
+    rows = fit.session
+    pull = np.eye(3) if rows.plain else make_equations(fit.model, rows, (), at=fit.posture).pull
+    return np.asarray(pull * (rows.share_of_time - rows.share_of_time.mean())[:, None, None])
+
+
+def _covariance_with_absent(
     fit: ModelFit, absent: Sequence[Effect], alike: float
-) -> np.ndarray:
-    """Return (p + k, p + k), how far the fitted parameters and k absent ones may be off together.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far the fitted parameters and k absent ones may be off together, (p + k, p + k).
 
     Beforehand every compliance may be as large as `YIELDS` says, also one that the fit held to a
-    little.  Where the rows ask for other values than the model's, the square of the difference is
-    in it.
+    little, and what measures may drift as `CameraDrift` says.  Where the rows ask for other values
+    than the model's, the square of the difference is in it.  Further (3,) m, the steady drift
+    from the first row to the last that the rows ask for.
 
     Args:
         absent: elastic effects that the fit does not hold.
@@ -139,14 +164,18 @@ def _covariance_with_compliances(
     wider = elastic & (held < YIELDS * usual)
     width = np.where(wider, YIELDS * usual, math.sqrt(alike) * held)
     values = np.concatenate([fit.model.values, np.zeros(len(slots) - count)])
-    white = fit.whiten_columns(_columns_with_absent(fit, absent) * width)
+    drifts = _usual_drift(fit)
+    columns = [_columns_with_absent(fit, absent) * width, _drift_columns(fit) * drifts]
+    white = fit.whiten_columns(np.concatenate(columns, axis=-1))
+    width, values = np.append(width, drifts), np.append(values, np.zeros(3))
     asked = white.T @ fit.whiten_columns(fit.residual[..., None])[:, 0] / alike - values / width
     limits = [
-        (np.array([getattr(s.parameter, end) for s in slots]) - values) / width
-        for end in ("lower", "upper")
+        (np.array([*(getattr(s.parameter, end) for s in slots), *[far] * 3]) - values) / width
+        for end, far in (("lower", -np.inf), ("upper", np.inf))
     ]
     found = linear.solve_products(white.T @ white / alike, asked, *limits)
-    return (found.covariance + np.outer(found.u, found.u)) * np.outer(width, width)
+    off = (found.covariance + np.outer(found.u, found.u)) * np.outer(width, width)
+    return off[:-3, :-3], (found.u * width)[-3:]
 
 
 ROWS = 200

@@ -8,6 +8,7 @@ command is told (docs/report.md, "As seen and as commanded").
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -59,16 +60,41 @@ def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
     return _difference(told, dataclasses.replace(told, biases=model.biases), session)
 
 
-def moved_with_time(model: Model, session: Session) -> np.ndarray:
-    """Return (M, 3) m, how far effects of time alone move the same rows, relative to the last row.
+def moved_with_time(model: Model, session: Session, variance: float) -> np.ndarray:
+    """Return (M, 3) m, how far a frame may have moved instead of what moves with time in the model.
 
-    Commands take the arm as the session left it. No measurement tells a base that moved, or a
-    marker, from a camera that did.
+    It is relative to the last row: commands take the arm as the session left it.  No measurement
+    tells a base that moved, or a marker, from a camera that did.  An effect of a joint counts by
+    the likelihood, relative to its own, that the frame moved so.
+
+    Args:
+        variance: of a coordinate's noise, m^2.
     """
-    told = as_commanded(model)
-    still = tuple(e for e in told.effects if e.joints or not {CLOCK, ORDER} & set(e.inputs))
-    moved = _difference(dataclasses.replace(told, effects=still), told, session)
+    told, moved = as_commanded(model), np.zeros((0, 3))
+    for effect in told.effects:
+        if {CLOCK, ORDER} & set(effect.inputs):
+            others = tuple(e for e in told.effects if e is not effect)
+            still = dataclasses.replace(told, effects=others)
+            alone = _difference(still, told, session)
+            if effect.joints:
+                missed = alone - _as_moved_frame(alone, still, session)
+                alone = alone * math.exp(-0.5 * float((missed**2).sum()) / variance)
+            moved = alone if not len(moved) else moved + alone
     return moved - moved[-1:]
+
+
+def _as_moved_frame(moved: np.ndarray, model: Model, session: Session) -> np.ndarray:
+    """Return the motion of a frame, a cubic of time, that comes nearest to moves (M, 3), m."""
+    rows = own_way(session)
+    rows = rows.take(rows.placed)
+    tips = model.tip(rows.q, rows.context())
+    turns = [np.cross(axis, tips) for axis in np.eye(3)]
+    rigid = np.stack([*(np.broadcast_to(axis, tips.shape) for axis in np.eye(3)), *turns], axis=-1)
+    time = rows.share_of_time
+    design = (rigid[..., None, :] * (time[:, None] ** np.arange(4))[:, None, :, None]).reshape(
+        moved.size, -1
+    )
+    return (design @ np.linalg.lstsq(design, moved.ravel(), rcond=None)[0]).reshape(moved.shape)
 
 
 def _difference(less: Model, more: Model, session: Session) -> np.ndarray:

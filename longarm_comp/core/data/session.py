@@ -207,6 +207,12 @@ class Session(MeasuredRows):
         return None if self.t_s is None else float(self.t_s.max() - self.begun_s)
 
     @cached_property
+    def share_of_time(self) -> np.ndarray:
+        """(N,) when each row was measured, from 0 to 1; by its number where no time is known."""
+        when = np.asarray(self.index if self.t_s is None else self.t_s, float)
+        return (when - when.min()) / max(float(np.ptp(when)), 1e-300)
+
+    @cached_property
     def run_up(self) -> np.ndarray:
         """(N, n) where a joint turned last, rad and m; NaN: it came straight, or nobody knows."""
         straight, leg = straight_ways(self.q, self.index), self.legs[..., 0]
