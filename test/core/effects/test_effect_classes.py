@@ -157,7 +157,8 @@ class GainOfTwin(JointGain):
 def test_an_alias_is_what_one_of_two_classes_says(
     kinds: tuple[type[Effect], ...], names: set[str]
 ) -> None:
-    found = diagnose(ARM, session([drives.JointGain(at(1, 0.1))], n=90), kinds=kinds)
+    far = [drives.JointGain(at(1, 0.1))]
+    found = diagnose(ARM, session(far, n=90), test=session(far, n=40, seed=9), kinds=kinds)
     assert [set(f.names) for f in found.findings] == [names]
 
 

@@ -54,7 +54,7 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = ("--no-network", "--effects", EXAMPLE, "-o", folder / "diagnosis")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(catalogue, "_others", {})
-        with few_effects():
+        with few_effects((JointGain,)):
             assert run([str(word) for word in (*words, *options)]) == 0
     return folder
 

@@ -50,7 +50,9 @@ def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool)
 
     Some samples of these rows find a curve without a name in it.
     """
-    found = diagnose(ARM, session([drives.JointGain(at(2, gain))], n=2000), kinds=(JointGain,))
+    far = [drives.JointGain(at(2, gain))]
+    held = session(far, n=200, seed=9)
+    found = diagnose(ARM, session(far, n=2000), test=held, kinds=(JointGain,))
     assert [f.name for f in found.findings] == (["joint_gain"] if named else [])
     assert (found.verdict != "noise") == named
     if named:
@@ -78,7 +80,8 @@ def test_few_positions_leave_a_function_of_the_joint_open(levels: int, names: se
     turning = np.array([0.0, 1.0, 0.0, 0.0])
     wave = drives.GearEccentricity(np.stack([8e-3 * turning] * 2), np.full((2, 4), 0.7))
     kinds = (GearEccentricity, ServoQuantisation)
-    (found,) = diagnose(ARM, session([wave], levels=levels), kinds=kinds).findings
+    held = session([wave], n=40, seed=9, levels=levels)
+    (found,) = diagnose(ARM, session([wave], levels=levels), test=held, kinds=kinds).findings
     assert (set(found.names), found.where) == (names, ("joint 2",))
 
 
@@ -135,14 +138,16 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
     assert written < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA < 0.6 * calibrated
     held = {e.name for e in found.model.effects if e.through_others}
     assert held == {"undeclared_weight", "undeclared_drive"}
-    solid = diagnose(arm, of_truth(Model(arm), 200), kinds=kinds)
+    rows, rest = (of_truth(Model(arm), n, seed=n) for n in (200, 60))
+    solid = diagnose(arm, rows, test=rest, kinds=kinds)
     assert solid.verdict == "noise" and not any(e.through_others for e in solid.model.effects)
 
 
 def test_what_a_slide_moves_in_weighs_too() -> None:
     """The weight of a telescope's outer part does not move out with the inner one."""
     kinds = (JointCompliance, GearEccentricity, JointGain)
-    found = diagnose(WEIGHTLESS, of_truth(heavy(1e9, 5e-6), 200), kinds=kinds)
+    rows, rest = (of_truth(heavy(1e9, 5e-6), n, seed=n) for n in (200, 60))
+    found = diagnose(WEIGHTLESS, rows, test=rest, kinds=kinds)
     (finding,) = found.findings
     assert "joint_compliance" in finding.names
     assert found.proof.rows[found.written].mean < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA
@@ -173,7 +178,8 @@ def test_a_tilt_sensor_on_solid_ground_is_left_out() -> None:
 def test_a_value_at_its_bound_is_not_shown_as_an_interval() -> None:
     """The bearing gives about one axis only: the other parameter is 0 or hardly more."""
     truth = Model(DEMO, (LinkDeflection(), BearingTilt(4, about_y=0.01)))
-    found = diagnose(DEMO, of_truth(truth, 200, seed=6), kinds=(BearingTilt, GearEccentricity))
+    rows, rest = (of_truth(truth, n, seed=n) for n in (200, 60))
+    found = diagnose(DEMO, rows, test=rest, kinds=(BearingTilt, GearEccentricity))
     (finding,) = found.findings
     assert finding.name == "bearing_tilt"
     shown = {p.name: p.ci95 for p in finding.parameters}
@@ -237,7 +243,8 @@ def test_only_causes_of_what_measures_are_tried_and_said(instrument: str | None)
     drift = {"camera_drift"} if instrument != "touch" else set()
     assert tried == {"joint_gain"} | views | drift
     if drift:
-        found = diagnose(arm, rows, kinds=(CameraDrift,))
+        rows, held = rows.take(hours < 1.5), rows.take(hours >= 1.5)
+        found = diagnose(arm, rows, test=held, kinds=(CameraDrift,))
         (finding,) = found.findings
         word = {None: "what measures", "total_station": "tripod"}.get(instrument, instrument)
         assert finding.name == "camera_drift"
