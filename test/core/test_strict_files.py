@@ -148,6 +148,7 @@ def test_an_absurd_arm_reaches_nothing_on_any_engine(
     assert not found.ok.any()
 
 
+@pytest.mark.long
 def test_a_target_that_bends_the_arm_without_bound_says_so(work: Path, shell: Shell) -> None:
     data = arm_data()
     data["links"][0] |= {"section": {"type": "tube", "od_m": 2e-3}}
@@ -269,9 +270,8 @@ def test_a_workbook_that_unpacks_to_more_than_any_table_is_refused(shell: Shell)
     book.active.append(("q1", "x", "y", "z"))
     book.active.append((1.0, 2.0, 3.0, 4.0))
     book.save("log.xlsx")
-    for member in ("xl/worksheets/sheet1.xml", "docProps/core.xml"):
-        Path("bomb.xlsx").write_bytes(with_member(Path("log.xlsx"), member, None))
-        assert "unpacked size" in shell.refused("import-data", "bomb.xlsx", "-o", "s.csv")
+    Path("bomb.xlsx").write_bytes(with_member(Path("log.xlsx"), "docProps/core.xml", None))
+    assert "unpacked size" in shell.refused("import-data", "bomb.xlsx", "-o", "s.csv")
 
 
 def npy_header(shape: str) -> bytes:

@@ -228,11 +228,14 @@ def test_a_diagnosis_does_not_depend_on_where_the_base_stands() -> None:
 
     The noise is estimated along the axes of the measuring frame, which are others then.
     """
-    rows = sensed(GAIN, n=100, seed=5)
-    xyz = rows.position()
+    rows, held = sensed(GAIN, n=100, seed=5), sensed(GAIN, n=40, seed=6)
+    seen, told = rows.position(), held.position()
     near, far = (
-        la.diagnose(declared(), Session.record(rows.q, seen), network=False)
-        for seen in (xyz, TURNS[0].apply(xyz) + FAR)
+        la.diagnose(declared(), Session.record(rows.q, xyz), test=test, network=False)
+        for xyz, test in (
+            (seen, Session.record(held.q, told)),
+            (TURNS[0].apply(seen) + FAR, Session.record(held.q, TURNS[0].apply(told) + FAR)),
+        )
     )
     (one,), (other,) = near.findings, far.findings
     assert near.verdict == far.verdict

@@ -36,8 +36,9 @@ def touches(name: str) -> Session:
 
 @pytest.fixture(scope="module")
 def models() -> dict[str, Model]:
-    """Every real arm, calibrated with all of its rows."""
-    fits = {n: dict(fit_stages(declared_model(ARM), touches(n)))["geometry"] for n in NAMES}
+    """Every real arm, calibrated with every second of its rows."""
+    rows = {name: touches(name).take(slice(0, None, 2)) for name in NAMES}
+    fits = {n: dict(fit_stages(declared_model(ARM), rows[n]))["geometry"] for n in NAMES}
     return {name: fit.model.lasting() for name, fit in fits.items()}
 
 
@@ -119,7 +120,7 @@ def test_a_folded_fit_predicts_the_same_and_holds_no_direction(models: dict[str,
 def test_few_rows_of_a_real_arm_do_better_by_its_kind(models: dict[str, Model]) -> None:
     """Six rows at one place, tested at the others: 1.5 mm by the drawing, 1.0 mm by the kind."""
     left = []
-    for name in NAMES:
+    for name in NAMES[:4]:
         kind = KindOfArm.of(
             ARM,
             [model for other, model in models.items() if other != name],
@@ -162,7 +163,7 @@ def test_many_rows_are_not_worse_by_their_kind(models: dict[str, Model]) -> None
     assert by_kind < 1.02 * drawing
 
 
-def test_the_command_reads_models_and_says_which(tmp_path: Path, models: dict[str, Model]) -> None:
+def test_the_command_reads_models_and_says_which(tmp_path: Path) -> None:
     files = []
     for name in ("1", "3", "4"):
         files.append(tmp_path / f"m{name}.yaml")

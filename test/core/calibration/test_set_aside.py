@@ -191,7 +191,7 @@ def test_both_commands_name_the_rows_that_they_set_aside(
         assert shell(*words) == 0, shell.err
         assert "2 gross outliers (2.5%), the worst 5" in shell.err
         assert "2 rows set aside (2.5%): 107, 140" in shell.err
-    table = "Placed by all rows, in the frame of the measurements"
-    assert shell("calibrate", *files, tmp_path / "model.yaml") == 0 and table in shell.out
+        if words[0] == "calibrate":
+            assert "Placed by all rows, in the frame of the measurements" in shell.out
     (base,) = shell.json("calibrate", *files, tmp_path / "model.yaml")["places"]
     assert base["where"] == "base" and all(0.0 < sd < 5.0 for sd in base["sd_mm"])
