@@ -332,7 +332,7 @@ def test_memory_of_several_radii_is_found_named_and_predicts(
 
 
 def commanded(arm: Arm, model: Model) -> float:
-    """Mean miss of the simulated tip (m) over 10 commands, the past unknown."""
+    """Mean miss of the simulated tip (m) over 6 commands, the past unknown."""
     turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
     truly, rng = TrueArm(arm, [WindUp()], steps=2), np.random.default_rng(1)
     sliders = Sliders(RADII, HALF * turning, arm.mid)
@@ -340,7 +340,7 @@ def commanded(arm: Arm, model: Model) -> float:
     sliders.drive(past)
     at, history, misses = past[-1], History.unknown(arm.n), []
     moves = [there_and_back(arm, at)]
-    for _ in range(10):
+    for _ in range(6):
         sliders.drive(moves[-1])
         history, at = history.after(moves[-1], at), moves[-1][-1]
         target = Model(arm).tip(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from discover_rows import DEMO
+from few_effects import few_effects
 from numeric_columns import numeric_columns
 from scipy.spatial.transform import Rotation
 from sensed_arm import (
@@ -35,7 +36,7 @@ from longarm_comp.core.data.kinds import rotation_vector
 from longarm_comp.core.data.measurement import compute_tip_errors, make_equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraScale
-from longarm_comp.core.effects.drive_errors import JointGain
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.placements import (
     AnchorPlace,
@@ -237,7 +238,6 @@ def test_orientations_alone_name_an_effect_of_no_gain_in_millimetres() -> None:
     assert (found.name, found.seen_mm) == ("joint_gain", (0.0, 0.0))
 
 
-@pytest.mark.usefixtures("few_names")
 @pytest.mark.parametrize("kind", [pytest.param("pose", marks=pytest.mark.long), "mixture"])
 def test_diagnose_names_the_effect_from_poses_and_from_a_mixture(kind: str, tmp_path: Path) -> None:
     """A wrong gain at joint 2, seen by poses, and by positions beside distances."""
@@ -256,7 +256,8 @@ def test_diagnose_names_the_effect_from_poses_and_from_a_mixture(kind: str, tmp_
             labels={"anchor": names},
         )
 
-    found = la.diagnose(ARM, seen(120, 3), test=seen(60, 4), network=False)
+    with few_effects((JointGain, GearEccentricity)):
+        found = la.diagnose(ARM, seen(120, 3), test=seen(60, 4), network=False)
     assert found.verdict in ("named", "set")
     assert [(f.name, f.where) for f in found.findings] == [("joint_gain", ("joint 2",))]
     assert miss(found.model, GAIN) < GOOD

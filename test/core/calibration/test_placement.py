@@ -318,11 +318,10 @@ def test_gates() -> None:
     assert describe_rise(error, 9 * late, RISES).startswith("mean ")
 
 
-@pytest.mark.usefixtures("few_names")
 def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
     session = measured(Model(SMALL), box(SMALL, 80, rng), rng)
     monkeypatch.setattr(plausible, "NO_NOISE", 1e-6)
-    with pytest.raises(JobError, match="more than noise"):
+    with few_effects(()), pytest.raises(JobError, match="more than noise"):
         la.diagnose(SMALL, session, network=False)
     monkeypatch.setattr(plausible, "INCREDIBLE", 0.0)
     with pytest.raises(JobError, match="not credible"):
