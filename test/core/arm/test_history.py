@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from few_effects import names_alone
 from small_arm import ARM
 from wind_up import Sliders, WindUp, there_and_back
 
@@ -308,11 +310,12 @@ RIVALS = (FrictionHysteresis, Backlash, ServoDroop, JointGain)
 def test_memory_of_several_radii_is_found_named_and_predicts(
     demo_arm_path: str, told: bool, kinds: tuple[type[Effect], ...] | None, rng: np.random.Generator
 ) -> None:
-    """Among what acts at one joint; in `make long` among all effects."""
+    """Among what acts at one joint; in `make long` among all effects, and functions."""
     arm = Arm.load(demo_arm_path)
     session, _ = planted(arm, 220 if kinds is None else 150, rng, told)
     held, _ = planted(arm, 60, np.random.default_rng(98), told)
-    found = diagnose(arm, session, test=held, kinds=kinds)
+    with names_alone() if kinds else nullcontext():
+        found = diagnose(arm, session, test=held, kinds=kinds)
     assert found.verdict == "named"
     assert [f.name for f in found.findings] == ["friction_hysteresis"]
     terms = [t for t in found.model.effects if isinstance(t, FrictionHysteresis)]

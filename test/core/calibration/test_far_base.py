@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from few_effects import few_effects
+from few_effects import few_effects, names_alone
 from scipy.spatial.transform import Rotation
 from sensed_arm import (
     ANCHORS,
@@ -231,7 +231,7 @@ def test_a_diagnosis_does_not_depend_on_where_the_base_stands() -> None:
     """
     rows, held = sensed(GAIN, n=100, seed=5), sensed(GAIN, n=40, seed=6)
     seen, told = rows.position(), held.position()
-    with few_effects((JointGain, GearEccentricity)):
+    with few_effects((JointGain, GearEccentricity)), names_alone():
         near, far = (
             la.diagnose(declared(), Session.record(rows.q, xyz), test=test, network=False)
             for xyz, test in (

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from every_circumstance import circumstances, models
-from few_effects import few_effects
+from few_effects import few_effects, names_alone
 from scipy.spatial.transform import Rotation
 from small_arm import ARM as SMALL
 
@@ -250,7 +250,7 @@ def test_diagnosis_and_calibration_mean_the_same_by_calibrated(rng: np.random.Ge
     xyz = session.xyz + np.where(wild[:, None], 0.05, 0.0)
     session = dataclasses.replace(session, xyz=xyz)
     calibrated = la.calibrate(SMALL, session).model
-    with few_effects(()):
+    with few_effects(()), names_alone():
         diagnosed = la.diagnose(SMALL, session, network=False).diagnosis.models["calibrated"]
     np.testing.assert_allclose(diagnosed.tip(session.q), calibrated.tip(session.q), atol=2e-5)
 

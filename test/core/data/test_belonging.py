@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from few_effects import names_alone
 from scipy.spatial.transform import Rotation
 from small_arm import ARM as SMALL
 
@@ -154,7 +155,8 @@ def test_rows_on_two_sides_of_friction_are_explained_not_refused(demo: Arm) -> N
     )
     rows = admit(friction.train.take(np.arange(ROWS // 2)), friction.arm).session
     kinds = (FrictionHysteresis, JointGain)
-    found = diagnose(friction.arm, rows, test=friction.held_out, kinds=kinds)
+    with names_alone():
+        found = diagnose(friction.arm, rows, test=friction.held_out, kinds=kinds)
     assert [f.names for f in found.findings] == [("friction_hysteresis",)]
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from discover_rows import DEMO
+from few_effects import names_alone
 from hidden_arm import SIGMA, at, session
 from rows_with_play import session_of
 from small_arm import ARM
@@ -179,7 +180,8 @@ def test_a_value_at_its_bound_is_not_shown_as_an_interval() -> None:
     """The bearing gives about one axis only: the other parameter is 0 or hardly more."""
     truth = Model(DEMO, (LinkDeflection(), BearingTilt(4, about_y=0.01)))
     rows, rest = (of_truth(truth, n, seed=n) for n in (200, 60))
-    found = diagnose(DEMO, rows, test=rest, kinds=(BearingTilt, GearEccentricity))
+    with names_alone():
+        found = diagnose(DEMO, rows, test=rest, kinds=(BearingTilt, GearEccentricity))
     (finding,) = found.findings
     assert finding.name == "bearing_tilt"
     shown = {p.name: p.ci95 for p in finding.parameters}

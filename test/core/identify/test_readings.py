@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_robot import command, robot, row_said, sighting, state
+from few_effects import names_alone
 from hidden_arm import at
 from numeric_columns import numeric_columns
 from read_arm import ARM, ENCODERS, SIGMA, heavy, readings, sensed, session
@@ -172,9 +173,10 @@ def test_two_cameras_do_not_make_two_encoders() -> None:
 def diagnosed(
     *hidden: drives.HiddenEffect, n: int = 120, encoders: bool = True, kinds: Kinds | None = RIVALS
 ) -> Diagnosis:
-    """Proved by rows of its own."""
+    """By names alone, proved by rows of its own."""
     rows, held = (session(hidden, c, s, encoders=encoders) for c, s in ((n, 1), (40, 9)))
-    return diagnose(ARM, rows, test=held, kinds=kinds)
+    with names_alone():
+        return diagnose(ARM, rows, test=held, kinds=kinds)
 
 
 @cache
