@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from few_effects import names_alone
 from hidden_arm import white
 from small_arm import ARM
 
@@ -159,5 +160,6 @@ def test_a_command_keeps_its_promise_as_soon_as_the_rows_were_measured_and_later
 
 
 def test_after_run_ups_of_one_length_nothing_tells_it_from_friction() -> None:
-    found = diagnosed(AT_ONE_JOINT, run_up=True)
+    with names_alone():
+        found = diagnosed(AT_ONE_JOINT, run_up=True)
     assert [set(f.names) for f in found.findings] == [{"unfinished_move", "friction_hysteresis"}]

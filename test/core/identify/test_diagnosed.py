@@ -172,7 +172,8 @@ def test_a_tilt_sensor_on_solid_ground_is_left_out() -> None:
     solid = dict(zip(("incl_0_x", "incl_0_y"), 2e-5 * rng.standard_normal((2, 150)), strict=True))
     shaky = dict(zip(("incl_3_x", "incl_3_y"), 5e-3 * rng.standard_normal((2, 150)), strict=True))
     rows = of_truth(Model(ARM, (MeasuredTilt(frame=3),)), 150, solid | shaky)
-    found = diagnose(ARM, rows, kinds=(MeasuredTilt,))
+    with names_alone():
+        found = diagnose(ARM, rows, kinds=(MeasuredTilt,))
     assert [(f.name, f.where) for f in found.findings] == [("measured_tilt", ("frame 3",))]
 
 
@@ -196,7 +197,8 @@ def test_steps_are_found_where_the_poses_stand_between_two() -> None:
     q = ARM.lower + rng.integers(3, size=(150, ARM.n)) / 2 * (ARM.upper - ARM.lower)
     servos = tuple(ServoQuantisation(joint=j, steps_per_turn=180) for j in (1, 2, 4))
     xyz = Model(ARM, servos).tip(q) + SIGMA * rng.standard_normal((150, 3))
-    found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
+    with names_alone():
+        found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
     assert [t.where for t in found.search.chosen_terms] == ["joint 4"]
     assert found.search.chosen_terms[0].steps_per_turn == 180  # type: ignore[union-attr]
 
@@ -246,7 +248,8 @@ def test_only_causes_of_what_measures_are_tried_and_said(instrument: str | None)
     assert tried == {"joint_gain"} | views | drift
     if drift:
         rows, held = rows.take(hours < 1.5), rows.take(hours >= 1.5)
-        found = diagnose(arm, rows, test=held, kinds=(CameraDrift,))
+        with names_alone():
+            found = diagnose(arm, rows, test=held, kinds=(CameraDrift,))
         (finding,) = found.findings
         word = {None: "what measures", "total_station": "tripod"}.get(instrument, instrument)
         assert finding.name == "camera_drift"
