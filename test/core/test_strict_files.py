@@ -149,7 +149,6 @@ def test_an_absurd_arm_reaches_nothing_on_any_engine(
     assert not found.ok.any()
 
 
-@pytest.mark.long
 def test_a_target_that_bends_the_arm_without_bound_says_so(work: Path, shell: Shell) -> None:
     data = arm_data()
     data["links"][0] |= {"section": {"type": "tube", "od_m": 2e-3}}
