@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Iterator, Sequence
 
 import pytest
@@ -14,6 +15,8 @@ from longarm_comp.core.effects.catalogue import Kind
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.identify import diagnose as steps
+from longarm_comp.core.identify.posterior.explain import explain_session
 
 FEW = (JointGain, GearEccentricity, JointCompliance, Backlash, CameraDrift)
 """A name, what imitates it at few levels, two of other kinds, and one that needs times."""
@@ -27,4 +30,12 @@ def few_effects(kinds: Sequence[Kind] = FEW) -> Iterator[None]:
         patch.setattr(
             candidates, "searched_effects", lambda: (*kinds, *(kind for kind, _ in others.values()))
         )
+        yield
+
+
+@contextlib.contextmanager
+def names_alone() -> Iterator[None]:
+    """Diagnoses of this process offer no function: which of the names it is, is the question."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(steps, "explain_session", functools.partial(explain_session, functions=False))
         yield

@@ -68,7 +68,7 @@ def judged(model: Model, truth: TrueArm) -> tuple[float, float, float]:
     return float((off <= radius).mean()), float(off.mean()), float(np.median(radius))
 
 
-@pytest.mark.parametrize("rows", ["line", "box", "wide"])
+@pytest.mark.parametrize("rows", ["line", pytest.param("box", marks=pytest.mark.long), "wide"])
 @pytest.mark.parametrize("truth", [SOFT, RIGID], ids=["soft", "rigid"])
 def test_the_promise_holds_after_any_number_of_sightings(truth: TrueArm, rows: str) -> None:
     learner = Learner.of(calibrated(truth, rows))
@@ -126,22 +126,30 @@ def test_no_step_goes_farther_than_the_given_model_promised_there() -> None:
     given = calibrated(RIGID, "wide")
     learner = learned(Learner.of(given), RIGID, 0, 5)
     slipped = TrueArm(ARM, [ZEROS, JointGain(np.array([0.05, 0.0, 0.0, 0.0]))])
-    truth = slipped.tip(FRESH)
+    fresh = FRESH[:80]
+    truth = slipped.tip(fresh)
     for k in range(5, 40):
         before = learner.model
         q = WORK[k] * [0.1, 1.0, 1.0, 1.0]
         tip = slipped.tip(q[None])[0] + NOISE[k]
         learner = learner.learn(q, Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
-        now = before.tip(FRESH, Context())
-        moved = np.linalg.norm(learner.model.tip(FRESH, Context()) - now, axis=1)
-        promised = expected_miss(given, FRESH, Context(), now).sizes[1]
+        now = before.tip(fresh, Context())
+        moved = np.linalg.norm(learner.model.tip(fresh, Context()) - now, axis=1)
+        promised = expected_miss(given, fresh, Context(), now).sizes[1]
         assert (moved < 1.3 * np.maximum(learner.step_m, promised)).all()
-    off = np.linalg.norm(learner.model.tip(FRESH, Context()) - truth, axis=1)
-    assert off.max() < 0.2 * np.linalg.norm(given.tip(FRESH) - truth, axis=1).max()
+    off = np.linalg.norm(learner.model.tip(fresh, Context()) - truth, axis=1)
+    assert off.max() < 0.2 * np.linalg.norm(given.tip(fresh) - truth, axis=1).max()
 
 
-@pytest.mark.parametrize("joint", [1, 2])
-@pytest.mark.parametrize("effect", ["joint_zero", "joint_gain"])
+@pytest.mark.parametrize(
+    ("effect", "joint"),
+    [
+        ("joint_zero", 2),
+        ("joint_gain", 1),
+        pytest.param("joint_zero", 1, marks=pytest.mark.long),
+        pytest.param("joint_gain", 2, marks=pytest.mark.long),
+    ],
+)
 def test_a_change_is_named_and_the_promise_holds_from_its_third_sighting(
     effect: str, joint: int
 ) -> None:
@@ -218,8 +226,9 @@ def test_wrong_sightings_among_right_ones_move_nothing() -> None:
     for k in range(40):
         tip = RIGID.tip(WORK[k][None])[0] + NOISE[k] + [0.0, 0.02 * (k in wrong), 0.0]
         learner = learner.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
-        inside, error, _ = judged(learner.model, RIGID)
-        assert inside >= 0.85 or k == 6
-        assert error < SIGMA or k == 6
+        if k < 10 or k % 3 == 0 or k - 1 in wrong:
+            inside, error, _ = judged(learner.model, RIGID)
+            assert inside >= 0.85 or k == 6
+            assert error < SIGMA or k == 6
     assert learner.named == () and learner.doubtful == len(wrong)
     assert learner.disagreeing == len(wrong & set(range(21, 40)))

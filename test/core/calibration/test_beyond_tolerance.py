@@ -80,7 +80,7 @@ def test_a_length_far_off_its_drawing_is_found(off_m: float) -> None:
 
 def test_touches_that_hold_no_size_leave_the_arm_as_large_as_drawn() -> None:
     """On a smaller arm every touch misses by less."""
-    rows = dataclasses.replace(touching(errors_of_the_drawing(), 120), touch_distances=())
+    rows = dataclasses.replace(touching(errors_of_the_drawing(), 72), touch_distances=())
     tips, drawn = (m.tip(rows.q) for m in (calibrated(TOUCHING, rows).model, Model(TOUCHING)))
     assert np.std(tips, axis=0) == pytest.approx(np.std(drawn, axis=0), rel=0.03)
 

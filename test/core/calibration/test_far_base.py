@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
+from few_effects import few_effects, names_alone
 from scipy.spatial.transform import Rotation
 from sensed_arm import (
     ANCHORS,
@@ -34,6 +35,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.undetermined import list_places, list_undetermined
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterate
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -222,18 +224,21 @@ def test_axes_alone_are_not_diagnosed_or_learned() -> None:
         la.train(arm(TURNS[0]), rows)
 
 
-@pytest.mark.usefixtures("few_names")
 def test_a_diagnosis_does_not_depend_on_where_the_base_stands() -> None:
     """The same rows seen from 20 m away: the same name, and the evidence but for the noise.
 
     The noise is estimated along the axes of the measuring frame, which are others then.
     """
-    rows = sensed(GAIN, n=100, seed=5)
-    xyz = rows.position()
-    near, far = (
-        la.diagnose(declared(), Session.record(rows.q, seen), network=False)
-        for seen in (xyz, TURNS[0].apply(xyz) + FAR)
-    )
+    rows, held = sensed(GAIN, n=100, seed=5), sensed(GAIN, n=40, seed=6)
+    seen, told = rows.position(), held.position()
+    with few_effects((JointGain, GearEccentricity)), names_alone():
+        near, far = (
+            la.diagnose(declared(), Session.record(rows.q, xyz), test=test, network=False)
+            for xyz, test in (
+                (seen, Session.record(held.q, told)),
+                (TURNS[0].apply(seen) + FAR, Session.record(held.q, TURNS[0].apply(told) + FAR)),
+            )
+        )
     (one,), (other,) = near.findings, far.findings
     assert near.verdict == far.verdict
     assert (one.name, one.where, one.names) == (other.name, other.where, other.names)

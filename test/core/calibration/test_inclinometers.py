@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from few_effects import FEW, few_effects
+from few_effects import few_effects, names_alone
 from sensed_arm import SIGMA, declared
 from small_arm import ARM
 
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
@@ -58,7 +59,7 @@ def test_a_free_gain_is_fitted_and_shown() -> None:
 
 
 def test_the_row_is_searched_where_it_is_not_declared() -> None:
-    with few_effects((MeasuredTilt, *FEW)):
+    with few_effects((MeasuredTilt, JointGain)), names_alone():
         found = la.diagnose(arm(), tilted(), network=False)
     assert [(f.name, f.where, f.terms[0].forms["pivot"]) for f in found.findings] == [
         ("measured_tilt", ("sensor foot",), 0)

@@ -53,7 +53,7 @@ def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
 def test_a_short_session_promises_what_its_commands_miss_too(rows: int) -> None:
     """Joint 2 goes 10 % too far, which the calibration does not fit."""
     hidden, inside = [ZEROS, JointGain(at(2, 0.1))], []
-    for seed in range(12):
+    for seed in range(6):
         short = calibrated(session(hidden, n=rows, seed=seed))
         judged = coverage.judge("", short, session(hidden, seed=100), commanded=True)
         inside.append((judged.error <= judged.radius).mean())
@@ -70,7 +70,7 @@ def slow(rng: np.random.Generator, n: int) -> np.ndarray:
 def test_a_tracker_that_wanders_promises_less() -> None:
     """Its 120 rows tell as much as six; targets are judged by the true tip."""
     inside = []
-    for seed in range(8):
+    for seed in range(5):
         wandering = calibrated(session([ZEROS], noise=slow, seed=seed))
         exact = session([ZEROS], seed=100, noise=lambda _, n: np.zeros((n, 3)))
         judged = coverage.judge("", wandering, exact, exact.xyz)

@@ -103,6 +103,7 @@ def test_noise_is_the_sensors_as_far_as_it_may_have_stated_it(
     assert share_of_sensor(fit)[:2] == (1.0, 1.0)
 
 
+@pytest.mark.usefixtures("few_names")
 @pytest.mark.parametrize("stated", [np.full((80, 3), SIGMA), None], ids=["stated", "unstated"])
 def test_two_tools_that_nobody_wrote_down_are_no_sensors_noise(stated: np.ndarray | None) -> None:
     """Half of the rows were touched with a tool 20 mm longer: each command misses by ten."""
@@ -178,6 +179,7 @@ def test_a_sensors_noise_does_not_turn_with_the_tool(uneven: tuple[float, ...]) 
     assert min(wholes) > SIGNIFICANT and np.mean(wholes) > 0.7
 
 
+@pytest.mark.usefixtures("few_names")
 @pytest.mark.parametrize(("stated", "verdict"), [(SIGMA, "unknown"), (5 * SIGMA, "noise")])
 def test_scatter_far_beyond_what_the_rows_state_is_not_called_noise(
     stated: float, verdict: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.left_out import LeftOut
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import (
     estimate_arm_share,
     measure_uncertainty,
@@ -53,6 +55,12 @@ from longarm_comp.sim.hidden.loads import JointCompliance
 ZEROS = JointZero(at(1, 0.003) + at(2, -0.004))
 LACKING = JointGain(at(2, 0.03))
 FAR = np.array([4.0, 1.0, -0.3])  # m, the base in the frame of the measurements
+
+
+@cache
+def zeroed(n: int, lacking: bool = False) -> ModelFit:
+    """The geometry fitted to rows of an arm whose zeros are off, and what the fit lacks."""
+    return calibrated(session([ZEROS, LACKING] if lacking else [ZEROS], n=n))
 
 
 def fresh(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +118,7 @@ def test_rows_that_count_as_one_leave_the_parameters_less_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(uncertainties, "possible_compliances", lambda arm, held: ())
-    fitted, spread = calibrated(session([ZEROS], n=60)), []
+    fitted, spread = zeroed(60), []
     for alike in (1.0, 9.0):
         monkeypatch.setattr(
             LeftOut, "find_least_errors", lambda self, noise, n=alike: (n, np.zeros((3, 3)))
@@ -158,8 +166,8 @@ def test_joints_that_went_together_do_not_tell_what_yields(
 
 
 def test_noise_is_told_from_what_the_arm_does() -> None:
-    assert estimate_arm_share(calibrated(session([ZEROS], n=150))) < 0.15
-    assert estimate_arm_share(calibrated(session([ZEROS, LACKING], n=150))) > 0.5
+    assert estimate_arm_share(zeroed(150)) < 0.15
+    assert estimate_arm_share(zeroed(150, lacking=True)) > 0.5
 
 
 def test_the_noise_of_a_heavy_arm_whose_joints_yield() -> None:
@@ -186,7 +194,7 @@ def test_few_repeats_count_too() -> None:
     xyz = np.concatenate(
         [rows.xyz, np.tile(tip([ZEROS], rows.q[:6], np.ones(6)), (2, 1)) + scatter]
     )
-    alone = estimate_arm_share(calibrated(session([ZEROS, LACKING], n=60)))
+    alone = estimate_arm_share(zeroed(60, lacking=True))
     quiet = estimate_arm_share(calibrated(Session.record(q, xyz)))
     assert quiet < 0.5 * alone
 
@@ -205,7 +213,7 @@ def test_far_from_the_rows_the_error_grows() -> None:
 
 @pytest.mark.parametrize("learned", [False, True])
 def test_many_commands_are_judged_as_each_alone(learned: bool) -> None:
-    fitted = with_uncertainty(calibrated(session([ZEROS], n=60)))
+    fitted = with_uncertainty(zeroed(60))
     model = fitted.plus(FrictionHysteresis(2, far=0.1, width=0.01, outer=0.01), TipPayload(0.1))
     model = dataclasses.replace(model, uncertainty=fitted.uncertainty)
     q, side = fresh(4, seed=3)
@@ -260,7 +268,7 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
 )
 def test_a_damaged_record_is_refused(tmp_path: Path, change, said: str) -> None:
     path = tmp_path / "model.yaml"
-    save_model(path, store(with_uncertainty(calibrated(session([ZEROS], n=40)))))
+    save_model(path, store(with_uncertainty(zeroed(40))))
     data = yaml.safe_load(path.read_text())
     change(data["uncertainty"])
     path.write_text(yaml.safe_dump(data))
@@ -338,7 +346,7 @@ def test_what_the_camera_does_moves_no_tip(demo_arm_path: Path) -> None:
 
 
 def test_nothing_is_said_of_a_model_without_a_record() -> None:
-    fitted = calibrated(session([ZEROS], n=40))
+    fitted = zeroed(40)
     assert list_tolerances(fitted.model) is None
     found = compensate(fitted.model, None, fitted.model.tip(ARM.mid), method=Method.DEFLECTION)[0]
     assert found.status is Status.SUCCESS and np.isnan(found.expected_m)
@@ -358,7 +366,7 @@ class Says:
 
 
 def test_outside_a_predictor_s_data_good_physics_is_a_success() -> None:
-    good = with_uncertainty(calibrated(session([ZEROS], n=120)))
+    good = with_uncertainty(zeroed(120))
     target = good.tip(ARM.mid)
     found = compensate(good, Says(inside=False), target)[0]
     assert found.status is Status.SUCCESS
@@ -376,7 +384,7 @@ def test_outside_a_predictor_s_data_good_physics_is_a_success() -> None:
 
 
 def test_a_predictor_s_sigma_counts_without_the_noise_of_a_measurement() -> None:
-    good = with_uncertainty(calibrated(session([ZEROS], n=120)))
+    good = with_uncertainty(zeroed(120))
     known = good.uncertainty
     assert known is not None
     target = good.tip(ARM.mid)
@@ -390,7 +398,7 @@ def test_a_predictor_s_sigma_counts_without_the_noise_of_a_measurement() -> None
 
 def test_what_a_method_leaves_out_is_expected_at_the_target() -> None:
     """Without the physics of the model, its own error is known and stated."""
-    bent = with_uncertainty(calibrated(session([ZEROS], n=60))).plus(Gain(joint=2, gain=0.03))
+    bent = with_uncertainty(zeroed(60)).plus(Gain(joint=2, gain=0.03))
     target = bent.tip(ARM.mid)
     found = compensate(bent, None, target, method=Method.NONE)[0]
     missed = np.linalg.norm(bent.tip(found.command) - target)

@@ -114,7 +114,7 @@ class Linear:
         return every(ranges)
 
 
-@pytest.mark.parametrize("price", [0.1 * PRICE, PRICE, 20 * PRICE])
+@pytest.mark.parametrize("price", [0.3 * PRICE, PRICE, 20 * PRICE])
 def test_the_choice_is_the_best_of_all_combinations(price: float, rng: np.random.Generator) -> None:
     for _ in range(2):
         case = Linear.draw(rng)

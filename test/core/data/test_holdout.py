@@ -19,10 +19,9 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.gains import Gain
-from longarm_comp.core.identify.posterior.explain import _explain_halves, explain_session
+from longarm_comp.core.identify.posterior.explain import _explain_halves
 from longarm_comp.core.identify.posterior.explained import ExplainedSession, judge_noise_and_fit
 from longarm_comp.core.identify.posterior.found import FoundEffect
-from longarm_comp.core.identify.posterior.resampled import SAMPLES
 from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.identify.proof import describe_worsening
 from longarm_comp.core.model.model import Model
@@ -96,15 +95,6 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
     assert [t.function for f in found.found for t in f.terms] == ["linear(q2)"]  # type: ignore[union-attr]
     assert _explain_halves(search, found, 0)[0] is found
     assert _explain_halves(search, first, 0)[0] is first  # needs no function, seeks none
-
-
-def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt() -> None:
-    found = explain_session(Model(ARM), session([drives.JointGain(at(2, 0.02))]), ())
-    assert found.linear is not None and found.found[0].presence > 0.99
-    (doubted,) = dataclasses.replace(found.linear, of_halves=((), ())).average_samples(0)
-    assert doubted.presence == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
-    (both,) = dataclasses.replace(found.linear, of_halves=(found.found,) * 2).average_samples(0)
-    assert both.presence > 0.99 and both.name == doubted.name
 
 
 def test_where_every_row_has_a_marker_of_its_own_none_can_be_held_out() -> None:

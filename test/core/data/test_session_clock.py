@@ -112,6 +112,8 @@ def test_a_base_that_turned_once_is_commanded_as_it_stands_since(tmp_path: Path)
     xyz = Model(ARM).tip(rows.q + turned) + white(np.random.default_rng(3), len(rows))
     rows = dataclasses.replace(rows, xyz=xyz, columns={"t_s": t_s})
     found = DiagnosisResult(core.diagnose(ARM, rows, kinds=(BaseSettling,)), rows.hash, {})
+    inputs = {name for cause in found.diagnosis.causes for name in cause.inputs}
+    assert inputs == {"t_s"}, "and no number of a pose, where rows have times"
     assert found.model.ended_s == 278.0, "rows that were held out are of the session too"
     later = dataclasses.replace(rows, columns={"t_s": t_s + 86400.0}, source="later").take(
         t_s > 139

@@ -15,7 +15,9 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.result import Method, Status
 from longarm_comp.core.compensation.unknown import outside_data
+from longarm_comp.core.effects.compliances import BearingTilt
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
+from longarm_comp.core.effects.discovered_words import reading
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.shapes import SHAPES
 from longarm_comp.core.errors import InputError
@@ -94,8 +96,23 @@ def test_a_force_bends_the_beams_like_a_weight_there(demo: Arm) -> None:
             for axis, g in zip("xyz", down, strict=True)
         )
     ).tip(q)
-    np.testing.assert_allclose(pushed - sagging.tip(q), heavier, rtol=0, atol=0.05 * 1e-4)
+    weight = Discovered("tip", "weight", amount=mass * float(np.linalg.norm(down)))
+    for moved in (pushed, sagging.plus(weight).tip(q)):
+        np.testing.assert_allclose(moved - sagging.tip(q), heavier, rtol=0, atol=0.05 * 1e-4)
     assert np.linalg.norm(heavier) > 1e-4
+    assert reading([weight]) == "behaves like a mass that is not declared"
+
+
+def test_what_gives_alike_about_all_axes_is_a_bearing_that_tilts(demo: Arm) -> None:
+    sagging, q = Model(demo, (LinkDeflection(),)), demo.mid[None] + [[0.1], [-0.1]]
+    give = Discovered("joint 2", "give", amount=6e-3)
+    soft, tilting = (
+        sagging.plus(term).tip(q) - sagging.tip(q)
+        for term in (give, BearingTilt(2, about_x=6e-3, about_y=6e-3))
+    )
+    np.testing.assert_allclose(soft, tilting, rtol=0, atol=1e-6)
+    assert np.abs(tilting).max() > 1e-3
+    assert reading([give]) == "behaves like a soft part that yields under load"
 
 
 # ------------------------------------------------------------------ in model.yaml

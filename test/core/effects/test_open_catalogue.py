@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from few_effects import few_effects
+from few_effects import few_effects, names_alone
 from hidden_arm import at, session
 from places import ROOT
 
@@ -54,7 +54,7 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = ("--no-network", "--effects", EXAMPLE, "-o", folder / "diagnosis")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(catalogue, "_others", {})
-        with few_effects():
+        with few_effects((JointGain,)), names_alone():
             assert run([str(word) for word in (*words, *options)]) == 0
     return folder
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from column_arm import BENT, COLUMN, EI, arm
+from few_effects import names_alone
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -112,7 +113,10 @@ def test_a_diagnosis_names_it_and_its_size(name: str) -> None:
     q = poses(140)
     seen = truth(q) + np.random.default_rng(4).normal(0.0, 3e-4, (len(q), 3))
     kinds = (LinkBending, GuideCurvature, SlidePlay, JointGain)
-    found = diagnose(arm(), Session.record(q, seen), seed=1, kinds=kinds)
+    rows = Session.record(q, seen)
+    rows, held = rows.take(slice(100)), rows.take(slice(100, 140))
+    with names_alone():
+        found = diagnose(arm(), rows, test=held, seed=1, kinds=kinds)
     (finding,) = found.findings
     assert finding.name == name
     assert finding.where == (effect.where,)
@@ -174,11 +178,14 @@ def test_links_that_bend_and_are_not_declared_are_named() -> None:
     truth = TrueArm(arm(BENT, *beams))
     q = poses(160)
     rows = Session.record(q, truth.tip(q) + np.random.default_rng(4).normal(0, 3e-4, (len(q), 3)))
-    found = diagnose(arm(), rows, seed=1, kinds=(LinkBending, GuideCurvature, SlidePlay))
+    new = np.random.default_rng(8).uniform(arm().lower, arm().upper, (200, 4))
+    held = Session.record(new[:60], truth.tip(new[:60]))
+    kinds = (LinkBending, GuideCurvature, SlidePlay)
+    with names_alone():
+        found = diagnose(arm(), rows, test=held, seed=1, kinds=kinds)
     assert [(f.names, f.where) for f in found.findings] == [
         (("link_bending",), ("row 1", "row 3", "row 4"))
     ]
     bending = {t.row: t.bending for t in found.model.effects if isinstance(t, LinkBending)}
     assert bending == pytest.approx({1: 1 / EI, 3: 1 / 3000.0, 4: 1 / 2000.0}, rel=0.2)
-    new = np.random.default_rng(8).uniform(arm().lower, arm().upper, (200, 4))
     assert np.linalg.norm(found.model.tip(new) - truth.tip(new), axis=1).mean() < 2e-4

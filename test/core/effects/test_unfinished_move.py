@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 import pytest
+from few_effects import names_alone
 from hidden_arm import white
 from small_arm import ARM
 
@@ -20,6 +22,7 @@ from longarm_comp.core.effects.catalogue import LIBRARY, searched_effects
 from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointCoupling, JointGain, UnfinishedMove
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -51,9 +54,15 @@ def session(n: int, seed: int, run_up: bool = False) -> tuple[Session, np.ndarra
     return Session.record(q, tip + white(rng, n), run_up=begun if run_up else None), tip
 
 
+def diagnosed(kinds: Sequence[type[Effect]], run_up: bool = False) -> Diagnosis:
+    """Proved by rows of its own."""
+    rows, held = (session(n, seed, run_up)[0] for n, seed in ((150, 1), (60, 3)))
+    return diagnose(ARM, rows, test=held, kinds=kinds)
+
+
 @pytest.fixture(scope="module")
 def late() -> Diagnosis:
-    return diagnose(ARM, session(150, 1)[0], kinds=(*LIBRARY, UnfinishedMove))
+    return diagnosed((*LIBRARY, UnfinishedMove))
 
 
 def test_a_joint_stands_short_of_its_command_by_a_share_of_its_last_way() -> None:
@@ -112,7 +121,7 @@ def test_it_is_tried_only_where_it_is_asked_for() -> None:
 def test_where_it_is_not_tried_its_rows_are_not_taken_for_friction() -> None:
     """A side explains two thirds of what ways do: functions of the ways are tried in its place."""
     kinds = tuple(kind for kind in AT_ONE_JOINT if kind is not UnfinishedMove)
-    found = diagnose(ARM, session(150, 1)[0], kinds=kinds)
+    found = diagnosed(kinds)
     assert found.verdict in ("partly", "unknown")
     assert {name for f in found.findings for name in f.names} <= {"joint_coupling", "joint_gain"}
     assert "behaves like rows that were measured before the arm stood" in found.summary
@@ -151,5 +160,6 @@ def test_a_command_keeps_its_promise_as_soon_as_the_rows_were_measured_and_later
 
 
 def test_after_run_ups_of_one_length_nothing_tells_it_from_friction() -> None:
-    found = diagnose(ARM, session(150, 1, run_up=True)[0], kinds=AT_ONE_JOINT)
+    with names_alone():
+        found = diagnosed(AT_ONE_JOINT, run_up=True)
     assert [set(f.names) for f in found.findings] == [{"unfinished_move", "friction_hysteresis"}]

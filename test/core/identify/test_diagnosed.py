@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from discover_rows import DEMO
+from few_effects import names_alone
 from hidden_arm import SIGMA, at, session
 from rows_with_play import session_of
 from small_arm import ARM
@@ -50,7 +51,9 @@ def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool)
 
     Some samples of these rows find a curve without a name in it.
     """
-    found = diagnose(ARM, session([drives.JointGain(at(2, gain))], n=2000), kinds=(JointGain,))
+    far = [drives.JointGain(at(2, gain))]
+    held = session(far, n=200, seed=9)
+    found = diagnose(ARM, session(far, n=2000), test=held, kinds=(JointGain,))
     assert [f.name for f in found.findings] == (["joint_gain"] if named else [])
     assert (found.verdict != "noise") == named
     if named:
@@ -78,7 +81,8 @@ def test_few_positions_leave_a_function_of_the_joint_open(levels: int, names: se
     turning = np.array([0.0, 1.0, 0.0, 0.0])
     wave = drives.GearEccentricity(np.stack([8e-3 * turning] * 2), np.full((2, 4), 0.7))
     kinds = (GearEccentricity, ServoQuantisation)
-    (found,) = diagnose(ARM, session([wave], levels=levels), kinds=kinds).findings
+    held = session([wave], n=40, seed=9, levels=levels)
+    (found,) = diagnose(ARM, session([wave], levels=levels), test=held, kinds=kinds).findings
     assert (set(found.names), found.where) == (names, ("joint 2",))
 
 
@@ -135,14 +139,16 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
     assert written < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA < 0.6 * calibrated
     held = {e.name for e in found.model.effects if e.through_others}
     assert held == {"undeclared_weight", "undeclared_drive"}
-    solid = diagnose(arm, of_truth(Model(arm), 200), kinds=kinds)
+    rows, rest = (of_truth(Model(arm), n, seed=n) for n in (200, 60))
+    solid = diagnose(arm, rows, test=rest, kinds=kinds)
     assert solid.verdict == "noise" and not any(e.through_others for e in solid.model.effects)
 
 
 def test_what_a_slide_moves_in_weighs_too() -> None:
     """The weight of a telescope's outer part does not move out with the inner one."""
     kinds = (JointCompliance, GearEccentricity, JointGain)
-    found = diagnose(WEIGHTLESS, of_truth(heavy(1e9, 5e-6), 200), kinds=kinds)
+    rows, rest = (of_truth(heavy(1e9, 5e-6), n, seed=n) for n in (200, 60))
+    found = diagnose(WEIGHTLESS, rows, test=rest, kinds=kinds)
     (finding,) = found.findings
     assert "joint_compliance" in finding.names
     assert found.proof.rows[found.written].mean < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA
@@ -166,14 +172,17 @@ def test_a_tilt_sensor_on_solid_ground_is_left_out() -> None:
     solid = dict(zip(("incl_0_x", "incl_0_y"), 2e-5 * rng.standard_normal((2, 150)), strict=True))
     shaky = dict(zip(("incl_3_x", "incl_3_y"), 5e-3 * rng.standard_normal((2, 150)), strict=True))
     rows = of_truth(Model(ARM, (MeasuredTilt(frame=3),)), 150, solid | shaky)
-    found = diagnose(ARM, rows, kinds=(MeasuredTilt,))
+    with names_alone():
+        found = diagnose(ARM, rows, kinds=(MeasuredTilt,))
     assert [(f.name, f.where) for f in found.findings] == [("measured_tilt", ("frame 3",))]
 
 
 def test_a_value_at_its_bound_is_not_shown_as_an_interval() -> None:
     """The bearing gives about one axis only: the other parameter is 0 or hardly more."""
     truth = Model(DEMO, (LinkDeflection(), BearingTilt(4, about_y=0.01)))
-    found = diagnose(DEMO, of_truth(truth, 200, seed=6), kinds=(BearingTilt, GearEccentricity))
+    rows, rest = (of_truth(truth, n, seed=n) for n in (200, 60))
+    with names_alone():
+        found = diagnose(DEMO, rows, test=rest, kinds=(BearingTilt, GearEccentricity))
     (finding,) = found.findings
     assert finding.name == "bearing_tilt"
     shown = {p.name: p.ci95 for p in finding.parameters}
@@ -188,7 +197,8 @@ def test_steps_are_found_where_the_poses_stand_between_two() -> None:
     q = ARM.lower + rng.integers(3, size=(150, ARM.n)) / 2 * (ARM.upper - ARM.lower)
     servos = tuple(ServoQuantisation(joint=j, steps_per_turn=180) for j in (1, 2, 4))
     xyz = Model(ARM, servos).tip(q) + SIGMA * rng.standard_normal((150, 3))
-    found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
+    with names_alone():
+        found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
     assert [t.where for t in found.search.chosen_terms] == ["joint 4"]
     assert found.search.chosen_terms[0].steps_per_turn == 180  # type: ignore[union-attr]
 
@@ -237,7 +247,9 @@ def test_only_causes_of_what_measures_are_tried_and_said(instrument: str | None)
     drift = {"camera_drift"} if instrument != "touch" else set()
     assert tried == {"joint_gain"} | views | drift
     if drift:
-        found = diagnose(arm, rows, kinds=(CameraDrift,))
+        rows, held = rows.take(hours < 1.5), rows.take(hours >= 1.5)
+        with names_alone():
+            found = diagnose(arm, rows, test=held, kinds=(CameraDrift,))
         (finding,) = found.findings
         word = {None: "what measures", "total_station": "tripod"}.get(instrument, instrument)
         assert finding.name == "camera_drift"

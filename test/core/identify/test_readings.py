@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_robot import command, robot, row_said, sighting, state
+from few_effects import names_alone
 from hidden_arm import at
 from numeric_columns import numeric_columns
 from read_arm import ARM, ENCODERS, SIGMA, heavy, readings, sensed, session
@@ -57,6 +58,9 @@ RIVALS = (
     JointGain,
 )
 """What may act at one joint."""
+
+
+Kinds = tuple[type[Effect], ...]
 
 
 def soft(*joints: int) -> drives.HiddenEffect:
@@ -166,10 +170,19 @@ def test_two_cameras_do_not_make_two_encoders() -> None:
     assert rows.measured[:, -1].all()
 
 
+def diagnosed(
+    *hidden: drives.HiddenEffect, n: int = 120, encoders: bool = True, kinds: Kinds | None = RIVALS
+) -> Diagnosis:
+    """By names alone, proved by rows of its own."""
+    rows, held = (session(hidden, c, s, encoders=encoders) for c, s in ((n, 1), (40, 9)))
+    with names_alone():
+        return diagnose(ARM, rows, test=held, kinds=kinds)
+
+
 @cache
 def drooping() -> Diagnosis:
     """Of a servo that gives way, read."""
-    return diagnose(ARM, session((DROOP,)), kinds=RIVALS)
+    return diagnosed(DROOP)
 
 
 def test_a_servo_that_gives_way_is_named_by_its_reading() -> None:
@@ -218,13 +231,13 @@ def test_poses_to_measure_ask_for_nothing_that_readings_tell() -> None:
 )
 def test_a_reading_names_what_no_pose_can(hidden, name, places) -> None:
     """Droop and softness are one set without readings; play is not in the servo."""
-    found = diagnose(ARM, session(hidden), kinds=RIVALS).findings
+    found = diagnosed(*hidden).findings
     assert [(f.names, list(f.where)) for f in found] == [((name,), places)]
 
 
 def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
     """And the report says what would split it."""
-    diagnosis = diagnose(ARM, session((soft(3),), encoders=False), kinds=RIVALS)
+    diagnosis = diagnosed(soft(3), encoders=False)
     (found,) = diagnosis.findings
     assert {"joint_compliance", "servo_droop"} <= set(found.names)
     page = detail(diagnosis, {})
@@ -235,7 +248,7 @@ def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
 
 def test_no_pose_splits_two_names_of_one_physics_at_some_joints() -> None:
     """Soft joints 2 and 4: the other name is tried at these two, and only readings tell."""
-    found = diagnose(ARM, session((soft(2, 4),), encoders=False), kinds=RIVALS)
+    found = diagnosed(soft(2, 4), encoders=False)
     (finding,) = found.findings
     assert finding.where == ("joint 2", "joint 4") and "servo_droop" in finding.names
     other = next(a.candidate for a in finding.alternatives if a.name != finding.name)
@@ -253,7 +266,7 @@ def test_play_at_a_vertical_axis_that_leans_is_found_beside_a_soft_joint(half: f
     lean[0, 0] = 2e-3
     hidden = soft(2), drives.Backlash(at(1, half), np.inf), DhError(lean)
     kinds = RIVALS if half > 1e-3 else None
-    found = diagnose(ARM, session(hidden, n=200, encoders=False), kinds=kinds).findings
+    found = diagnosed(*hidden, n=200, encoders=False, kinds=kinds).findings
     assert {
         f.where: set(f.names) >= {n}
         for f, n in zip(
@@ -263,7 +276,7 @@ def test_play_at_a_vertical_axis_that_leans_is_found_beside_a_soft_joint(half: f
 
 
 def test_both_at_one_joint_are_both_found() -> None:
-    found = diagnose(ARM, session((DROOP, soft(3))), kinds=RIVALS).findings
+    found = diagnosed(DROOP, soft(3)).findings
     assert {f.names for f in found} == {("servo_droop",), ("joint_compliance",)}
 
 

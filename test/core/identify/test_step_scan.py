@@ -46,7 +46,8 @@ def steps(state: ExplainedSession) -> list[int]:
 @pytest.fixture(scope="module")
 def found() -> Diagnosis:
     kinds = (JointGain, ServoQuantisation)
-    return diagnose(ARM, session([STEPS], n=200, seed=3), kinds=kinds)
+    rows, held = (session([STEPS], n=n, seed=seed) for n, seed in ((200, 3), (60, 9)))
+    return diagnose(ARM, rows, test=held, kinds=kinds)
 
 
 def test_undeclared_steps_are_named_with_their_size(found: Diagnosis) -> None:

@@ -110,6 +110,9 @@ def test_what_no_command_is_told_does_not_shift_commands() -> None:
     train, test = (measured(ARM, shake, n, s) for n, s in ((ROWS, 3), (HELD_OUT, 103)))
     found = core.diagnose(ARM, train, test=test, kinds=(PrismaticPitch,))
     assert found.causes[0].inputs == ("pump_bar",)
+    assert found.causes[0].where == ("base, move x", "what is measured, x")
+    assert "something that depends on the recorded column" in found.causes[0].reading
+    assert not found.causes[0].compensated
     means = {k: np.linalg.norm(v, axis=1).mean() for k, v in found.proof.commanded.items()}
     assert means["with_functions"] < 1.1 * means["calibrated"]
     assert means[found.written] < 1.02 * means["calibrated"]

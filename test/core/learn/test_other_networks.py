@@ -70,8 +70,10 @@ def learned_(made: Predictor, small: Path) -> Predictor:
     return made
 
 
-def test_it_learns_is_honest_and_comes_back_from_its_file(small: Path, tmp_path: Path) -> None:
-    predictor, file = trained(small), tmp_path / "predictor.safetensors"
+def test_it_learns_is_honest_and_comes_back_from_its_file(
+    learned: Predictor, small: Path, tmp_path: Path
+) -> None:
+    predictor, file = learned, tmp_path / "predictor.safetensors"
     found = predictor.predict(rows().test_q)
     assert predictor.gain.helps
     assert rms_mm(found.error - rows().test_truth) < 0.5  # of 2 to 3 mm

@@ -17,12 +17,14 @@ from longarm_comp.core.learn.predictor_file import load, save
 
 SAVED = """
 import sys
-from bench.smooth import smooth_set
+import numpy as np
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor_file import save
-rows = smooth_set(300, 0)
+rng = np.random.default_rng(0)
+q = rng.uniform(-0.5, 0.5, (300, 7))
+seen = 3e-3 * q[:, :3] + 4e-4 * rng.standard_normal((300, 3))
 quick = {"hidden": 15, "ensemble": 1, "iterations": 5, "population": 10}
-save(train(rows.q, rows.residual, seed=2, **quick), sys.argv[1])
+save(train(q, seen, seed=2, **quick), sys.argv[1])
 """
 
 

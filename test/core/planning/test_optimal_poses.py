@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
+from few_effects import few_effects, names_alone
 from sensed_arm import ANCHORS, SIGMA, ZEROS, declared, miss, read, sensed
 from small_arm import ARM
 
@@ -191,10 +192,10 @@ def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
         la.plan(ARM, 5, model=Model(ARM))
 
 
-@pytest.mark.usefixtures("few_names")
 def test_a_diagnosis_is_what_is_known(tmp_path: Path) -> None:
     write_csv(read(sensed(n=60)), tmp_path / "rows.csv")
-    la.diagnose(ARM, tmp_path / "rows.csv", network=False).save(tmp_path / "found")
+    with few_effects(()), names_alone():
+        la.diagnose(ARM, tmp_path / "rows.csv", network=False).save(tmp_path / "found")
     after = la.plan(ARM, 10, kind="i-optimal", report=tmp_path / "found")
     before = la.plan(ARM, 10, kind="i-optimal", model=Model(ARM))
     assert after.expected_m < 0.7 * before.expected_m  # type: ignore[attr-defined]
