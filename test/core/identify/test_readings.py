@@ -315,7 +315,7 @@ def test_play_is_behind_a_motors_encoder_and_before_a_joints() -> None:
 
 def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
     """Nearer than by command, and it says so; where the servos droop as never before, too."""
-    rows = session((DROOP, soft(3)), n=150)
+    rows = session((DROOP, soft(3)), n=150, seed=2)
     terms = (ServoDroop(3), JointCompliance(3))
     fitted = fit_model(Model(ARM, terms).plus(*geometry_terms(ARM, rows)), rows)
     model = with_uncertainty(fitted)
