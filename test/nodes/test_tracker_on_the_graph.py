@@ -130,7 +130,7 @@ def test_before_a_calibration_targets_are_in_the_base_and_no_sighting_is_believe
     scene: Scene, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ready(scene)
-    for target in targets(4):
+    for target in targets(2):
         found = scene.reach(target, "base")
         assert found.success and not found.seen, found.message
         assert "frame 'tracker' is unknown" in found.message
@@ -154,7 +154,7 @@ def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
 ) -> None:
     scene.calibrated()
     ready(scene)
-    for k, target in enumerate(targets(6)):
+    for k, target in enumerate(targets(3)):
         frame = ("base", "tracker", "measured")[k % 3]
         place = target if frame == "base" else STANDS[:3, :3] @ target + STANDS[:3, 3]
         found = scene.reach(place, frame)
@@ -183,7 +183,7 @@ def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
     np.testing.assert_allclose(Model(SMALL).tip(planned), scene.true.true, atol=1e-5)
     shell = Shell(scene.file.parent, capsys)
     for more in ((), ("--model", scene.model)):
-        made = shell.json("verify", scene.file, "-n", 8, "--seed", 1, *more)
+        made = shell.json("verify", scene.file, "-n", 3, "--seed", 1, *more)
         without, with_it = (row["mean_mm"] for row in made["rows"])
         assert not made["placed_by_each_run"] and not made["refused"]
         assert without > 1.0 and with_it < 0.05
