@@ -429,9 +429,9 @@ def test_a_driver_that_nobody_minds_any_more_stops_and_leaves_the_arm_up(
     rig.becomes("on its way", Motion.ACCEPTED, Motion.BROKEN_OFF)
     rig.stage.spin(lambda: "ended" in rig.is_in(DriverState.UNCONFIGURED).message)
     assert rig.driving()
-    at = rig.joints()["shoulder"]
-    assert 0.2 < at < 0.85
     rig.process.wait(timeout=300)
+    at = rig.stands_still()["shoulder"]
+    assert 0.2 < at < 0.85
     rig.start()
     rig.is_in(DriverState.READY)
     rig.is_idle()
