@@ -74,8 +74,8 @@ def test_no_input_is_overwritten(work: Path, shell: Shell) -> None:
 
 def test_what_exists_is_replaced_by_its_own_kind_only(work: Path, shell: Shell) -> None:
     folder = shell.folder
-    for name, source in (("arm.yaml", "arm.yaml"), ("samples.csv", "test.csv")):  # 30 rows
-        shutil.copy(work / source, folder / name)
+    for name in ("arm.yaml", "samples.csv"):
+        shutil.copy(work / name, folder / name)
     (folder / "notes.txt").write_text("bought in 2019")
     plan = ("plan", "arm.yaml", "--kind", "sobol", "-n", 3)
     assert "is not a file that plan writes" in kept(shell, "notes.txt", *plan, "-o", "notes.txt")
