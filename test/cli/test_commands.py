@@ -12,7 +12,7 @@ import pytest
 import yaml
 from cli_shell import Shell, real
 from session_bag import write_bag
-from small_arm import ARM
+from small_arm import ARM, measured
 
 from bench import catalogue
 from longarm_comp.cli.output import print_rows
@@ -107,11 +107,11 @@ def test_evaluate_points_out_the_session_that_was_fitted(work: Path, shell: Shel
     assert shell.json(*known)["fitted_to_test"] == []
     assert shell(*known, *both) == 0
     assert "the model and the predictor came from this session: use other poses" in shell.err
-    shell("calibrate", work / "arm.yaml", work / "test.csv", "-o", "other.yaml")
-    shell("train", work / "arm.yaml", "copy.csv", "--model", "other.yaml", "-o", "p.npz",
+    write_csv(measured(50, np.random.default_rng(9)), "other.csv")
+    shell("train", work / "arm.yaml", "other.csv", *both[:2], "-o", "p.npz",
           "--ensemble", 1, "--hidden", 4)  # fmt: skip
-    crossed = ("--model", "other.yaml", "--predictor", "p.npz")
-    assert shell.json(*known, *crossed)["fitted_to_test"] == ["predictor"]
+    crossed = ("--test", "other.csv", *both[:2], "--predictor", "p.npz")
+    assert shell.json(*known[:2], *crossed)["fitted_to_test"] == ["predictor"]
 
 
 def test_compensate_takes_the_error_off(work: Path, shell: Shell) -> None:

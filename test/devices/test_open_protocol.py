@@ -109,10 +109,12 @@ def test_a_configuration_names_it_and_its_servos_move(
 SIMULATED = """
 import sys
 from pathlib import Path
+from longarm_comp.cli.run import run
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.joints import read_arm
+assert run(sys.argv[1:]) == 0
 graph = BringUp(arm=Path("mine/arm.yaml").absolute(), sim=True).with_servos(Path("scratch"))
 file = graph.file("servo_driver")
 arm = read_arm(file)
@@ -130,18 +132,16 @@ ROWS = ("--joint", "alpha=0 d=0.1 limits=-60..60", "--joint", "alpha=90 limits=0
 
 
 def test_a_simulated_arm_has_its_servos(site: Path, tmp_path: Path) -> None:
-    made = run(site, "-m", "longarm_comp", "init", "mine", *ROWS)
-    assert made.returncode == 0 and "longarm up mine/arm.yaml --sim" in made.stderr
-    done = run(site, "-c", SIMULATED)
+    done = run(site, "-c", SIMULATED, "init", "mine", *ROWS)
     assert done.returncode == 0, done.stderr
+    assert "longarm up mine/arm.yaml --sim" in done.stderr
     assert done.stdout == "{'joint1': 0.1, 'joint2': 0.2}\n"
 
 
 def test_servos_that_are_not_emulated_are_not_simulated(tmp_path: Path) -> None:
     site = installed(tmp_path / "site", "maker", "maker_servo:MakerServo")
-    made = run(site, "-m", "longarm_comp", "init", "mine", *ROWS)
-    assert made.returncode == 0 and "longarm up" in made.stderr and "--sim" not in made.stderr
-    done = run(site, "-c", SIMULATED)
+    done = run(site, "-c", SIMULATED, "init", "mine", *ROWS)
+    assert "longarm up" in done.stderr and "--sim" not in done.stderr
     assert "servo_driver.yaml: protocol: 'maker'; allowed: for a simulated arm" in done.stderr
 
 

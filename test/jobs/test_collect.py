@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -19,6 +20,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
+from forked import ForkedProgram
 from nodes_bench import Bench, bench
 from quick_arm import quick_arm
 
@@ -216,13 +218,20 @@ os.kill(os.getpid(), signal.SIGKILL)
 # ------------------------------------------------------------------ on the graph
 
 
-def longarm(*words: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "longarm_comp", *map(str, words)],
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    )
+class Longarm(ForkedProgram):
+    """The program `longarm`."""
+
+    def __init__(self, *words: object) -> None:
+        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115
+        asked = ["longarm_comp.__main__", *map(str, words)]
+        super().__init__(asked, os.getcwd(), dict(os.environ), self._said)
+
+    def says(self) -> str:
+        """What it said, at its end."""
+        self.wait(timeout=300)
+        with self._said:
+            self._said.seek(0)
+            return self._said.read()
 
 
 def begun(bag: Path) -> bool:
@@ -230,14 +239,14 @@ def begun(bag: Path) -> bool:
     return (bag / "metadata.yaml").exists() and (bag / ".recording").exists()
 
 
-def wait_for_a_visit(bag: Path, process: subprocess.Popen[str], but: int | None = None) -> int:
+def wait_for_a_visit(bag: Path, process: Longarm, but: int | None = None) -> int:
     """Until a visit is in the segment at hand: its folder, opened; it is not the folder ``but``.
 
     A folder that is open keeps its inode, so that no later one gets the same.
     """
     segment, end = bag / ".recording", time.monotonic() + 300.0
     while not (begun(bag) and (but is None or not os.path.samestat(os.fstat(but), segment.stat()))):
-        assert process.poll() is None, process.communicate()[0]
+        assert process.poll() is None, process.says()
         assert time.monotonic() < end, f"nothing in {segment}"
         time.sleep(0.02)
     return os.open(segment, os.O_RDONLY)
@@ -252,17 +261,17 @@ def test_a_session_survives_interruptions_and_is_resumed(
     words = ("collect", demo_arm_path, tmp_path / "poses.csv", "-o", bag, "--sightings", 2)
     words += ("--dwell", 0.1, "--move", 0.05, "--seed", 3, "--resume")
     with quick_arm(arm, lambda q: True):
-        first = longarm(*words)
+        first = Longarm(*words)
         killed = wait_for_a_visit(bag, first)
         os.kill(first.pid, signal.SIGKILL)
-        first.communicate()
+        first.says()
         assert bag_info(bag)["messages"] == 0
 
-        second = longarm(*words)
+        second = Longarm(*words)
         os.close(wait_for_a_visit(bag, second, killed))
         os.close(killed)
         second.send_signal(signal.SIGINT)
-        said = second.communicate(timeout=300)[0]
+        said = second.says()
         assert "Traceback" not in said
         half = read_session(bag, arm)
         assert 1 <= len(half) <= POSES
@@ -271,8 +280,8 @@ def test_a_session_survives_interruptions_and_is_resumed(
             # another order; the same poses from other sides
             assert "seed" in shell.refused(*changed)
 
-        third = longarm(*words)
-        said = third.communicate(timeout=300)[0]
+        third = Longarm(*words)
+        said = third.says()
         assert third.returncode == 0, said
     session = read_session(bag, arm)
     todo: list[Visit] = list_visits(plan, arm, seed=3)
@@ -304,7 +313,7 @@ def test_record_keeps_every_message_and_resumes(ros_domain: int, tmp_path: Path)
         commands = graph.JOINT_TRAJECTORY.publisher(stage.node)
         targets = graph.TARGET_POSE.publisher(stage.node)
         for _ in range(2):
-            process = longarm("record", "-o", bag, "--segment", 0.5, "--resume")
+            process = Longarm("record", "-o", bag, "--segment", 0.5, "--resume")
             stage.connected(commands)
             stage.connected(targets)
             spin_for(stage, 0.5)
@@ -313,7 +322,7 @@ def test_record_keeps_every_message_and_resumes(ros_domain: int, tmp_path: Path)
             sent += 400
             assert targets.wait_for_all_acked(Duration(seconds=60))
             process.send_signal(signal.SIGINT)
-            said = process.communicate(timeout=300)[0]
+            said = process.says()
             assert process.returncode == 0, said
             stage.spin(lambda: commands.get_subscription_count() == 0)
     assert {t["topic"]: t["count"] for t in bag_info(bag)["topics"]} == {"/target_pose": sent}

@@ -48,7 +48,7 @@ def run(*words: str) -> str:
 
 
 def test_a_session_is_recorded_key_by_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = touching(errors_of_the_drawing(), 16)
+    rows = touching(errors_of_the_drawing(), 10)
     out = tmp_path / "touches.csv"
     keys: list[str | np.ndarray] = []
     for q, name in zip(rows.q, rows.labels["touch"], strict=True):
@@ -67,10 +67,10 @@ def test_a_session_is_recorded_key_by_key(tmp_path: Path, monkeypatch: pytest.Mo
         pressed(arm, monkeypatch, ["front_0", rows.q[0]])
         run("-o", str(out), "--resume")
     found = la.read_session(out, ARM)
-    assert len(found) == 18
-    np.testing.assert_allclose(found.q[:16], rows.q, atol=1e-9)
+    assert len(found) == 12
+    np.testing.assert_allclose(found.q[:10], rows.q, atol=1e-9)
     assert list(found.labels["touch"]) == [*rows.labels["touch"], "", "front_0"]
-    assert list(found.labels["plane"]) == [""] * 16 + ["table", ""]
+    assert list(found.labels["plane"]) == [""] * 10 + ["table", ""]
     assert found.touch_distances == tuple((*d[:3], 1e-4) for d in DISTANCES)
     held = yaml.safe_load((tmp_path / "touches.yaml").read_text(encoding="utf-8"))
     assert len(held["touch_distances"]) == 3

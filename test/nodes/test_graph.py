@@ -17,6 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
 from nodes_bench import Bench, children, gone, last_status
+from simulated_graph import forked_graph
 from target_requests import pose
 from visualization_msgs.msg import Marker
 
@@ -243,7 +244,7 @@ def test_a_drifted_arm_is_noticed_and_the_command_named(
 ) -> None:
     settings = {"monitor.sigma_m": 3e-4, "monitor.settle_s": 0.2, "monitor.sightings": 1}
     drifted = bring_up("arm", sim={"hidden": "base_pose=4.0"}, kinematics=settings)
-    with running(drifted):
+    with forked_graph(drifted):
         station = Station(stage, "arm", arm)
         stage.spin(station.alive)
         rng = np.random.default_rng(2)

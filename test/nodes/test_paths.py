@@ -22,6 +22,7 @@ from nodes_bench import Bench
 from places import DEMO_ARM as ARM
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from simulated_graph import forked_graph
 from small_arm import ARM as SMALL
 from small_arm import AWAY
 from std_msgs.msg import String
@@ -36,7 +37,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import trajectory_compensator
-from longarm_comp.nodes.bringup import BringUp, running
+from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.nodes.clock import Ticks, stamp_ns
 from longarm_comp.nodes.messages import duration, joints_message
 
@@ -312,7 +313,7 @@ def test_through_our_driver_the_true_tip_ends_where_the_plan_meant_it(
     tips: list[PointStamped] = []
     stage.node.create_subscription(PointStamped, "simulated_arm/true_tip", tips.append, 10)
     joints = stage.collect(graph.JOINT_STATES)
-    with running(up):
+    with forked_graph(up):
         stage.start("trajectory_compensator", {"arm": ARM, "method": "deflection"})
         planner, states = Planner(stage), stage.collect(graph.DRIVER_STATE)
         planned = stage.collect(graph.PLANNED_JOINTS)

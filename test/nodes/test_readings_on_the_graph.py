@@ -56,7 +56,10 @@ def arm_at_work(
     plant = {"hidden": DROOP, "seed": 3, "frame_rate_hz": 10.0}
     driver = {"trim": request.param, "follower.trim_pause_s": 0.5}
     with simulated_graph(
-        demo_arm_path, {"move_time_s": 0.2}, simulated_arm=plant, servo_driver=driver
+        demo_arm_path,
+        {"move_time_s": 0.2},
+        simulated_arm=plant,
+        servo_driver=driver,
     ) as client:
         client.ready(PATIENCE_S)
         yield client, request.param
@@ -103,7 +106,8 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     assert "mm at most" in rings[-1] and "Hz; within 0.1 mm after" in rings[-1]
     shell = Shell(tmp_path, capsys)
     client.until(lambda: shell("status") == 0 and TIP_STANDS in shell.out, PATIENCE_S, shell.out)
-    verified = shell("verify", demo_arm_path, "-n", 2, "--by", "readings", "--move", 0.2, "--json")
+    quick = ("--move", 0.2, "--sightings", 2, "--dwell", 0.3)
+    verified = shell("verify", demo_arm_path, "-n", 2, "--by", "readings", *quick, "--json")
     assert shell.out, shell.err
     report = json.loads(shell.out)
     assert report["targets"] == 2

@@ -18,6 +18,7 @@ from builtin_interfaces.msg import Duration
 from cli_shell import Shell
 from driver_rig import Rig
 from lifecycle_msgs.msg import Transition
+from simulated_graph import forked_graph
 from std_srvs.srv import SetBool, Trigger
 from target_requests import request
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -387,7 +388,7 @@ def test_a_simulated_graph_stays_stopped_when_it_dies_and_when_it_is_started_ane
         client.until(standing, 300.0, "no driver on the graph")
         assert found["driver"].startswith("stopped") and found["next"] == "longarm reset"
         assert "emergency stop since" in found["why"]
-    with running(up), ArmClient(arm) as client:
+    with forked_graph(up), ArmClient(arm) as client:
         with pytest.raises(DriverStopped, match="emergency stop since"):
             client.ready(300.0, tip=False)
         asks, target = graph.COMPENSATE.client(client.node), declared_model(arm).pose(arm.mid)
@@ -429,9 +430,9 @@ def test_a_driver_that_nobody_minds_any_more_stops_and_leaves_the_arm_up(
     rig.becomes("on its way", Motion.ACCEPTED, Motion.BROKEN_OFF)
     rig.stage.spin(lambda: "ended" in rig.is_in(DriverState.UNCONFIGURED).message)
     assert rig.driving()
-    at = rig.joints()["shoulder"]
-    assert 0.2 < at < 0.85
     rig.process.wait(timeout=300)
+    at = rig.stands_still()["shoulder"]
+    assert 0.2 < at < 0.85
     rig.start()
     rig.is_in(DriverState.READY)
     rig.is_idle()

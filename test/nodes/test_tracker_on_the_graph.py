@@ -51,6 +51,7 @@ def known_by_a_tracker() -> Model:
     return dataclasses.replace(model, uncertainty=record)
 
 
+QUICK = ("--move", 0.1, "--sightings", 2, "--dwell", 0.2)
 STANDS = AWAY.base(SMALL).matrix() @ np.linalg.inv(SMALL.base.frame().matrix())
 
 
@@ -130,7 +131,7 @@ def test_before_a_calibration_targets_are_in_the_base_and_no_sighting_is_believe
     scene: Scene, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ready(scene)
-    for target in targets(4):
+    for target in targets(2):
         found = scene.reach(target, "base")
         assert found.success and not found.seen, found.message
         assert "frame 'tracker' is unknown" in found.message
@@ -142,7 +143,7 @@ def test_before_a_calibration_targets_are_in_the_base_and_no_sighting_is_believe
     assert not away.success and "frame 'tracker' is unknown" in away.message
     shell = Shell(scene.file.parent, capsys)
     output = scene.file.parent / "verified"
-    shell("verify", scene.file, "-n", 8, "--seed", 1, "-o", output)
+    shell("verify", scene.file, "-n", 8, "--seed", 1, *QUICK, "-o", output)
     assert "'tracker'" in shell.err
     made = json.loads((output / "verify.json").read_text())
     assert made["placed_by_each_run"] == "tracker" and made["seen_in_both"] == 8
@@ -154,7 +155,7 @@ def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
 ) -> None:
     scene.calibrated()
     ready(scene)
-    for k, target in enumerate(targets(6)):
+    for k, target in enumerate(targets(3)):
         frame = ("base", "tracker", "measured")[k % 3]
         place = target if frame == "base" else STANDS[:3, :3] @ target + STANDS[:3, 3]
         found = scene.reach(place, frame)
@@ -183,7 +184,7 @@ def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
     np.testing.assert_allclose(Model(SMALL).tip(planned), scene.true.true, atol=1e-5)
     shell = Shell(scene.file.parent, capsys)
     for more in ((), ("--model", scene.model)):
-        made = shell.json("verify", scene.file, "-n", 8, "--seed", 1, *more)
+        made = shell.json("verify", scene.file, "-n", 3, "--seed", 1, *QUICK, *more)
         without, with_it = (row["mean_mm"] for row in made["rows"])
         assert not made["placed_by_each_run"] and not made["refused"]
         assert without > 1.0 and with_it < 0.05

@@ -10,14 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.calibration import synthetic_session
-from bench.dummy_predictor import train_dummy
 from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes.bringup import SIMULATED
-from longarm_comp.sessions.csv import write_csv
-from longarm_comp.share import folder
 
 HEAVY = ("sklearn", "matplotlib", "cv2", "numba", "rclpy", "scipy", "rosbags", "torch")
 _TELL = f"""
@@ -57,48 +53,42 @@ def test_help_and_the_list_of_commands_load_nothing_heavy() -> None:
     assert loaded(command_line("--help") + every) == set()
 
 
-def test_the_core_of_a_control_program_is_light() -> None:
+def test_the_core_of_a_control_program_is_light_and_a_folder_needs_no_torch(tmp_path: Path) -> None:
     code = "import longarm_comp.core.compensation.compensate, longarm_comp.core.model.model_file\n"
     code += "import longarm_comp.core.learn.predictor_file, longarm_comp.core.learn.ensemble\n"
-    assert loaded(code) == set()
+    code += f"import sys\nassert not {set(HEAVY)} & {{*sys.modules}}\n"
+    mine = str(tmp_path / "mine")
+    code += command_line("init", mine, "--like", "demo") + command_line("check", mine)
+    assert "torch" not in loaded(code)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="no ROS")
-@pytest.mark.parametrize("node", SIMULATED)
-def test_no_node_loads_what_it_does_not_use(node: str) -> None:
-    found = loaded(f"import longarm_comp.nodes.{node}\n")
+@pytest.mark.parametrize("sees", [False, True])
+def test_no_node_loads_what_it_does_not_use(sees: bool) -> None:
+    nodes = [node for node in SIMULATED if (node in ("stereo_bridge", "simulated_arm")) == sees]
+    assert len(nodes) == (2 if sees else 3)
+    found = loaded("".join(f"import longarm_comp.nodes.{node}\n" for node in nodes))
     assert "rclpy" in found
-    assert found <= {
-        "rclpy",
-        "numba",
-        *(["cv2"] if node in ("stereo_bridge", "simulated_arm") else []),
-    }
+    assert found <= {"rclpy", "numba", *(["cv2"] if sees else [])}
 
 
-def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
-    """Calibrated, trained, judged: all without what other programs use."""
-    arm = folder("config") / "arm_demo.yaml"
-    csv = tmp_path / "samples.csv"
-    write_csv(synthetic_session(Arm.load(arm), 40), csv)
+def test_no_command_loads_what_it_does_not_use(work: Path, tmp_path: Path) -> None:
+    """Judged, compensated, calibrated, trained: all without what other programs use."""
+    arm, csv = str(work / "arm.yaml"), str(work / "samples.csv")
+    learned = ("--model", str(work / "model.yaml"), "--predictor", str(work / "predictor.npz"))
     model, predictor = str(tmp_path / "model.yaml"), str(tmp_path / "predictor.npz")
-    code = command_line("calibrate", str(arm), str(csv), "-o", model)
-    code += command_line("train", str(arm), str(csv), "--model", model, "-o", predictor,
-                         "--ensemble", "1", "--hidden", "3")  # fmt: skip
-    code += command_line("evaluate", str(arm), "--test", str(csv), "--model", model)
-    found = loaded(code)
-    assert not {"sklearn", "cv2", "rclpy"} & found
-    assert "torch" in found, "what trains loads it; if nothing does, the tests below test nothing"
-    train_dummy(Arm.load(arm), Path(predictor))  # what was learned above does not help
-    demo = Arm.load(arm)
-    target = [f"{each:.4f}" for each in declared_model(demo).tip(demo.mid)]
-    with_predictor, mine = ("--model", model, "--predictor", predictor), str(tmp_path / "mine")
-    code = ""
+    small = Arm.load(arm)
+    target = [f"{each:.4f}" for each in declared_model(small).tip(small.mid)]
+    code = "import sys\n"
     for words in (
-        ("init", mine, "--like", "demo"),
-        ("check", mine),
-        ("evaluate", str(arm), "--test", str(csv), *with_predictor),
-        ("compensate", str(arm), *target, "--position-only", "--predictor", predictor,
+        ("evaluate", arm, "--test", csv, *learned),
+        ("compensate", arm, *target, "--position-only", *learned,
          "-o", str(tmp_path / "commands.csv")),
+        ("calibrate", arm, csv, "-o", model),
     ):  # fmt: skip
         code += command_line(*words) + f"assert 'torch' not in sys.modules, {words!r}\n"
-    assert "torch" not in loaded("import sys\n" + code)
+    code += command_line("train", arm, csv, "--model", model, "-o", predictor,
+                         "--ensemble", "1", "--hidden", "3")  # fmt: skip
+    found = loaded(code)
+    assert not {"sklearn", "cv2", "rclpy"} & found
+    assert "torch" in found, "what trains loads it; if nothing does, this tests nothing"

@@ -6,12 +6,14 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from cli_shell import Shell
+from forked import ForkedProgram
 from places import ROOT
 from small_arm import ARM, measured
 
@@ -103,9 +105,12 @@ def test_a_node_takes_it_from_its_command_line_only(trap: Path, node: str, optio
     assert option in said and len(said.splitlines()) == 1
     wrong = (["--effect", trap], [f"--{option}"], [trap, f"--{option}"])
     for words in wrong if node == "kinematics" else ():  # one reader of words for all nodes
-        code, said = program(trap.parent, *words, *ros, script=node)
-        assert (code, executed(trap)) == (2, False), said
-        assert "command line: arguments: " in said
+        with tempfile.TemporaryFile("w+") as heard:
+            asked = [f"longarm_comp.nodes.{node}", *map(str, (*words, *ros))]
+            refused = ForkedProgram(asked, str(trap.parent), dict(os.environ), heard)
+            assert (refused.wait(timeout=300), executed(trap)) == (2, False)
+            heard.seek(0)
+            assert "command line: arguments: " in heard.read()
     code, said = program(trap.parent, f"--{option}", trap, *ros, script=node)
     assert executed(trap), said  # and then it is refused, because it defines nothing
     assert (code, len(said.splitlines())) == (2, 1)
@@ -119,13 +124,14 @@ def test_modules_of_the_folder_where_the_program_is_started(trap: Path) -> None:
     for name in ("yaml", "numpy", "rclpy", "multiprocessing", "longarm_comp", "sitecustomize"):
         (trap.parent / name).mkdir()
         (trap.parent / name / "__init__.py").write_text(trap.read_text())
-    graph = BringUp(arm=folder("config") / "arm_demo.yaml", sim=True)
-    for words in graph.commands(trap.with_name("scratch")).values():
-        bad = [*words[: words.index("--ros-args")], "--ros-args", "-p", "no_such_parameter:=1"]
-        done = subprocess.run(
-            bad, cwd=trap.parent, capture_output=True, text=True, timeout=300, check=False
-        )
-        assert done.returncode == 2 and "no_such_parameter" in done.stderr, done.stderr
+    graph = BringUp(arm=folder("config") / "arm_demo.yaml", sim=True, paths=True)
+    started = [*graph.commands(trap.with_name("scratch")).values()]
+    assert {tuple(words[:3]) for words in started} == {(sys.executable, "-P", "-m")}
+    bad = [*started[0][:4], "--ros-args", "-p", "no_such_parameter:=1"]
+    done = subprocess.run(
+        bad, cwd=trap.parent, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 2 and "no_such_parameter" in done.stderr, done.stderr
     assert not executed(trap)
 
 

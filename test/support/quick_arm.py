@@ -25,7 +25,7 @@ from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
 
-_PERIOD_S = 0.03
+_PERIOD_S = 0.015
 
 
 class QuickArm:

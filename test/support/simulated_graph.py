@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from nodes_bench import bench
+
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import BringUp, running
+from longarm_comp.nodes.bringup import BringUp
+
+
+@contextmanager
+def forked_graph(up: BringUp) -> Iterator[None]:
+    """Run a graph's nodes as `bringup.running` does, but forked, and without a supervisor."""
+    with tempfile.TemporaryDirectory(prefix="longarm_") as scratch, bench() as stage:
+        fitting = up.with_servos(Path(scratch))
+        for _, _, *words in fitting.commands(Path(scratch)).values():  # without `python -P`
+            stage.python(words)
+        yield
 
 
 @contextmanager
@@ -25,5 +38,5 @@ def simulated_graph(
         set={**nodes, "kinematics": {**usual, **kinematics}},
         without=("error_predictor", "stereo_bridge"),
     )  # fmt: skip
-    with running(up), ArmClient(Arm.load(arm), tips=tips) as client:
+    with forked_graph(up), ArmClient(Arm.load(arm), tips=tips) as client:
         yield client

@@ -40,7 +40,7 @@ def arm(tmp_path: Path) -> Path:
 def test_the_poses_that_are_asked_for_split_the_set(arm: Path, tmp_path: Path) -> None:
     hidden = [drives.JointGain(at(2, 0.02))]
     samples, plan, out = tmp_path / "samples.csv", tmp_path / "poses.csv", tmp_path / "diagnosis"
-    write_csv(session(hidden, n=180, levels=3), samples)
+    write_csv(session(hidden, n=120, levels=3), samples)
     assert longarm("diagnose", arm, samples, "--no-network", "-o", out) == 0
     first = report(out)
     assert first["verdict"] == "set"

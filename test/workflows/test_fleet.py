@@ -31,9 +31,9 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, now in (("sound", 0.002), ("knocked", 0.012)):
         arm_yaml(root / name)
         arm = la.Arm.load(root / name / "arm.yaml")
-        write_csv(rows_of(0.002, 3), root / name / "first.csv")
+        write_csv(rows_of(0.002, 3, n=40), root / name / "first.csv")
         la.calibrate(arm, root / name / "first.csv").save(root / name / "model.yaml")
-        write_csv(rows_of(now, 7), root / name / "later.csv")
+        write_csv(rows_of(now, 7, n=40), root / name / "later.csv")
         os.utime(root / name / "first.csv", (1e9, 1e9))
         (root / name / "commands.csv").write_text("index,status,q1,x\n0,ok,0,0\n", encoding="utf-8")
     arm_yaml(root / "broken")
@@ -82,8 +82,8 @@ def test_the_arm_that_was_knocked_is_told(folders: Path, told: tuple[Path, str])
 @pytest.mark.usefixtures("few_names")
 def test_a_cause_without_a_name_is_told_with_its_place_and_size(tmp_path: Path) -> None:
     arm_yaml(tmp_path / "arms" / "shaken")
-    pump = np.random.default_rng(5).uniform(1.0, 2.0, 150)
-    rows = measured(150, np.random.default_rng(4), columns={"pump_bar": pump})
+    pump = np.random.default_rng(5).uniform(1.0, 2.0, 100)
+    rows = measured(100, np.random.default_rng(4), columns={"pump_bar": pump})
     sway = 2e-3 * np.sin(6.0 * pump)
     shaken = dataclasses.replace(rows, xyz=rows.xyz + np.outer(sway, [1.0, 0.0, 0.0]))
     write_csv(shaken, tmp_path / "arms" / "shaken" / "rows.csv")
@@ -153,7 +153,7 @@ def test_it_goes_on_where_it_was_ended(
     assert seen == ["broken"]
     shutil.rmtree(arms / "broken")
     assert run() == first[1:] and seen == []
-    write_csv(rows_of(0.002, 11), arms / "knocked" / "later.csv")
+    write_csv(rows_of(0.002, 11, n=40), arms / "knocked" / "later.csv")
     again = run()
     assert seen == ["knocked"]
     assert again[1] == first[2] and again[0].made_of != first[1].made_of

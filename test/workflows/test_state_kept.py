@@ -160,8 +160,8 @@ def test_a_model_cut_anywhere_is_refused(work: Path, tmp_path: Path) -> None:
     assert read_stored(work / "model.yaml").uncertainty is not None
     ends = {k for k, sign in enumerate(text) if sign == "\n"} - {len(text) - 1}
     rng = np.random.default_rng(1)
-    cuts = {*sorted(ends)[-60:], *range(len(text) - 60, len(text) - 1)}
-    cuts |= set(rng.integers(1, len(text), 60).tolist()) - {len(text) - 1}
+    cuts = {*sorted(ends)[-25:], *range(len(text) - 25, len(text) - 1)}
+    cuts |= set(rng.integers(1, len(text), 25).tolist()) - {len(text) - 1}
     path = tmp_path / "model.yaml"
     for cut in sorted(cuts):
         path.write_text(text[:cut])
