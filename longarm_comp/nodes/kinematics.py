@@ -104,11 +104,14 @@ class Kinematics(ArmNode):
         state.worker.start(inlet.serve_topic)
 
     def _reload_model(self) -> tuple[bool, str]:
-        done = self._arm.files.reload()
-        self._learning.begin()
+        done, said = self._arm.files.reload()
         self._monitor.reset()
         self._sightings.tell()
-        return done
+        try:
+            self._learning.begin()
+        except InputError as error:
+            said = f"{said}; nothing is learned: {error}"
+        return done, said
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         told, of_model = self._sightings.take(message)

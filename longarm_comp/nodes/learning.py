@@ -12,7 +12,7 @@ from std_msgs.msg import String
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.rest import RestPose
-from longarm_comp.core.errors import JobError
+from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
@@ -48,14 +48,25 @@ class Learning:
         self.begin()
 
     def begin(self) -> None:
-        """Continue from the file, if it belongs to the model that was loaded."""
+        """Continue from the file, if it belongs to the model that was loaded.
+
+        Raises:
+            InputError: nothing can be learned of that model, or the file is damaged. Then the model
+                is served as it was loaded, and nothing is learned.
+        """
+        self.learner = self._asked = None
         if not self._state.p["learning"]:
             self._told.publish(String())
             return
         from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
 
         loaded, step_m = self._files.given, self._state.p["learning_step_m"]
-        self.learner = file.load(self._path, loaded.model, loaded.file_hash, step_m)
+        try:
+            self.learner = file.load(self._path, loaded.model, loaded.file_hash, step_m)
+        except InputError as error:
+            self._fault = f"nothing is learned: {error}"
+            self._told.publish(String())
+            raise
         self._continued = self.learner.sightings
         self._files.replace_model(self.learner.model)
         self._tell(self.learner)
@@ -97,13 +108,14 @@ class Learning:
         try:
             file.save(self._path, learner, self._files.given.file_hash)
             self._fault = ""
-        except JobError as error:
-            self._fault = str(error)
+        except LongarmError as error:
+            self._fault = f"not kept: {error}"
         self._told.publish(String(data=str(self._path.absolute())))
 
     def report(self) -> Report:
         learner = self.learner
-        assert learner is not None
+        if learner is None:
+            return Report(WARN, self._fault)
         facts = {
             "sightings": learner.sightings,
             "doubtful": learner.doubtful,
@@ -112,7 +124,7 @@ class Learning:
             "of these before the start": self._continued,
         }
         if self._fault:
-            return Report(WARN, f"not kept: {self._fault}", facts)
+            return Report(WARN, self._fault, facts)
         if learner.unexplained:
             said = "something changed that no known effect explains: run longarm diagnose"
             return Report(WARN, said, facts)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +174,26 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
             arm.wrong = 0.03 * (k % 2)
             work.serve()
         assert "of the last sightings seem wrong" in work.said()[0]
+
+        kept = tmp_path / "model.at_work.json"
+        kept.unlink()
+        (kept / "in the way").mkdir(parents=True)
+        work.serve()
+        stage.spin(lambda: work.said()[0].startswith("not kept: "))
+        work.reach()  # what cannot be written stops no target
+        shutil.rmtree(kept)
+
+        # `longarm undo` may bring back a model of which nothing can be learned
+        files = stage.collect(graph.LEARNED)
+        save_model(tmp_path / "model.yaml", store(replace(fitted(), uncertainty=None)))
+        done = stage.call(graph.RELOAD.client(stage.node, of="kinematics"), Trigger.Request())
+        assert done.success and "nothing is learned" in done.message
+        stage.spin(lambda: work.said()[0].startswith("nothing is learned: "))
+        stage.spin(lambda: files and files[-1].data == "")
+        arm.wrong = 0.0
+        assert max(work.reach() for _ in range(4)) > 5e-4
+        said, facts = work.said()
+        assert said.startswith("nothing is learned: ") and "sightings" not in facts
 
     day = read_day(bag, ARM, None, (LEARNED_SAID,))
     errors = day.error_mm

@@ -27,6 +27,9 @@ AHEAD = 0.1
 """Share of a step over which its second derivative is taken (Transtrum and Sethna): the third order
 adds a tenth of itself, and rounding nothing."""
 
+FARTHEST_M = 200.0
+"""Of a measured point: of a turn of the base it leaves a hundredth of the digits that noise has."""
+
 
 class SessionProblem:
     """A session during the Gauss-Newton steps; arguments and errors as of `fit_model`.
@@ -52,6 +55,10 @@ class SessionProblem:
         self.seen = seen = session.take(session.seen)
         if len(seen) < 4:
             raise InputError(session.source, "xyz", f"{len(seen)} seen rows", "at least 4")
+        farthest = float(np.max(np.abs(seen.xyz), initial=0.0, where=np.isfinite(seen.xyz)))
+        if farthest > FARTHEST_M:
+            allowed = f"at most {FARTHEST_M:g} m from the frame's origin: subtract a constant"
+            raise InputError(session.source, "xyz", f"{farthest:g} m", allowed)
         context = seen.context()
         for term in model.terms:
             term.require(context)

@@ -285,3 +285,11 @@ def test_calibrate_says_how_well_it_knows_the_base(rng: np.random.Generator) -> 
     sd = np.sqrt(np.diag(np.linalg.inv(told.T @ told)))
     np.testing.assert_allclose(place.sd_mm, 1e3 * sd[:3], rtol=0.05)
     np.testing.assert_allclose(place.sd_deg, np.degrees(sd[3:]), rtol=0.05)
+
+
+def test_points_in_site_coordinates_are_refused_before_digits_are_lost() -> None:
+    seen = sensed(n=40)
+    far = there(seen, TURNS[0])
+    rows = Session.record(far.q, far.xyz - [0.0, 250.0, 0.0])
+    with pytest.raises(InputError, match=r"xyz: 26\d.* m.*200 m from the frame's origin"):
+        list(fit_stages(Model(arm(TURNS[0])), rows))
