@@ -113,6 +113,7 @@ class ServoWatch:
     ) -> bool:
         """Return whether the joint would have had to move faster than it can to be there.
 
+        A servo that lost its count of turns is off by whole ones, however long it was not heard.
         Without a command it may be moved by hand: then two read-backs that agree are trusted.
         """
         jump = self._config.follower.jump_ticks
@@ -120,6 +121,7 @@ class ServoWatch:
         if seen.state is None:
             return False
         reach = 4.0 * joint.max_speed_ticks_s * (now - seen.at) + jump
+        reach = min(reach, 0.5 * joint.servo.ticks_per_turn)
         if abs(state.position_ticks - seen.state.position_ticks) <= reach:
             return False
         return commanded or said is None or abs(state.position_ticks - said) > jump

@@ -14,7 +14,7 @@ from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds, servo_stat
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.servo_bus.state import ServoAlarm
 from longarm_comp.devices.servo_follower import EventKind, FollowerState, Step
-from longarm_comp.devices.servo_watch import ServoTrouble, stands_in_its_droop
+from longarm_comp.devices.servo_watch import ServoTrouble, ServoWatch, stands_in_its_droop
 
 
 @pytest.fixture
@@ -168,6 +168,17 @@ def test_a_read_back_that_jumps_is_not_believed(rig: Rig) -> None:
     rig.obeys.discard(5)
     rig.states[5] = replace(true, position_ticks=true.position_ticks + 1500)
     assert _troubles(rig.run(0.6)) == [(ServoTrouble.SILENT, "turn")]
+
+
+@pytest.mark.parametrize("turns", [-1, 1])
+def test_a_lost_count_of_turns_is_not_believed_however_long_it_is_told(turns: int) -> None:
+    watch, goals = ServoWatch(CONFIG), {5: 2000, 9: 3000}
+    here = {servo_id: servo_state(ticks) for servo_id, ticks in goals.items()}
+    assert watch.update(0.0, here, goals)[0]
+    lost = here | {5: servo_state(2000 + turns * 4096)}
+    for now in (0.02, 1.0, 5.0, 60.0):
+        assert not watch.update(now, lost, goals)[0] and not watch.was_heard("turn")
+    assert watch.update(61.0, here, goals)[0]
 
 
 def test_while_idle_one_false_read_back_is_not_believed_but_a_hand_is(rig: Rig) -> None:
