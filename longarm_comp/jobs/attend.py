@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -16,7 +17,13 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import kept_stops
 from longarm_comp.jobs.client import STOPPED
-from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Interrupted, Reports
+from longarm_comp.jobs.graph_client import (
+    ANNOUNCED_S,
+    FOUND_S,
+    GraphClient,
+    Interrupted,
+    Reports,
+)
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import UNACKNOWLEDGED
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
@@ -64,17 +71,20 @@ class Attendant:
             running = "does `longarm up` run, in this ROS_DOMAIN_ID?"
             raise JobError("; ".join((f"{said} ({running})", *kept)))
 
+        begun, reports = time.monotonic(), self._reports
+
         def heard() -> bool:
             named = there()
-            driver = self._driver is not None or DRIVER not in named
-            return driver and named <= set(self._reports.nodes)
+            other = reports.last_message("kinematics", "driver") == UNACKNOWLEDGED
+            none = DRIVER not in named and (other or time.monotonic() - begun > ANNOUNCED_S)
+            return (self._driver is not None or none) and named <= set(reports.nodes)
 
         if not client.wait(heard, FOUND_S):
             said = f"does not report within {FOUND_S:g} s"
             silent = DiagnosticStatus(level=DiagnosticStatus.STALE, message=said)
-            for name in there() - set(self._reports.nodes):
-                self._reports.nodes[name] = {"process": silent}
-        driver, reports = self._driver, self._reports
+            for name in there() - set(reports.nodes):
+                reports.nodes[name] = {"process": silent}
+        driver = self._driver
         words = driver_words(driver.state) if driver else ""
         other = reports.last_message("kinematics", "driver") == UNACKNOWLEDGED
         step = _NEXT.get(driver.state, "") if driver else "" if other else "longarm up ARM"

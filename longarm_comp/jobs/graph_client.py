@@ -28,6 +28,8 @@ _ANSWER_S = 60.0
 """A node that is starting beside six others on two cores has answered by then."""
 FOUND_S = 10.0
 """A node that is there is found, and has reported, within it, also on a busy machine."""
+ANNOUNCED_S = 4.0
+"""A node that was not heard of yet has announced itself within it: Fast DDS does every 3 s."""
 _ASK_AGAIN_S = 0.25, 2.0
 """Pauses after which a request that may be served twice is sent again: the first, and the longest;
 each is twice the one before."""

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
 from driver_rig import Rig
+from nodes_bench import bench
+from own_graph import own_graph
+from quick_arm import quick_arm
+from small_arm import ARM
 
 import longarm_comp as la
 from longarm_comp.cli import collect
@@ -20,6 +27,7 @@ from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped
+from longarm_comp.nodes import interfaces as graph
 from longarm_interfaces.msg import DriverState
 
 TWO_JOINTS = Arm.parse(
@@ -150,3 +158,26 @@ def test_a_hand_guides_the_arm_while_touches_are_taken(
     assert "nothing is done: emergency stop since" in shell.refused(*again, code=3)
     assert shell("reset") == 0, shell.err
     rig.is_in(DriverState.READY)
+
+
+def test_a_driver_that_is_heard_of_last_is_on_the_graph(tmp_path: Path, shell: Shell) -> None:
+    """Each node announces itself when it likes: kinematics is found, the driver not yet."""
+    arm, done = tmp_path / "arm.yaml", threading.Event()
+    arm.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_none=True)))
+
+    def drive() -> None:
+        time.sleep(1.5)
+        with quick_arm(ARM, lambda q: True):
+            done.wait()
+
+    with own_graph(tmp_path), bench() as stage:
+        heard = stage.collect(graph.DIAGNOSTICS)
+        stage.start("kinematics", {"arm": arm, "acknowledged": True, "diagnostics_period_s": 0.2})
+        stage.spin(lambda: heard)
+        driver = threading.Thread(target=drive)
+        driver.start()
+        found = shell.json("status")
+        done.set()
+        driver.join()
+    assert (found["driver"], found["next"]) == ("ready", "")
+    assert "kinematics" in found["nodes"]

@@ -46,6 +46,7 @@ class RestWatch:
     _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
     _arrived_s: float = math.inf
+    _stands: np.ndarray | None = None  # where the joints were when the driver said so
     _seen: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -54,7 +55,8 @@ class RestWatch:
 
     def on_command(self, q: np.ndarray, history: History) -> None:
         """Take a command q (n,) and the history of the joints on arrival."""
-        self._goal, self._there_since, self._arrived_s = (q, history), None, math.inf
+        self._goal, self._there_since = (q, history), None
+        self._arrived_s, self._stands = math.inf, None
         self._seen.clear()
 
     def forget(self) -> None:
@@ -64,7 +66,8 @@ class RestWatch:
     def on_arrival(self, at_s: float) -> None:
         """Take the driver's word that from a time (s) on the joints rest where they were sent.
 
-        They may give way.  Readings from before that time may still come.
+        They may give way, but not move any more: then something else than the command moved them.
+        Readings from before that time may still come.
         """
         self._arrived_s = at_s
 
@@ -72,6 +75,11 @@ class RestWatch:
         """Take a joint reading q (n,) of a time (s, of the clock of the sightings)."""
         if self._goal is None:
             return
+        if at_s >= self._arrived_s:
+            self._stands = q if self._stands is None else self._stands
+            if np.abs(q - self._stands).max() > JOINT_REST:
+                self.forget()
+                return
         if at_s < self._arrived_s and np.abs(q - self._goal[0]).max() > JOINT_REST:
             self._there_since = None
             self._seen.clear()

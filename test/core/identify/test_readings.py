@@ -389,3 +389,19 @@ def test_a_reading_of_the_way_that_comes_after_the_arrival_is_no_rest() -> None:
         watch.joints(q, at_s)
     assert watch.on_sighting(tip, np.zeros(3), 2.9) is None
     assert watch.on_sighting(tip, np.zeros(3), 3.5) is not None
+
+
+def test_an_arm_that_leaves_its_rest_without_a_command_is_at_no_rest() -> None:
+    """By hand, or without torque: its sightings are not of the command."""
+    watch = RestWatch(settle_s=0.5, sightings=2)
+    goal, tip = np.zeros(2), np.array([0.4, 0.1, 0.3])
+    for moved, rests in ((1e-3, True), (3e-2, False)):
+        watch.on_command(goal, History.unknown(2))
+        watch.on_arrival(1.0)
+        watch.joints(goal, 1.0)
+        assert watch.on_sighting(tip, np.zeros(3), 2.0) is None
+        watch.joints(goal + moved, 2.1)
+        found = [watch.on_sighting(tip, np.zeros(3), 3.0)]
+        watch.joints(goal, 3.1)  # it comes back
+        found.append(watch.on_sighting(tip, np.zeros(3), 4.0))
+        assert any(rest is not None for rest in found) == rests
