@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from longarm_comp.core.errors import InputError, JobError
 
@@ -132,6 +133,30 @@ def write_texts(texts: Mapping[Path, str]) -> None:
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write ``text`` as UTF-8 to ``path``, whole or not at all."""
     write_bytes(path, text.encode())
+
+
+def lock_beside(path: Path) -> IO[bytes] | None:
+    """Lock a file against other processes that lock it too; it need not exist.
+
+    The lock is a hidden file beside it, and lasts until that is closed or the process ends.
+
+    Returns:
+        The hidden file; None where none can be made.
+
+    Raises:
+        InputError: another process holds the lock.
+    """
+    try:
+        beside = os.open(path.with_name(f".{path.name}.lock"), os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError:
+        return None
+    lock = os.fdopen(beside, "rb")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        raise InputError(path, "file", "in use by another process", "one file each") from None
+    return lock
 
 
 def check_writable(folder: Path) -> None:

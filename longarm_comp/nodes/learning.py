@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from std_msgs.msg import String
@@ -13,6 +13,7 @@ from std_msgs.msg import String
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.files import lock_beside
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
@@ -44,6 +45,7 @@ class Learning:
             state.p["learned_file"]
             or Path(state.p["model"] or "model.yaml").with_suffix(".at_work.json")
         )
+        self._lock: IO[bytes] | None = None
         self._told = graph.LEARNED.publisher(state.node)
         self.begin()
 
@@ -62,6 +64,7 @@ class Learning:
 
         loaded, step_m = self._files.given, self._state.p["learning_step_m"]
         try:
+            self._lock = self._lock or lock_beside(self._path)
             self.learner = file.load(self._path, loaded.model, loaded.file_hash, step_m)
         except InputError as error:
             self._fault = f"nothing is learned: {error}"

@@ -95,18 +95,19 @@ class Work:
         return float(np.linalg.norm(self.arm.true - target))
 
 
-def started(stage: Bench, folder: Path) -> None:
+def started(stage: Bench, folder: Path, namespace: str = "") -> subprocess.Popen[str]:
     arm = folder / "arm.yaml"
     if not arm.exists():
         arm.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_none=True)))
         save_model(folder / "model.yaml", store(fitted()))
-    stage.start(
+    return stage.start(
         "kinematics",
         {
             "arm": arm, "model": folder / "model.yaml", "learning": True,
             "acknowledged": True, "diagnostics_period_s": 0.2, "method": "deflection",
             "monitor.settle_s": 0.1, "monitor.sightings": 1,
         },
+        namespace,
     )  # fmt: skip
 
 
@@ -137,6 +138,9 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
         others = ModelFiles(str(tmp_path / "arm.yaml"), str(tmp_path / "model.yaml"))
         assert calm < 1e-4
         assert "nothing changed" in work.said()[0]
+        other = started(stage, tmp_path, "other")  # would learn into the same file
+        assert other.wait(300.0) == 2
+        assert "model.at_work.json: file: 'in use by another process'" in stage.output(other)
 
         arm.more = GROWTH
         missed: list[float] = []
