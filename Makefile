@@ -1,8 +1,8 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
-# Four on two cores: tests of graphs wait for each other's nodes while others compute. A worker that
+# Five on two cores: tests of graphs wait for each other's nodes while others compute. A worker that
 # dies ends the run with its name and test: pytest-xdist gives a new one the same test, and hangs.
-WORKERS ?= 4
+WORKERS ?= 5
 # The middleware has once left a reader beside a writer without a message for 300 s, in some hundred
 # runs of the suite, and an emulated servo is a thread of its test. A test that waited for either in
 # vain runs once more; the summary names it.
