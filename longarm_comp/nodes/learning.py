@@ -56,7 +56,6 @@ class Learning:
             InputError: nothing can be learned of that model, or the file is damaged. Then the model
                 is served as it was loaded, and nothing is learned.
         """
-        self.learner = self._asked = None
         if not self._state.p["learning"]:
             self._told.publish(String())
             return
@@ -65,11 +64,12 @@ class Learning:
         loaded, step_m = self._files.given, self._state.p["learning_step_m"]
         try:
             self._lock = self._lock or lock_beside(self._path)
-            self.learner = file.load(self._path, loaded.model, loaded.file_hash, step_m)
+            learner = file.load(self._path, loaded.model, loaded.file_hash, step_m)
         except InputError as error:
-            self._fault = f"nothing is learned: {error}"
+            self._fault, self.learner = f"nothing is learned: {error}", None
             self._told.publish(String())
             raise
+        self.learner, self._asked = learner, None
         self._continued = self.learner.sightings
         self._files.replace_model(self.learner.model)
         self._tell(self.learner)

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,12 +79,13 @@ class Work:
         """Serve a target; by how much the true tip misses it, m."""
         q = ARM.lower + (0.1 + 0.8 * self.rng.random(ARM.n)) * (ARM.upper - ARM.lower)
         target = fitted().tip(q)
-        request = Compensate.Request(target=pose(target), position_only=True, execute=True)
 
         def sent() -> bool:
+            request = Compensate.Request(target=pose(target), position_only=True, execute=True)
             answer = self.stage.call(self.ask, request)
             assert answer.success or answer.status in (
                 Compensate.Response.NOT_READY, Compensate.Response.NO_DRIVER,
+                Compensate.Response.STALE_TARGET,
             ), answer.message  # fmt: skip
             self.answer = answer
             return bool(answer.success)
@@ -180,8 +181,15 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
         assert "of the last sightings seem wrong" in work.said()[0]
 
         kept = tmp_path / "model.at_work.json"
-        kept.unlink()
-        (kept / "in the way").mkdir(parents=True)
+
+        def in_the_way() -> bool:
+            """Put a folder in the place of the file, unless that is just written."""
+            kept.unlink(missing_ok=True)
+            with suppress(NotADirectoryError, FileExistsError):
+                (kept / "in the way").mkdir(parents=True)
+            return kept.is_dir()
+
+        stage.spin(in_the_way)
         work.serve()
         stage.spin(lambda: work.said()[0].startswith("not kept: "))
         work.reach()  # what cannot be written stops no target

@@ -28,7 +28,7 @@ AHEAD = 0.1
 adds a tenth of itself, and rounding nothing."""
 
 FARTHEST_M = 200.0
-"""Of a measured point: of a turn of the base it leaves a hundredth of the digits that noise has."""
+"""Largest coordinate of a measured point, m: at 300 m rounding widens an interval by a half."""
 
 
 class SessionProblem:

@@ -269,11 +269,11 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             raise InputError(where, f"{term.name}, {term.where}", "twice", "each effect once")
         held.add(same)
         terms.append(term)
-    by_joint = {"arrivals": stored.arrivals, "row_legs": stored.row_legs}
-    for name, values in by_joint.items():
-        if values and len(values) != arm.n:  # type: ignore[arg-type]
+    counts = {"arrivals": len(stored.arrivals), "row_legs": len(stored.row_legs)}
+    for name, count in counts.items():
+        if count not in (0, arm.n):
             allowed = f"one entry for each of {arm.n} joints, or none"
-            raise InputError(where, name, f"of {len(values)} joints", allowed)  # type: ignore[arg-type]
+            raise InputError(where, name, f"of {count} joints", allowed)
     ended_s = stored.ended_s
     if ended_s is None:  # functions of the session's clock may say when it ended
         factors = (f for term in terms for f in getattr(term, "of", Function()).factors)
