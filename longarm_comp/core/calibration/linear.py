@@ -51,14 +51,27 @@ def solve_products(
     upper: np.ndarray | None = None,
 ) -> Posterior:
     """Solve as `solve_posterior`, given the products ``A'A`` (p, p) and ``A'y`` (p,)."""
-    p = len(gram)
-    factor = np.linalg.cholesky(gram + np.eye(p))
+    p, factor = len(gram), _factor_with_prior(gram)
     right = solve_triangular(factor, moment, lower=True)
     u = solve_triangular(factor.T, right, lower=False)
     if lower is not None and upper is not None and ((u < lower) | (u > upper)).any():
         u = lsq_linear(factor.T, right, bounds=(lower, upper), method="bvls").x
     inverse = cho_solve((factor, True), np.eye(p))
     return Posterior(u, inverse, float(p - np.trace(inverse)))
+
+
+def _factor_with_prior(gram: np.ndarray) -> np.ndarray:
+    """Return a lower triangle (p, p) whose product with itself is ``gram + I``.
+
+    No eigenvalue of that is below 1; where rounding takes one there, it is set to 1.
+    """
+    precision = gram + np.eye(len(gram))
+    try:
+        return np.asarray(np.linalg.cholesky(precision))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(precision)
+        root = np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1.0))).T, mode="r")).T
+        return np.asarray(root * np.sign(np.diag(root)))
 
 
 _ROUNDING = 1e-9
@@ -102,7 +115,7 @@ class Marginal:
     def __init__(self, a: np.ndarray, y: np.ndarray, gram: np.ndarray | None = None) -> None:
         self.a, self.y = a, y
         gram = a.T @ a if gram is None else gram
-        self._factor = cho_factor(gram + np.eye(a.shape[1]), lower=True, check_finite=False)
+        self._factor = _factor_with_prior(gram), True
         self._coefficients = self._solve(a.T @ y)
 
     @property
