@@ -232,8 +232,10 @@ class RecursivePosterior:
     def spread(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions (p,) of what is not known exactly, and its covariance (p, p) over all possible
         changes and none."""
-        likely = {(t, c): float(self.probability[t, c])
-                  for t, c in np.argwhere(self.probability > NEGLIGIBLE).tolist()}  # fmt: skip
+        likely = {
+            (t, c): float(self.probability[t, c])
+            for t, c in np.argwhere(self.probability > NEGLIGIBLE).tolist()
+        }
         return self._covariance_over(likely, self.expected)
 
     def _covariance_over(
