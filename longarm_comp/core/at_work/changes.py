@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.linear import most_probable_within
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.model import Model, Slot, slots_of
@@ -107,6 +108,21 @@ class Parameters:
         """Lower and upper bounds of the parameters, (q,) each."""
         lower = np.array([s.parameter.lower for s in self.slots], dtype=float)
         return lower, np.array([s.parameter.upper for s in self.slots], dtype=float)
+
+    def most_probable(
+        self, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
+    ) -> np.ndarray:
+        """Return the most probable values within their bounds, (q,).
+
+        Args:
+            mean: (q,).
+            active: (p,) positions of those that are not known exactly.
+            covariance: (p, p) of these.
+        """
+        lower, upper = self.bounds
+        made = np.clip(mean, lower, upper)
+        made[active] = most_probable_within(mean[active], covariance, lower[active], upper[active])
+        return made
 
     def at(self, values: np.ndarray) -> Model:
         """Build the model with values (q,), without absent effects whose values are all 0."""

@@ -20,7 +20,6 @@ import numpy as np
 
 from longarm_comp.core.at_work.changes import Key, Parameters
 from longarm_comp.core.at_work.posterior import NEGLIGIBLE, RecursivePosterior, Row
-from longarm_comp.core.calibration.linear import most_probable_within
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 MOST = 4
@@ -178,11 +177,7 @@ class Explanations:
     @cached_property
     def within_bounds(self) -> np.ndarray:
         """The most probable parameters within their bounds, (q,)."""
-        active, covariance = self.covariance
-        made = np.clip(self.expected, *self.space.bounds)
-        lower, upper = (bound[active] for bound in self.space.bounds)
-        made[active] = most_probable_within(self.expected[active], covariance, lower, upper)
-        return made
+        return self.space.most_probable(self.expected, *self.covariance)
 
     def chance_of_knock(self, columns: np.ndarray, least: float) -> float:
         """Return the probability that base or tip, or what measures them, stands elsewhere.

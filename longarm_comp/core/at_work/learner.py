@@ -284,7 +284,7 @@ class Learner:
         legs[..., 0] = side * run_up_lengths(arm)
         came = History(side, legs, legs[..., 0]).fields()
         there = dataclasses.replace(_at_all(context, len(q)), **came)
-        tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
+        tips = [space.at(b.known.within_bounds).tip(q, there) for b in (first, *rivals)]
         off = np.array(tips[1:]) - tips[0]
         precision = np.linalg.inv(self.given.noise + self.given.structure)
         odds = 0.5 * np.einsum("rij,jk,rik->ri", off, precision, off)

@@ -238,6 +238,11 @@ class RecursivePosterior:
         }
         return self._covariance_over(likely, self.expected)
 
+    @cached_property
+    def within_bounds(self) -> np.ndarray:
+        """The most probable parameters within their bounds, (q,)."""
+        return self.space.most_probable(self.expected, *self.spread)
+
     def _covariance_over(
         self, weights: Mapping[tuple[int, int], float], mean: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:

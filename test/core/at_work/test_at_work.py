@@ -18,7 +18,7 @@ from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.explanations import Explanations
-from longarm_comp.core.at_work.learner import Learner
+from longarm_comp.core.at_work.learner import Learner, PoseRequest
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
@@ -308,6 +308,43 @@ def test_it_does_not_ask_where_no_pose_tells() -> None:
     even = tuple(dataclasses.replace(b, weight=1.0 / len(few)) for b in few)
     unsure = dataclasses.replace(learner, known=dataclasses.replace(known, branches=even))
     assert unsure.request_pose(work.pose()[1]) is None
+
+
+def test_it_compares_explanations_within_the_bounds_of_their_parameters() -> None:
+    """A filter may expect a compliance below 0 and the tip 5 mm off: within bounds it is at 0."""
+    work = Work()
+    learner = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG)
+    assert learner.known is not None
+    first = learner.known.branches[0]
+    space = learner.known.space
+    off, soft = own = np.array(
+        [
+            next(k for k, s in enumerate(space.slots) if (s.owner.name, s.parameter.name) == name)
+            for name in (("tip_offset", "x"), ("joint_compliance", "compliance"))
+        ]
+    )
+    assert off < soft and space.bounds[0][soft] == 0.0
+    sd = np.array([5e-3, space.widths[soft]])
+    covariance = np.outer(sd, sd) * np.array([[1.01, -1.0], [-1.0, 1.0]])
+
+    def asked(tip: float, compliance: float) -> PoseRequest | None:
+        mean = space.values(fitted())
+        mean[own] = sd * (tip, compliance)
+        each = [
+            dataclasses.replace(
+                first,
+                weight=0.5,
+                known=RecursivePosterior.begin(space, at, own, covariance),
+                changes=changes,
+            )
+            for at, changes in ((space.values(fitted()), ()), (mean, first.changes))
+        ]
+        return dataclasses.replace(learner, known=Explanations(tuple(each))).request_pose(
+            work.pose()[1]
+        )
+
+    assert asked(1.0, -1.0) is None
+    assert asked(1.0, 0.0) is not None
 
 
 def test_right_sightings_leave_a_calibrated_model_as_good_as_it_was() -> None:
