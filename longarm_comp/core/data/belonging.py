@@ -63,10 +63,10 @@ class _Belief:
     def belong(self) -> bool:
         """True if the rows may be this arm's."""
         near = self.misfit < _STRANGE_SHARE * self.spread
-        return not self.mistake and near and not self.torn
+        return not self.mistake and near and not self.is_scattered
 
     @property
-    def torn(self) -> bool:
+    def is_scattered(self) -> bool:
         """True if many rows stray and share nothing: what they share is a cause that a fit finds,
         as friction has rows on either side."""
         return self.strays.share >= MOST_STRAYS and not self.strays.shared_by

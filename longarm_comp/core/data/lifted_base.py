@@ -54,7 +54,7 @@ def lifted_base(
     """
     parts = _linear_equations(arm, points, rows)
     found = _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
-    turn = _by_axes(axes, rows)
+    turn = _solve_rotation_by_axes(axes, rows)
     if turn is None:
         turn = _solve_rotation(found) if len(found.value) >= _MIN_EQUATIONS else np.eye(3)
     right = found.value - np.einsum("mi,ij,mj->m", found.direction, turn, found.point)
@@ -119,7 +119,7 @@ def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_
                 yield _LinearEquations(directions, place, np.tile(anchor.xyz_m, count))
 
 
-def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
+def _solve_rotation_by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     """Solve R from axes ``A = R B X`` of any body X: between rows ``A_i A_j' = R B_i B_j' R'``."""
     turned = rows.take(rows.turned)
     if len(turned) < _MIN_EQUATIONS:

@@ -127,7 +127,7 @@ def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
             rotation[g], offset[g] = robust_kabsch(at, seen)
     made = _registration_at(rows, rotation, offset, tip)
     for _ in range(_STEPS if tips else 0):
-        following = _step(rows, made)
+        following = _take_step(rows, made)
         if following.misfit > made.misfit:
             break
         before, made = made.misfit, following
@@ -144,7 +144,7 @@ def _registration_at(
     return Registration(rotation, offset, tip, rows.seen - predicted)
 
 
-def _step(rows: Sightings, now: Registration) -> Registration:
+def _take_step(rows: Sightings, now: Registration) -> Registration:
     """Take one weighted Gauss-Newton step in the pose of every base and place of every marker."""
     n, groups, kinds = len(rows.seen), len(now.offset), len(now.tip)
     turned = rows.seen - now.residual
