@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.history import History
@@ -154,21 +153,17 @@ def compensate_path(
         joints = unwrap(model.arm, plan.joints, start if way.begun else None)
         way = replace(way, plan=replace(plan, joints=joints))
         if way.begun:
-            _check_start(model.arm, start, joints[0], limits.max_start)
+            off = np.abs(np.asarray(start) - joints[0])  # the way from there was not planned
+            worst = int(off.argmax())
+            if off[worst] > limits.max_start:
+                why = f"{model.arm.joint_names[worst]} stands {off[worst]:.3g} from where the plan"
+                why = f"{why} begins, allowed {limits.max_start:g}"
+                raise PathRefused(Status.CORRECTION_TOO_LARGE, 0, why)
     try:
         return way.solve(seed)
     except _Unanswered as unanswered:
         made = replace(way, predictor=None).solve(seed)
         return replace(made, notes=(str(unanswered), *made.notes))
-
-
-def _check_start(arm: Arm, start: np.ndarray | None, begins: np.ndarray, most: float) -> None:
-    """Refuse a plan that begins at joints (n,) elsewhere: the way there was not planned."""
-    off = np.abs(np.asarray(start) - begins)
-    worst = int(off.argmax())
-    if off[worst] > most:
-        why = f"{arm.joint_names[worst]} stands {off[worst]:.3g} from where the plan begins"
-        raise PathRefused(Status.CORRECTION_TOO_LARGE, 0, f"{why}, allowed {most:g}")
 
 
 class _Unanswered(Exception):  # noqa: N818
