@@ -220,11 +220,12 @@ class _Batch:
                     self.status[k], self.reason[k] = Status.OUT_OF_DOMAIN, describe_outside(why)
                 elif size_m > options.max_correction_m:
                     self.status[k] = Status.CORRECTION_TOO_LARGE
-                    self.reason[k] = options.too_large(size_m)
+                    self.reason[k] = options.describe_too_large(size_m)
                 elif passes and change_m <= options.tol_m:
                     continue
                 elif passes == options.max_passes:
-                    self.status[k], self.reason[k] = Status.NOT_CONVERGED, options.unsettled
+                    self.status[k] = Status.NOT_CONVERGED
+                    self.reason[k] = options.describe_unsettled()
                 else:
                     unsettled.append(k)
             if not unsettled:

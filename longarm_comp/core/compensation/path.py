@@ -146,13 +146,13 @@ def compensate_path(
     options, limits = options or CompensationOptions(), limits or PathLimits()
     learned = predictor if options.method.learned else None
     way = _Way(model, learned, plan, start, history, context_at, limits, options)
-    faults = ik.target_faults(plan.targets, way.free, "path")
+    faults = ik.target_faults(plan.targets, way.is_orientation_free, "path")
     for row in (row for row, fault in enumerate(faults) if fault):
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
     if plan.joints is not None:
-        joints = unwrap(model.arm, plan.joints, start if way.begun else None)
+        joints = unwrap(model.arm, plan.joints, start if way.has_begun else None)
         way = replace(way, plan=replace(plan, joints=joints))
-        if way.begun:
+        if way.has_begun:
             off = np.abs(np.asarray(start) - joints[0])  # the way from there was not planned
             worst = int(off.argmax())
             if off[worst] > limits.max_start:
@@ -184,12 +184,12 @@ class _Way:
     options: CompensationOptions
 
     @property
-    def begun(self) -> bool:
+    def has_begun(self) -> bool:
         return self.plan.begun and self.start is not None
 
     @property
-    def free(self) -> bool:
-        """True where the orientation is."""
+    def is_orientation_free(self) -> bool:
+        """True where only the position of the way-points is asked for."""
         return self.limits.position_only or self.plan.targets.ndim == 2
 
     @cached_property
@@ -223,7 +223,8 @@ class _Way:
             if (changes <= 1.0).all():
                 break
             if passes == options.max_passes:
-                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), options.unsettled)
+                why = options.describe_unsettled()
+                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), why)
             q, turn = self._find_joints(q - before[0] + lag, error, context)
             passes += 1
         lag = before[0]  # that q was found with
@@ -238,9 +239,9 @@ class _Way:
             if entry:
                 row = int(np.searchsorted(timed.times, times[k]))
                 raise PathRefused(Status.KEPT_OUT, row, entry)
-        came = self.history.along(command, command[0] if self.begun else self.start)
+        came = self.history.along(command, command[0] if self.has_begun else self.start)
         # What is not known where the path begins, and what lies beyond the data
-        first = int(self.begun)
+        first = int(self.has_begun)
         begins, rest = slice(first, first + 1), slice(first, None)
         notes = [
             *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
@@ -326,7 +327,7 @@ class _Way:
                 target,
                 seed=made[-1] if made else first,
                 context=context,
-                position_only=self.free,
+                position_only=self.is_orientation_free,
                 near=True,
                 locked=self.options.locked,
                 max_starts=1 if made else self.options.starts,
@@ -337,7 +338,7 @@ class _Way:
 
     def _begin_where_it_stands(self, q: np.ndarray) -> np.ndarray:
         """Replace the first of joints (k, n) by where the arm stands, if the path has begun."""
-        if self.begun:
+        if self.has_begun:
             q[0] = self.start
         return q
 
@@ -350,15 +351,15 @@ class _Way:
             pseudo_targets(self.plan.targets, error),
             seed=seeds,
             context=context,
-            position_only=self.free,
+            position_only=self.is_orientation_free,
             near=True,
             locked=self.options.locked,
             max_starts=1,
         )
         turn = found.angle_residual_rad
-        turn[: int(self.begun)] = 0.0  # the arm stands there already
+        turn[: int(self.has_begun)] = 0.0  # the arm stands there already
         for row in np.flatnonzero(~found.ok | (turn > self.limits.max_turn_rad)):
-            if row or not self.begun:
+            if row or not self.has_begun:
                 self._refuse_unreached(int(row), found[int(row)])
         return self._begin_where_it_stands(found.q), turn
 
@@ -377,7 +378,7 @@ class _Way:
         """Look up what is learned at all way-points (k, n): error and sigma (k, 3) m."""
         error, sigma = np.zeros((len(q), 3)), np.full((len(q), 3), np.nan)
         assert self.predictor is not None
-        for row in range(int(self.begun), len(q)):
+        for row in range(int(self.has_begun), len(q)):
             found = self.predictor.predict(q[row : row + 1], context.take(row))
             error[row], sigma[row] = found.error[0], found.sigma[0]
             size = float(np.linalg.norm(error[row]))
@@ -385,6 +386,6 @@ class _Way:
                 why = describe_outside(*found.reason[:1])
                 raise _Unanswered(f"physics only, as way-point {row} is {why}")
             if size > self.options.max_correction_m:
-                why = self.options.too_large(size)
+                why = self.options.describe_too_large(size)
                 raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
         return error, sigma

@@ -111,17 +111,17 @@ def works(
     def at(s: newton.State, x: Sequence[Any]) -> Posture:
         return model.posture_with_twists(tuple(s["trial"]), context_of(s), row.twists(x))
 
-    def carried(posture: Posture) -> newton.Outcome:
+    def carry(posture: Posture) -> newton.Outcome:
         twists = model.twists(posture)
         return {"x": [twists[station][i] for station, i in row.slot]}
 
     span = [float(v) for v in model.arm.upper - model.arm.lower]
     made: dict[str, Work] = {
-        "first": lambda s: carried(model.posture_without_sag(tuple(s["trial"]), context_of(s))),
-        "again": lambda s: carried(at(s, s["x"])),
+        "first": lambda s: carry(model.posture_without_sag(tuple(s["trial"]), context_of(s))),
+        "again": lambda s: carry(at(s, s["x"])),
         "tip": lambda s: {"out": tip_and_jacobian(model, at(s, s["x"]))},
-        "begin": lambda s: newton.begin(model.arm.n),
-        "open": newton.opening,
+        "begin": lambda s: newton.begin_search(model.arm.n),
+        "open": newton.open_level,
     }
     for m in (3, 6):
         made[f"accept{m}"] = partial(newton.accept, m=m)

@@ -209,7 +209,8 @@ def accept(s: State, m: int) -> Outcome:
     return {"target": [T[3], T[7], T[11], *axes], "q": q, "fault": [fault]}
 
 
-def begin(n: int) -> Outcome:
+def begin_search(n: int) -> Outcome:
+    """Return the state of n joints before the first evaluation."""
     return {
         "e": [0.0] * 6,
         "J": [0.0] * (6 * n),
@@ -220,7 +221,7 @@ def begin(n: int) -> Outcome:
     }
 
 
-def opening(s: State) -> Outcome:
+def open_level(s: State) -> Outcome:
     """Enter a level, which requires a new evaluation of the joints."""
     return {
         "trial": s["q"],
