@@ -120,8 +120,9 @@ def train(
         provenance=replace(origin, settings={**origin.settings, **settings}),
         network=network,
     )
-    probe = _probe(x, encoding, np.random.default_rng([seed]))
-    draft = replace(draft, posterior=_leading(draft, fits[0].pad(shape, fits[0].root), probe))
+    probe = _draw_probe(x, encoding, np.random.default_rng([seed]))
+    root = fits[0].pad(shape, fits[0].root)
+    draft = replace(draft, posterior=_find_leading_directions(draft, root, probe))
     left = y.copy()
     for one, rows in zip(without, out, strict=True):
         alone = replace(draft, weights=one.pad(shape, one.weights)[None])
@@ -245,16 +246,16 @@ def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) 
     )
 
 
-def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
+def _draw_probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
     """Draw inputs (2000, d) in the training region: random joints, some sample's context."""
-    joints = int(encoding.moved.sum())
+    joints = int(encoding.is_joint.sum())
     probe = x[rng.integers(0, len(x), 2000)]
     low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)
     probe[:, :joints] = rng.uniform(low, high, (len(probe), joints))
     return probe
 
 
-def _leading(draft: Predictor, root: Array, probe: Array) -> NDArray[np.float32]:
+def _find_leading_directions(draft: Predictor, root: Array, probe: Array) -> NDArray[np.float32]:
     """(r, D) leading directions of the posterior. They hold all but 0.5 % of the Laplace variance
     of the outputs over the training region, at a fraction of the cost."""
     jacobian = draft.members.jacobian(probe[:500])

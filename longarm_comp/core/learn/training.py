@@ -91,7 +91,7 @@ def back_propagate(
             going.weights, going.x, going.residual, going.robust
         )
         if step > _PLAIN_STEPS:
-            change = _estimate(stack, going)
+            change = _estimate_precisions(stack, going)
             settled = torch.where(change < _SETTLED, going.settled + 1.0, 0.0)
             going.settled = torch.where(moved, settled, going.settled)
         done = (going.settled >= _SETTLED_STEPS) | (step == max_steps)
@@ -102,7 +102,7 @@ def back_propagate(
                 break
     parts = [torch.cat(each) for each in zip(*ended, strict=True)]
     order = parts[0].argsort()
-    return _fits(stack, Networks(*(each[order] for each in parts)))
+    return _evaluate_fits(stack, Networks(*(each[order] for each in parts)))
 
 
 def _move(stack: Stack, at: Networks) -> Tensor:
@@ -155,7 +155,7 @@ def _factor(stack: Stack, at: Networks) -> Tensor:
     return torch.linalg.cholesky(precision)
 
 
-def _estimate(stack: Stack, at: Networks) -> Tensor:
+def _estimate_precisions(stack: Stack, at: Networks) -> Tensor:
     """Re-estimate alpha, beta and the effective weights; returns the change of log beta (M,)."""
 
     def by_group(each: Tensor) -> Tensor:
@@ -173,7 +173,7 @@ def _estimate(stack: Stack, at: Networks) -> Tensor:
     return (at.beta / before).log().abs()
 
 
-def _fits(stack: Stack, at: Networks) -> Fits:
+def _evaluate_fits(stack: Stack, at: Networks) -> Fits:
     prior, k, factor = at.alpha[:, stack.groups], at.y.shape[2], _factor(stack, at)
     evidence = (
         _student_log(at.square(), at.tail[:, None], at.used, k)[:, 0]
