@@ -71,7 +71,7 @@ class Arm(Declared):
     tolerance: Placements = Placements()
 
     @model_validator(mode="after")
-    def _chain(self) -> Arm:
+    def _check_chain(self) -> Arm:
         rows, ids = len(self.joints), [j.id for j in self.joints]
         if ids != list(range(1, rows + 1)):
             raise Misdeclared("joints.id", ids, f"1..{rows} in order, base to tip")
@@ -134,7 +134,7 @@ class Arm(Declared):
                     raise Misdeclared(field, f"{fixed} m together", allowed)
 
     @property
-    def weighed(self) -> bool:
+    def declares_weight(self) -> bool:
         """True if the weight of any part is declared."""
         return bool(self.links or self.point_masses or self.payload)
 

@@ -111,7 +111,11 @@ class FrameTree:
         if not t_ns:
             told = [self._children[name] for way in ways for name in way]
             t_ns = min((child.times[-1] for child in told if not child.static), default=0)
-        up, down = (self._in_ancestor(way, t_ns) for way in ways)
+        up, down = np.eye(4), np.eye(4)
+        for name in ways[0]:
+            up = self._children[name].at(name, t_ns) @ up
+        for name in ways[1]:
+            down = self._children[name].at(name, t_ns) @ down
         return np.asarray(np.linalg.inv(down) @ up)
 
     def hangs_on(self, frame: str, other: str) -> bool:
@@ -124,12 +128,6 @@ class FrameTree:
         while (child := self._children.get(line[-1])) is not None:
             line.append(child.parent)
         return line
-
-    def _in_ancestor(self, way: list[str], t_ns: int) -> np.ndarray:
-        pose = np.eye(4)
-        for name in way:
-            pose = self._children[name].at(name, t_ns) @ pose
-        return pose
 
 
 def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -86,7 +86,7 @@ class Payload(Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
-    def _bounded(self) -> Payload:
+    def _check_most(self) -> Payload:
         if self.most_kg is not None and self.most_kg < self.mass_kg:
             raise Misdeclared("most_kg", self.most_kg, f"at least mass_kg, {self.mass_kg}")
         return self
@@ -100,7 +100,7 @@ class Tube(Declared):
     id_m: NonNegative = 0.0
 
     @model_validator(mode="after")
-    def _hollow(self) -> Tube:
+    def _check_bore(self) -> Tube:
         if self.id_m >= self.od_m:
             raise Misdeclared("id_m", self.id_m, f"less than od_m {self.od_m}")
         return self
@@ -120,7 +120,7 @@ class Rect(Declared):
     wall_m: Positive | None = Field(default=None, description="box wall; solid if absent")
 
     @model_validator(mode="after")
-    def _walled(self) -> Rect:
+    def _check_wall(self) -> Rect:
         if self.wall_m is not None and 2 * self.wall_m >= min(self.width_m, self.height_m):
             raise Misdeclared("wall_m", self.wall_m, "less than half of width_m and of height_m")
         return self
@@ -165,7 +165,7 @@ class Beam(Declared):
     body_length_m: Positive | None = None
 
     @model_validator(mode="after")
-    def _stiff(self) -> Beam:
+    def _check_stiffness(self) -> Beam:
         if (self.section is None) == (self.EI_nm2 is None):
             state = "missing" if self.section is None else "given beside EI_nm2"
             raise Misdeclared("section", state, "either section with E_pa, or EI_nm2 with GJ_nm2")
@@ -237,7 +237,7 @@ class Box(Declared):
     max_m: Vec3
 
     @model_validator(mode="after")
-    def _ordered(self) -> Box:
+    def _check_corners(self) -> Box:
         if any(low >= high for low, high in zip(self.min_m, self.max_m, strict=True)):
             raise Misdeclared("max_m", list(self.max_m), f"above min_m, {list(self.min_m)}")
         return self

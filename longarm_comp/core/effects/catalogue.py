@@ -153,7 +153,7 @@ def origin(kind: Kind) -> str:
 def register(kind: _K, source: str = "") -> _K:
     """Register an effect. It can be used as a decorator."""
     source = source or f"module {getattr(kind, '__module__', '?')}"
-    _check(kind, source)
+    _check_kind(kind, source)
     known, taken = _others.get(kind.name) or (BUILT_IN.get(kind.name), "longarm_comp")
     if known is not None and _file(known) != _file(kind):
         raise InputError(source, "name", kind.name, f"a name that {taken} does not have already")
@@ -189,7 +189,7 @@ def _is_kind(value: object) -> bool:
     return of_ours and not inspect.isabstract(value)
 
 
-def _check(kind: Kind, source: str) -> None:
+def _check_kind(kind: Kind, source: str) -> None:
     """Check that a class is an effect that can be fitted, saved and loaded."""
     if not _is_kind(kind):
         raise InputError(source, "class", repr(kind), "a class of Effect or Bias, nothing abstract")

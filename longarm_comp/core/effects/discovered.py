@@ -45,7 +45,7 @@ def stations(arm: Arm) -> list[str]:
     return [BASE_PLACE, *each, TIP_PLACE]
 
 
-def _acting(posture: Posture, place: str) -> tuple[int, Frame]:
+def _find_station(posture: Posture, place: str) -> tuple[int, Frame]:
     """Return the station that a twist acts at; the pose in the base frame of a wrench."""
     if place == TIP_PLACE:
         tip = posture.arm.tip
@@ -258,7 +258,7 @@ class Discovered(_OfFunction, Effect):
     amount: float = parameter("of its component and function", "how much", prior=1e-3)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        unit = _quotient(COMPONENTS[self.component].unit, self.of.units(arm))
+        unit = _divide_unit(COMPONENTS[self.component].unit, self.of.units(arm))
         return self.with_prior(self.scale, unit=unit)
 
     @cached_property
@@ -284,7 +284,7 @@ class Discovered(_OfFunction, Effect):
 
     def twists(self, posture: Posture) -> Twists:
         amount = self.amount * self.of.value(lambda q: q.read(posture))
-        return COMPONENTS[self.component].twists(posture, *_acting(posture, self.at), amount)
+        return COMPONENTS[self.component].twists(posture, *_find_station(posture, self.at), amount)
 
 
 @dataclass(frozen=True)
@@ -320,7 +320,7 @@ class DiscoveredView(_OfFunction, Bias):
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Return the amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
-        unit = _quotient(unit, self.of.units(arm))
+        unit = _divide_unit(unit, self.of.units(arm))
         return self.with_prior(self.scale, unit=unit)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
@@ -337,7 +337,7 @@ class DiscoveredView(_OfFunction, Bias):
 _SLACK = 1e-6
 
 
-def _quotient(unit: str, over: list[str]) -> str:
+def _divide_unit(unit: str, over: list[str]) -> str:
     """``N/(rad m)``, ``rad/rad^2``."""
     powers = {u: over.count(u) for u in over}
     below = [u if n == 1 else f"({u})^{n}" if " " in u else f"{u}^{n}" for u, n in powers.items()]

@@ -34,7 +34,7 @@ from longarm_comp.core.effects.quantities import (
     Span,
     Warmth,
 )
-from longarm_comp.core.effects.shapes import Above, Below, Cosine, Function, Shape, Sine, Switch
+from longarm_comp.core.effects.shapes import Above, Below, Cosine, Shape, Sine, Switch
 
 Found = Discovered | DiscoveredView
 
@@ -128,8 +128,10 @@ def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> 
     `amounts`: value, standard error and unit of each member.
     """
     by_place: dict[str, list[str]] = {}
-    for term, amount in zip(terms, amounts, strict=True):
-        by_place.setdefault(term.where, []).append(_part(term.of, *amount))
+    for term, (value, error, unit) in zip(terms, amounts, strict=True):
+        size = f"({_round_to_error(value, error)}) {unit}".removesuffix(" 1")
+        part = f"{size} x {term.of.formula}" if term.of.factors else size
+        by_place.setdefault(term.where, []).append(part)
     return "; ".join(f"{place}: {' + '.join(parts)}" for place, parts in by_place.items())
 
 
@@ -148,11 +150,6 @@ def domain(terms: Sequence[Found]) -> list[str]:
     """``q2 0..0.52 rad`` of every quantity: outside, it counts as at the end."""
     held = {s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in _Traits(terms).shapes}
     return list(held.values())
-
-
-def _part(function: Function, value: float, error: float, unit: str) -> str:
-    size = f"({_round_to_error(value, error)}) {unit}".removesuffix(" 1")
-    return f"{size} x {function.formula}" if function.factors else size
 
 
 def _round_to_error(value: float, error: float) -> str:

@@ -102,11 +102,11 @@ class JointTerm(Effect):
         How far a joint is wound up by its own way: +1 against its upper flank, coming from below.
         """
 
-        def found() -> Scalar:
+        def compute() -> Scalar:
             low, high = compute_play_range(self._history(posture, "legs"), radius)
             return (low + high) * (0.5 / radius)
 
-        return posture.once(("wound", self.joint, radius), found)
+        return posture.once(("wound", self.joint, radius), compute)
 
     def _history(self, posture: Posture, name: str) -> tuple[Scalar, ...]:
         return posture.context.of_joint(name, posture.arm.commanded.index(self.joint))
@@ -137,7 +137,7 @@ class RestingTerm(JointTerm):
         gradual, as under a nearly balanced load.
         """
 
-        def found() -> Scalar:
+        def compute() -> Scalar:
             load = self.load(posture)
             usual = typical_loads(posture.arm)
             load_there = usual.force / 4 if self.slides(posture.arm) else usual.torque
@@ -146,7 +146,7 @@ class RestingTerm(JointTerm):
             share = 0.5 + 0.5 * spatial.tanh(settled)
             return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
 
-        return posture.once(("side", self.joint, self.gate, self.blend), found)
+        return posture.once(("side", self.joint, self.gate, self.blend), compute)
 
     def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
         """Arriving against its load, the joint rests where the load pushes it below the threshold

@@ -73,7 +73,7 @@ def cantilever(posture: Posture, element: Element) -> Twist:
 def _compute_cantilevers(posture: Posture) -> dict[int, Twist]:
     """Compute the twists of all elements, by station; those of one kind at once."""
     kinds: dict[tuple, dict[tuple[int, int], tuple[Scalar, ...]]] = {}
-    masses, firsts = posture.carried
+    masses, firsts = posture.carried_masses
     for e in elements(posture):
         length, sign, inverse = _describe_beam(posture, e)
         spread = posture.line_loads[e.station]

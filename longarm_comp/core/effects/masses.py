@@ -30,7 +30,7 @@ class TipPayload(_Weight):
     name = "tip_payload"
     title = "load at the tip"
     whole = "tip"
-    part = "weighed"  # else `undeclared_weight` has it
+    part = "declares_weight"  # else `undeclared_weight` has it
     action = "Weigh what the tip carries and declare it in arm.yaml."
 
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
@@ -98,7 +98,7 @@ class UndeclaredWeight(_Weight):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        return [] if arm.weighed else [{}]
+        return [] if arm.declares_weight else [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors: an equal share at every joint and at the tip; a guide weighs like its slide."""
@@ -134,7 +134,7 @@ class UndeclaredDrive(_Weight):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        return [] if arm.weighed else [{"joint": row} for row in moving_joints(arm)]
+        return [] if arm.declares_weight else [{"joint": row} for row in moving_joints(arm)]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: an equal share at every joint and at the tip."""
