@@ -180,5 +180,5 @@ class PredictorClient:
 def _check_physics(beside_deflection: bool, deflection: bool) -> None:
     """Raise `NoAnswer` where a predictor learned what another physics leaves."""
     if beside_deflection != deflection:
-        fits = Method.learned_beside(deflection=beside_deflection)
+        fits = Method.BOTH if beside_deflection else Method.NETWORK
         raise NoAnswer(f"its predictor was trained for method {fits.value!r}")

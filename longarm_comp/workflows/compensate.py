@@ -278,7 +278,7 @@ def method_of(given: Method | str | None, predictor: Predictor | None) -> Method
     """
     usual = Method.DEFLECTION
     if predictor is not None:
-        usual = Method.learned_beside(deflection=predictor.provenance.beside_deflection)
+        usual = Method.BOTH if predictor.provenance.beside_deflection else Method.NETWORK
     try:
         chosen = usual if given is None else Method(given)
     except ValueError:

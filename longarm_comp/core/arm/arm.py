@@ -161,7 +161,7 @@ class Arm(Declared):
 
     @property
     def n(self) -> int:
-        """Number of commanded joints."""
+        """The number of commanded joints, the length of q."""
         return len(self.commanded)
 
     @cached_property

@@ -167,7 +167,7 @@ class Context:
 
     @cached_property
     def layout(self) -> Layout:
-        """Which numbers the record holds."""
+        """The names and number of what the record holds, the same for all records of a kind."""
         joints = tuple([len(getattr(self, name)) for name in PER_JOINT])
         return Layout(joints, tuple(sorted(self.columns)), tuple(sorted(self.labels.items())))
 
@@ -207,7 +207,7 @@ class Layout:
 
     @property
     def count(self) -> int:
-        """Numbers of context a target."""
+        """The number of scalars of a record: per-joint fields, then columns."""
         return sum(self.joints) + len(self.columns)
 
     def unpack(self, values: Sequence[Any]) -> Context:

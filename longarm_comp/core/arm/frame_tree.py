@@ -69,7 +69,7 @@ class FrameTree:
 
     @property
     def names(self) -> list[str]:
-        """Every known frame, sorted."""
+        """The names of every known frame, parents too, sorted."""
         parents = {child.parent for child in self._children.values()}
         return sorted(parents | set(self._children))
 
@@ -96,7 +96,7 @@ class FrameTree:
         known.store(t_ns, (np.asarray(position), np.asarray(turn) / np.linalg.norm(turn)))
 
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
-        """Pose (4, 4) of a frame in another one at a time (ns); 0: the latest known of all.
+        """Return the pose (4, 4) of a frame in another one at a time (ns); 0: the latest of all.
 
         Raises `UnknownPlace`, or `NotYet` where what was last published is older.
         """
@@ -119,7 +119,7 @@ class FrameTree:
         return np.asarray(np.linalg.inv(down) @ up)
 
     def hangs_on(self, frame: str, other: str) -> bool:
-        """True if a frame is another one, or was told in one that is."""
+        """Tell whether a frame is another one, or was placed, over its parents, in that one."""
         return other in self._line(frame)
 
     def _line(self, name: str) -> list[str]:

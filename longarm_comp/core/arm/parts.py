@@ -244,7 +244,7 @@ class Box(Declared):
 
     @property
     def thickness(self) -> float:
-        """Its shortest side, m."""
+        """The length of its shortest side, m."""
         return min(high - low for low, high in zip(self.min_m, self.max_m, strict=True))
 
     def holds(self, points: np.ndarray) -> np.ndarray:
@@ -258,8 +258,8 @@ class Box(Declared):
         return np.asarray(inside.min(axis=-1))
 
     def clearance(self, points: np.ndarray) -> np.ndarray:
-        """(..., k - 1) m: how far segments of polylines (..., k, 3) are from the box, at least; 0
-        only for those that have a point in it.
+        """Return (..., k - 1) m: how far segments of polylines (..., k, 3) are from the box, at
+        least; 0 only for those that have a point in it.
 
         It is the largest gap along the axes that separate a segment from a box: those of the box
         together, and, for a segment longer than that, those across one of them and the segment.

@@ -232,7 +232,7 @@ class Posture:
 
     @property
     def count(self) -> int:
-        """Number of postures."""
+        """The number N of postures that its scalars hold."""
         return int(np.size(self.q[0]))
 
     @cached_property
@@ -370,7 +370,7 @@ class Posture:
 
 
 def compute_loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Vec, Vec]:
-    """Gravity, and weight and moment about the origin of what a frame carries, in its axes.
+    """Compute gravity, and weight (N) and moment (N m) of what a frame carries, in its axes.
 
     Args:
         mass, first: carried (kg), and its first moment in the base frame (kg m).

@@ -29,11 +29,6 @@ class Method(Enum):
         """True where the inverse kinematics uses the effects beyond geometry."""
         return self in (Method.DEFLECTION, Method.BOTH)
 
-    @classmethod
-    def learned_beside(cls, *, deflection: bool) -> Method:
-        """Return the method that uses a predictor, with deflection in the physics or without."""
-        return cls.BOTH if deflection else cls.NETWORK
-
     @property
     def learned(self) -> bool:
         """True where the predictor's expected error is subtracted from the target."""

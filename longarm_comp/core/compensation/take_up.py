@@ -47,7 +47,7 @@ class TakeUp:
 
     @cached_property
     def joints(self) -> list[int]:
-        """Joints (0-based) whose history matters."""
+        """The commanded joints (0-based) whose history an effect of the model reads."""
         return sorted({joint for held in history_joints(self.model).values() for joint in held})
 
     @cached_property

@@ -157,8 +157,11 @@ def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session
 
 
 def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
-    """A function of x, y, z, w (N, 4) beside rows that are all located: the mean angle (rad) that
-    remains to the tip's axes, where the base stands as the positions say and the tool anyhow."""
+    """Return a function of x, y, z, w (N, 4) beside rows that all have a position.
+
+    It gives the mean angle (rad) that remains to the tip's axes where the base stands as the
+    positions say, and the measured body in any way on the tool.
+    """
     sightings = Sightings.of(model, rows)
     placed = register(sightings).rotation[sightings.group]
     axes = placed @ model.pose(rows.q, rows.context())[:, :3, :3]

@@ -54,8 +54,8 @@ def in_frame_of_start(model: Model, session: Session) -> Model:
 
 
 def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
-    """(M, 3) m, what the measuring side moves the rows by that say where the tip is; none where
-    the model has nothing there."""
+    """Compute how far the measuring side moves the M rows that say where the tip is, (M, 3) m; no
+    rows where the model has nothing there."""
     told = as_commanded(model)
     return _difference(told, dataclasses.replace(told, biases=model.biases), session)
 

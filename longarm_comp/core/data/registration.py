@@ -113,7 +113,7 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
 
 
 def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
-    """Alternate bases and weights at a given marker, then Gauss-Newton on everything."""
+    """Fit the bases at given markers (K, 3) m, then, with `tips`, everything by Gauss-Newton."""
     groups = int(rows.group.max()) + 1
     point = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
     rotation, offset = np.zeros((groups, 3, 3)), np.zeros((groups, 3))

@@ -109,7 +109,7 @@ _others: dict[str, tuple[Kind, str]] = {}
 
 
 def registered() -> dict[str, Kind]:
-    """All effects by name: of this package, of other packages and of loaded files."""
+    """Return all effects by name: of this package, of other packages and of loaded files."""
     _load_entry_points()
     return BUILT_IN | {name: kind for name, (kind, _) in _others.items()}
 
@@ -146,7 +146,7 @@ def effect_class(name: str, where: str, known_from: str = "") -> Kind:
 
 
 def origin(kind: Kind) -> str:
-    """Origin of an effect from outside the package, in words; empty for one of this package."""
+    """Say where an effect from outside the package is from; empty for one of this package."""
     return _others[kind.name][1] if kind.name in _others else ""
 
 

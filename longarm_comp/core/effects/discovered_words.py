@@ -123,7 +123,7 @@ def reading(terms: Sequence[Found]) -> str:
 
 
 def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> str:
-    """``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
+    """Write terms as ``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
 
     `amounts`: value, standard error and unit of each member.
     """
@@ -147,13 +147,13 @@ def seen_alike(terms: Sequence[Found]) -> list[str]:
 
 
 def domain(terms: Sequence[Found]) -> list[str]:
-    """``q2 0..0.52 rad`` of every quantity: outside, it counts as at the end."""
+    """List the range of every quantity, as ``q2 0..0.52``: outside, it counts as at the end."""
     held = {s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in _Traits(terms).shapes}
     return list(held.values())
 
 
 def _round_to_error(value: float, error: float) -> str:
-    """``24.2 +- 0.3``: the value to the digits that its error leaves."""
+    """Write a value to the digits that its standard error leaves, as ``24.2 +- 0.3``."""
     if not error > 0:
         return f"{value:.3g}"
     if abs(value) >= 1e5 or abs(value) < 1e-3:

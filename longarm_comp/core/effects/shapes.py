@@ -62,16 +62,16 @@ class Shape(ABC):
         return found
 
     def at(self, x: Scalar) -> Scalar:
-        """Value where the quantity is x, kept within its range."""
+        """Return the value where the quantity is x, which is kept within its range."""
         return self.value(spatial.minimum(spatial.maximum(x, self.low), self.high))
 
     @abstractmethod
     def value(self, x: Scalar) -> Scalar:
-        """Value at x within the range."""
+        """Return the value at x, which lies within the range."""
 
     @property
     def formula(self) -> str:
-        """For people."""
+        """The formula for a reader, with the numbers of its fields."""
         return self.written.format(**vars(self))
 
     @property
@@ -81,7 +81,7 @@ class Shape(ABC):
 
     @classmethod
     def numbers(cls) -> tuple[str, ...]:
-        """Names of its own numbers, in the order of the text."""
+        """Return the names of its own numbers, in the order of the text."""
         of_all = {f.name for f in dataclasses.fields(Shape)}
         return tuple(f.name for f in dataclasses.fields(cls) if f.name not in of_all)
 
@@ -238,7 +238,7 @@ class Function:
     factors: tuple[Shape, ...] = ()
 
     def value(self, read: Callable[[Quantity], Scalar]) -> Scalar:
-        """Its value, given how to read a quantity."""
+        """Compute the product of its shapes, given a function that reads a quantity."""
         return math.prod((f.at(read(f.quantity)) for f in self.factors), start=1.0)
 
     @property

@@ -10,7 +10,7 @@ _PLACE = re.compile(r"\b(?:joint|row|frame) \d+\b")
 
 
 def for_people(unit: str) -> tuple[float, str]:
-    """Factor from an SI unit to the one that people read, and its name; 1 where it stays."""
+    """Return the factor from an SI unit to the one that people read, and the name of that."""
     whole, slash, per = unit.partition("/")
     known = _READ if unit == whole else _PER
     factor, name = known.get(whole, (1.0, whole))

@@ -157,7 +157,7 @@ class Kernel:
 
     @property
     def size(self) -> int:
-        """Length of the state."""
+        """The number of scalars in the state of a search."""
         return 1 + max(r[-1] for r in self.place.values() if r)
 
     def slice(self, name: str) -> slice:

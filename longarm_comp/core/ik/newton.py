@@ -68,7 +68,7 @@ def _solve_damped(J: _Scalars, e: _Scalars, free: _Scalars, damping: Any, m: int
 
 
 def rotation_error(R: _Scalars, target: _Scalars) -> tuple[list[Any], Any]:
-    """Rotation vector (rad, base frame) from R to the target, and its angle (rad), 0 to pi.
+    """Compute the rotation vector (rad, base frame) from R to the target; its angle, 0 to pi.
 
     Both hold axes n, o, a one after the other, 9 numbers each.  At pi the vector is 0.
     """

@@ -256,8 +256,8 @@ def _draw_probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array
 
 
 def _find_leading_directions(draft: Predictor, root: Array, probe: Array) -> NDArray[np.float32]:
-    """(r, D) leading directions of the posterior. They hold all but 0.5 % of the Laplace variance
-    of the outputs over the training region, at a fraction of the cost."""
+    """Return the (r, D) leading directions of the posterior: they hold all but 0.5 % of the Laplace
+    variance of the outputs over the training region, at a fraction of the cost."""
     jacobian = draft.members.jacobian(probe[:500])
     spread = jacobian.reshape(-1, jacobian.shape[-1]) @ root.T
     values, vectors = np.linalg.eigh(spread.T @ spread)

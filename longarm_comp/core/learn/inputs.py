@@ -44,7 +44,7 @@ class Encoding:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Names of the raw columns."""
+        """The names of the raw columns: joints, then circumstances."""
         names = [f"q{i + 1}" for i in range(self.joints)]
         for name in self.context:
             each = range(self.joints) if name in PER_JOINT else ()
@@ -53,12 +53,12 @@ class Encoding:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the inputs (d)."""
+        """The names of the d inputs: the raw columns that are not constant."""
         return tuple(self.columns[i] for i in self.kept)
 
     @cached_property
     def is_joint(self) -> NDArray[np.bool_]:
-        """(d,) which inputs are joints."""
+        """Tell (d,) which inputs are joints; the others are circumstances."""
         return self.kept < self.joints
 
     @cached_property
@@ -70,8 +70,8 @@ class Encoding:
         return self.lower - width, self.upper + width
 
     def encode(self, q: Array, context: Context) -> tuple[Array, Array]:
-        """Raw inputs (N, columns) in SI units, NaN where the context is unknown; and standardised
-        ones (N, d), where the training mean stands for NaN."""
+        """Return raw inputs (N, columns) in SI units, NaN where the context is unknown, and
+        standardised ones (N, d), where the training mean stands for NaN."""
         raw = _raw_columns(q, context, self.context)
         x = (raw[:, self.kept] - self.mean) / self.scale
         return raw, np.where(np.isnan(x), 0.0, x)

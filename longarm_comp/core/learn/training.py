@@ -54,7 +54,7 @@ class Networks:
 
 @dataclass
 class Fits(Networks):
-    """Trained networks."""
+    """The networks after their training, with posterior and evidence."""
 
     root: Tensor  # (M, D, D) lower-triangular R with the posterior's covariance R'R (Laplace)
     evidence: Tensor  # (M,) log evidence (Laplace), equal optima not counted
@@ -134,7 +134,7 @@ def _cost(at: Networks, residual: Tensor, weights: Tensor, prior: Tensor) -> Ten
 
 
 def _weigh_rows(at: Networks) -> None:
-    """The likeliest ``nu`` of the table and the weights of the rows for it."""
+    """Set the likeliest ``nu`` of `_TAILS`, and the weights (M, N) of the rows for it."""
     k, tails, square = at.y.shape[2], at.beta.new_tensor(_TAILS), at.square()
     at.tail = tails[_student_log(square, tails.expand(len(square), -1), at.used, k).argmax(1)]
     at.robust = (at.tail[:, None] + k) / (at.tail[:, None] + square) * at.used
@@ -156,7 +156,7 @@ def _factor(stack: Stack, at: Networks) -> Tensor:
 
 
 def _estimate_precisions(stack: Stack, at: Networks) -> Tensor:
-    """Re-estimate alpha, beta and the effective weights; returns the change of log beta (M,)."""
+    """Estimate alpha, beta and the effective weights anew; return the change of log beta (M,)."""
 
     def by_group(each: Tensor) -> Tensor:
         return torch.zeros_like(at.alpha).index_add(1, stack.groups, each)

@@ -45,7 +45,7 @@ class Modes:
 
     @property
     def hz(self) -> np.ndarray:
-        """(k,) frequencies."""
+        """The undamped frequencies (k,), Hz."""
         return np.asarray(self.omega / (2.0 * np.pi))
 
     @cached_property

@@ -33,12 +33,12 @@ class _Ring:
         return np.asarray(waves @ self.tip)
 
     def size_m(self, time_s: float = 0.0) -> float:
-        """Bound of the tip's motion from a time on, m."""
+        """Return a bound of the tip's motion (m) from a time (s) on."""
         left = np.abs(self.amplitude) * np.exp(self.rate.real * time_s)
         return float(left @ np.linalg.norm(self.tip, axis=1))
 
     def settle_s(self, limit_m: float = VISIBLE_M) -> float:
-        """Time until it stays below a size, s."""
+        """Find the time (s) from which on it stays below a size (m)."""
         if self.size_m() <= limit_m:
             return 0.0
         slowest = float(-self.rate.real.max())
