@@ -93,7 +93,7 @@ def compensate(
     lattice = lattice_of(model, settings.realisable)
     if lattice is not None and not settings.single_pass:
         batch.choose_steps(lattice)
-    return batch.judge(doubtful)
+    return batch.make_results(doubtful)
 
 
 def judge(
@@ -189,13 +189,13 @@ class _Batch:
                 self.status[k], self.reason[k] = Status.BAD_TARGET, fault
             elif lacking:
                 self.status[k], self.reason[k] = Status.STALE_CONTEXT, lacking
-        valid = self._rows_of(Status.SUCCESS)
+        valid = self._list_rows(Status.SUCCESS)
         for k, found in self._search(valid, self.target, self.options.starts).items():
             unit = guess_unit(ik.position_of(self.target[k]), *reach(self.physics))
             self.status[k] = Status.UNREACHABLE
             self.reason[k] = unit or describe_miss("target", found)
         self.ideal = self.q.copy()
-        return self._rows_of(Status.SUCCESS)
+        return self._list_rows(Status.SUCCESS)
 
     def correct(self, going: list[int]) -> None:
         """Subtract the expected error from the targets, until it is that of the joints found."""
@@ -245,7 +245,7 @@ class _Batch:
         """Choose the joints to send among those at which the servos can stand."""
         search = Search(characteristic_length(self.physics))
         locked = ik.locked_joints(self.physics, self.options.locked)
-        for k in self._rows_of(Status.SUCCESS, *_PHYSICS_ONLY):
+        for k in self._list_rows(Status.SUCCESS, *_PHYSICS_ONLY):
             sent, target = self.status[k] is Status.SUCCESS, self.target[k]
             chosen = self.chosen[k] = choose(
                 self.model.arm,
@@ -271,10 +271,10 @@ class _Batch:
             poses[:, :3, 3] += self.predictor.predict(q, here).error
         return poses
 
-    def judge(self, doubtful: np.ndarray | None) -> list[Compensation]:
-        """Make the results, and judge how good each is expected to be."""
+    def make_results(self, doubtful: np.ndarray | None) -> list[Compensation]:
+        """Make the result of each target, with how good it is expected to be."""
         count, status, reason = len(self.target), self.status, self.reason
-        sent, alone = self._rows_of(Status.SUCCESS), self._rows_of(*_PHYSICS_ONLY)
+        sent, alone = self._list_rows(Status.SUCCESS), self._list_rows(*_PHYSICS_ONLY)
         command, error = self.ideal.copy(), self.error.copy()
         command[sent], error[alone] = self.q[sent], 0.0
         for k, realisable in self.chosen.items():
@@ -338,7 +338,7 @@ class _Batch:
         self.q[rows] = found.q
         return {rows[i]: found[i] for i in np.flatnonzero(~found.ok).tolist()}
 
-    def _rows_of(self, *status: Status) -> list[int]:
+    def _list_rows(self, *status: Status) -> list[int]:
         return [k for k, each in enumerate(self.status) if each in status]
 
     def _context_of(self, rows: Sequence[int]) -> Context:

@@ -37,7 +37,7 @@ from longarm_comp.core.compensation.result import (
     guess_unit,
     pseudo_targets,
 )
-from longarm_comp.core.compensation.take_up import TakeUp, Turn, slow_down, take_up_play
+from longarm_comp.core.compensation.take_up import PathLag, Reversal, slow_down, take_up_play
 from longarm_comp.core.compensation.unknown import (
     missing_column,
     outside_data,
@@ -145,14 +145,14 @@ def compensate_path(
     plan.check(model.arm.n)
     options, limits = options or CompensationOptions(), limits or PathLimits()
     learned = predictor if options.method.learned else None
-    way = _Way(model, learned, plan, start, history, context_at, limits, options)
-    faults = ik.target_faults(plan.targets, way.is_orientation_free, "path")
+    problem = _PathProblem(model, learned, plan, start, history, context_at, limits, options)
+    faults = ik.target_faults(plan.targets, problem.is_orientation_free, "path")
     for row in (row for row, fault in enumerate(faults) if fault):
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
     if plan.joints is not None:
-        joints = unwrap(model.arm, plan.joints, start if way.has_begun else None)
-        way = replace(way, plan=replace(plan, joints=joints))
-        if way.has_begun:
+        joints = unwrap(model.arm, plan.joints, start if problem.has_begun else None)
+        problem = replace(problem, plan=replace(plan, joints=joints))
+        if problem.has_begun:
             off = np.abs(np.asarray(start) - joints[0])  # the way from there was not planned
             worst = int(off.argmax())
             if off[worst] > limits.max_start:
@@ -160,9 +160,9 @@ def compensate_path(
                 why = f"{why} begins, allowed {limits.max_start:g}"
                 raise PathRefused(Status.CORRECTION_TOO_LARGE, 0, why)
     try:
-        return way.solve(seed)
+        return problem.solve(seed)
     except _Unanswered as unanswered:
-        made = replace(way, predictor=None).solve(seed)
+        made = replace(problem, predictor=None).solve(seed)
         return replace(made, notes=(str(unanswered), *made.notes))
 
 
@@ -171,7 +171,7 @@ class _Unanswered(Exception):  # noqa: N818
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
+class _PathProblem:
     """A plan, and everything that its way-points are solved with."""
 
     model: Model
@@ -199,12 +199,10 @@ class _Way:
     def solve(self, seed: np.ndarray | None) -> CompensatedPath:
         """Find the joints; repeat until learned error and play are those at the joints found."""
         options, learned = self.options, self.predictor is not None
-        take, seeds = TakeUp(self.physics, self.limits.turn_m), self._find_seeds(seed)
+        play, seeds = PathLag(self.physics, self.limits.turn_m), self._find_seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
-        context = self._find_context(
-            self.history
-        )  # as if no joint turned: so the way of each is known
-        lag = take.lag(seeds, context)
+        context = self._find_context(self.history)  # as if no joint reversed: each way is known
+        lag = play.compute_lag(seeds, context)
         q, turn = self._find_joints(seeds + lag, error, context)
         bare = q - lag
         if learned:
@@ -212,24 +210,25 @@ class _Way:
             q, turn = self._find_joints(q, error, context)
         way, passes = q - lag, int(learned)
         while True:
-            came = take.follow(way, lag, self.history, self.start)
-            context, before = self._find_context(came), (lag, error)
-            lag = take.lag(q, context)
+            came = play.find_history(way, lag, self.history, self.start)
+            context, used_lag, used_error = self._find_context(came), lag, error
+            lag = play.compute_lag(q, context)
             if learned and not options.single_pass:
                 error, sigma = self._predict_errors(q, context)
-            near = np.maximum(take.near, options.tol_m)
-            changes = np.linalg.norm(error - before[1], axis=1) / options.tol_m
-            changes = np.maximum(changes, (np.abs(lag - before[0]) / near).max(axis=1))
+            near = np.maximum(play.tolerance, options.tol_m)
+            changes = np.linalg.norm(error - used_error, axis=1) / options.tol_m
+            changes = np.maximum(changes, (np.abs(lag - used_lag) / near).max(axis=1))
             if (changes <= 1.0).all():
                 break
             if passes == options.max_passes:
                 why = options.describe_unsettled()
                 raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), why)
-            q, turn = self._find_joints(q - before[0] + lag, error, context)
+            q, turn = self._find_joints(q - used_lag + lag, error, context)
             passes += 1
-        lag = before[0]  # that q was found with
+        lag = used_lag  # that q was found with
         check_no_turn(self.model.arm, q)
-        timed = self._give_times(way, q - lag - way, lag, take.turns(way, lag, came.approach))
+        reversals = play.find_reversals(way, lag, came.approach)
+        timed = self._give_times(way, q - lag - way, lag, reversals)
         command = timed.joints
         moved = self._measure_corrections(command)
         if self.model.arm.keep_out:
@@ -253,7 +252,7 @@ class _Way:
         return CompensatedPath(
             timed=timed,
             ideal=self._begin_where_it_stands(bare + lag) if learned else command,
-            error=before[1],
+            error=used_error,
             sigma=sigma,
             context=context,
             passes=passes,
@@ -276,7 +275,7 @@ class _Way:
         return moved
 
     def _give_times(
-        self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]
+        self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, reversals: list[Reversal]
     ) -> CubicPath:
         """Give the commands their times; their parts (k, n) are those of `take_up_play`."""
         plan, arm = self.plan, self.model.arm
@@ -288,14 +287,14 @@ class _Way:
         box = arm.bounds
 
         def commands(times: np.ndarray) -> CubicPath:
-            stands, beyond = take_up_play(way, off, lag, turns, times)
+            stands, beyond = take_up_play(way, off, lag, reversals, times)
             stands[0] = stands[second] - first  # what is beyond is gone first
             beyond[0] = begun[0] - stands[0]
             return smooth(plan, planned, times, stands, beyond, box)
 
         bare = np.vstack([way[second] - first, way[1:]])
         unit = arm.upper - arm.lower
-        times = slow_down(planned, bare, unit, begins, turns, self.limits.max_longer, commands)
+        times = slow_down(planned, bare, unit, begins, reversals, self.limits.max_longer, commands)
         try:
             motion = self.limits.motion
             if motion is None:
