@@ -177,7 +177,7 @@ class Arm(Declared):
         return [names.index(name) for name in self.joint_names]
 
     @cached_property
-    def called(self) -> dict[str, str]:
+    def names_for_people(self) -> dict[str, str]:
         """Names that people have for rows of arm.yaml, where they differ: ``luff (q2)`` for
         ``joint 4``, ``frame luff`` for ``frame 4``."""
         names: dict[str, str] = {}

@@ -123,9 +123,7 @@ class Context:
         def of(value: Any) -> Any:
             return np.asarray(value)[rows] if _of_each(value) else value
 
-        history: dict[str, Any] = {
-            name: tuple([of(v) for v in getattr(self, name)]) for name in PER_JOINT
-        }
+        history: dict[str, Any] = {k: tuple([of(v) for v in getattr(self, k)]) for k in PER_JOINT}
         columns = {name: of(v) for name, v in self.columns.items()}
         labels = {name: of(v) for name, v in self.labels.items()}
         return Context(**history, columns=columns, labels=labels)

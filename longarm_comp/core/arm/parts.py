@@ -177,9 +177,8 @@ class Beam(Declared):
         if self.EI_nm2 is not None and self.GJ_nm2 is None:
             raise Misdeclared("GJ_nm2", "missing", "torsional stiffness in N m^2, beside EI_nm2")
         if self.length_m == "rest" and self.body_length_m is None and self.mass_kg > 0:
-            raise Misdeclared(
-                "body_length_m", "missing", "needed by a beam of length rest with mass"
-            )
+            allowed = "needed by a beam of length rest with mass"
+            raise Misdeclared("body_length_m", "missing", allowed)
         lowest, highest = RANGES["_nm2"]
         if not all(lowest <= value <= highest for value in self.stiffness):
             made = ", ".join(f"{value:.3g}" for value in self.stiffness)

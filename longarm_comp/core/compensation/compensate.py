@@ -45,7 +45,7 @@ from longarm_comp.math.points import lengths
 
 def physics_of(model: Model, method: Method) -> Model:
     """Give the part of a model that a method's inverse kinematics knows."""
-    return model.commandable if method.physics else model.rigid
+    return model.commandable if method.uses_physics else model.rigid
 
 
 def compensate(
@@ -81,7 +81,7 @@ def compensate(
         to = to[None]
     batch = _Batch(
         model=model,
-        predictor=predictor if settings.method.learned else None,
+        predictor=predictor if settings.method.uses_predictor else None,
         target=to,
         q=ik.checked_seed(model, seed, len(to), "compensate"),
         context=context or Context(),
@@ -201,7 +201,7 @@ class _Batch:
         """Subtract the expected error from the targets, until it is that of the joints found."""
         options = self.options
         if self.predictor is None:
-            for k in going if self.method.learned else ():
+            for k in going if self.method.uses_predictor else ():
                 self.status[k] = Status.NO_PREDICTOR
                 self.reason[k] = "no predictor: compensated with physics only"
             return
@@ -282,7 +282,7 @@ class _Batch:
             reason[k] = "; ".join(filter(None, (reason[k], realisable.note)))
         pseudo = pseudo_targets(self.target, error)
         sigma, sizes = np.full((count, 3), np.nan), np.full((2, count), np.nan)
-        for rows, learned in ((sent, self.method.learned), (alone, False)):
+        for rows, learned in ((sent, self.method.uses_predictor), (alone, False)):
             if not rows:
                 continue
             of: Any = rows if len(rows) > 1 else rows[0]  # one is quicker than an array of one

@@ -144,7 +144,7 @@ def compensate_path(
     """
     plan.check(model.arm.n)
     options, limits = options or CompensationOptions(), limits or PathLimits()
-    learned = predictor if options.method.learned else None
+    learned = predictor if options.method.uses_predictor else None
     problem = _PathProblem(model, learned, plan, start, history, context_at, limits, options)
     faults = ik.target_faults(plan.targets, problem.is_orientation_free, "path")
     for row in (row for row, fault in enumerate(faults) if fault):

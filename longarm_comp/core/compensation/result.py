@@ -25,12 +25,12 @@ class Method(Enum):
     BOTH = "both"
 
     @property
-    def physics(self) -> bool:
+    def uses_physics(self) -> bool:
         """True where the inverse kinematics uses the effects beyond geometry."""
         return self in (Method.DEFLECTION, Method.BOTH)
 
     @property
-    def learned(self) -> bool:
+    def uses_predictor(self) -> bool:
         """True where the predictor's expected error is subtracted from the target."""
         return self in (Method.NETWORK, Method.BOTH)
 

@@ -92,12 +92,10 @@ def unknown_history(
     if not any(read.values()):
         return np.zeros((m, 3)), [""] * m
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
-    recorded = {
-        name: np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float).T.reshape(
-            m, n, -1
-        )
-        for name in PER_JOINT
-    }
+    recorded = {}
+    for name in PER_JOINT:
+        values = np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float)
+        recorded[name] = values.T.reshape(m, n, -1)
     spans = model.arm.upper - model.arm.lower
 
     def history_of(joint: int) -> _KnownHistory:

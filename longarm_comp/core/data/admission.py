@@ -88,7 +88,7 @@ def admit(
         field = "rows" if len(session) < 2 else "poses with a marker"
         allowed = f"at least {min_poses} distinct poses"
         raise session.error(field, poses, allowed)
-    located = session.take(session.located)
+    located = session.take(session.has_position)
     if len(located):
         predicted = model.measured(located.q, located.context())
         _check_spread(located, arm, predicted)
@@ -187,7 +187,7 @@ def _check_groups(session: Session) -> None:
             field = f"index of row {rows[twice] + 1}"
             raise session.error(field, int(keys[twice][0]), "each index once")
     if "group" in session.labels:
-        for group, count in Counter(groups[session.located].tolist()).items():
+        for group, count in Counter(groups[session.has_position].tolist()).items():
             if count < 3:
                 allowed = "at least 3 rows from a place of the base, or they cannot say where it is"
                 raise session.error(f"group {group!r}", f"{count} rows", allowed)
@@ -257,7 +257,7 @@ def _check_blanks(session: Session) -> Iterator[AdmissionFinding]:
 
 
 def _check_copies(session: Session) -> Iterator[AdmissionFinding]:
-    seen = session.take(session.located)
+    seen = session.take(session.has_position)
     _, first, which = np.unique(seen.xyz, axis=0, return_index=True, return_inverse=True)
     before = first[which.reshape(-1)]
     marker = seen.texts("marker")

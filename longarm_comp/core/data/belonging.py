@@ -77,7 +77,7 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
 
     None for fewer than `MIN_POSES` rows with a position.
     """
-    seen = session.take(session.located)
+    seen = session.take(session.has_position)
     if len(np.unique(seen.pose_id)) < MIN_POSES:
         return None
     found = register(Sightings.of(model, session))
@@ -88,7 +88,9 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
         axes = _find_mistake_of_axes(model, session)
         if axes is not None:
             return dataclasses.replace(belief, mistake=axes[0], fall=axes[1])
-        if (session.located & session.turned).any():  # axes of the tip show every sign
+        if (
+            session.has_position & session.has_orientation
+        ).any():  # axes of the tip show every sign
             return belief
         some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
         signs = _find_unknown_signs(model, seen.take(some), found.misfit)
@@ -140,7 +142,7 @@ def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session
     The place is where the sums of the distances (bounded, as those of strangers are) from their
     median are largest (Page 1954, Biometrika 41).
     """
-    seen = np.flatnonzero(session.located)
+    seen = np.flatnonzero(session.has_position)
     away = found.residual - np.median(found.residual, axis=0)
     bound = 3.0 * np.median(np.abs(away), axis=0) + 1e-12
     sums = np.cumsum(np.clip(away, -bound, bound) / bound, axis=0)[:-1]
@@ -176,7 +178,7 @@ def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
 def _find_mistake_of_axes(model: Model, session: Session) -> tuple[str, str] | None:
     """Find how measured axes look written, with the fall of the error: None where they fit, or no
     row has them beside a position."""
-    rows = session.take(session.located & session.turned)
+    rows = session.take(session.has_position & session.has_orientation)
     if len(np.unique(rows.pose_id)) < MIN_POSES:
         return None
     misfit, read = turn_error(model, rows), rows.readings["orientation"]

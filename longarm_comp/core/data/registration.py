@@ -55,7 +55,7 @@ class Sightings:
             groups: names of the base placements; by default one per frame of the session.
             markers: names of the markers, empty for the tip; all of the arm's by default.
         """
-        seen, arm = session.take(session.located), model.arm
+        seen, arm = session.take(session.has_position), model.arm
         marked = "marker" in seen.labels and arm.markers
         markers = markers or (list(arm.markers) if marked else [""])
         group = seen.frames if groups is None else seen.texts("group")

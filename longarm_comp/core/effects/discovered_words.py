@@ -94,16 +94,10 @@ _READINGS: tuple[tuple[str, Callable[[_Traits], bool]], ...] = (
     ("something thermal", lambda t: t.of(Warmth)),
     ("drift", lambda t: not {"t_s", ORDER}.isdisjoint(t.columns)),
     ("something that depends on the recorded column", lambda t: bool(t.columns)),
-    (
-        "a hose, chain or cable that is lifted",
-        lambda t: t.acts(Weight) and t.of(JointPosition),
-    ),
+    ("a hose, chain or cable that is lifted", lambda t: t.acts(Weight) and t.of(JointPosition)),
     ("a mass that is not declared", lambda t: t.acts(Weight)),
     ("a soft part that yields under load", lambda t: t.acts(Give)),
-    (
-        "a hose or cable that pulls",
-        lambda t: t.acts(Wrench) and t.of(JointPosition),
-    ),
+    ("a hose or cable that pulls", lambda t: t.acts(Wrench) and t.of(JointPosition)),
     ("an eccentric gear, pulley or encoder", lambda t: t.shape(Cosine, Sine) and t.acts(Turn)),
     (
         "a soft part that yields under load",

@@ -22,5 +22,5 @@ _READ = {**_PER, "1": (100.0, "%")}
 
 
 def in_names(text: str, called: Mapping[str, str]) -> str:
-    """Return a text with what people call the places in it (`Arm.called`)."""
+    """Return a text with what people call the places in it (`Arm.names_for_people`)."""
     return _PLACE.sub(lambda found: called.get(found[0], found[0]), text)

@@ -141,9 +141,8 @@ class TanhStack(Stack):
             return (error.square_() * share).sum(dim=(2, 3))
 
         def fitness(position: Tensor) -> Tensor:
-            step = max(
-                1, _numbers_at_once(x.device) // (len(position) * self.shape.hidden * x1.shape[2])
-            )
+            each = len(position) * self.shape.hidden * x1.shape[2]
+            step = max(1, _numbers_at_once(x.device) // each)
             return torch.cat([one(p) for p in position.float().split(step, dim=1)], dim=1)
 
         return fitness

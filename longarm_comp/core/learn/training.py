@@ -87,9 +87,8 @@ def back_propagate(
         moved = _move(stack, going)
         if step > _PLAIN_STEPS:
             _weigh_rows(going)
-        going.matrix, going.gradient = stack.normal_equations(
-            going.weights, going.x, going.residual, going.robust
-        )
+        state = going.weights, going.x, going.residual, going.robust
+        going.matrix, going.gradient = stack.normal_equations(*state)
         if step > _PLAIN_STEPS:
             change = _estimate_precisions(stack, going)
             settled = torch.where(change < _SETTLED, going.settled + 1.0, 0.0)

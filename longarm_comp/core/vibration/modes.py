@@ -187,6 +187,5 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
 
 def _points(places: Sequence[Vec], postures: int) -> np.ndarray:
     """Stack P places with scalars or (N,) in them to (N, P, 3)."""
-    return np.array(
-        [[np.broadcast_to(x, postures) for x in place] for place in places], float
-    ).transpose(2, 0, 1)
+    rows = [[np.broadcast_to(x, postures) for x in place] for place in places]
+    return np.array(rows, float).transpose(2, 0, 1)

@@ -43,9 +43,8 @@ def module(
     for name, body in bodies.items():
         lines += [f"define void @{name}(ptr %s) #0 {{", *body, "ret void", "}"]
         lines += _many(name, size)
-    return "\n".join(
-        [*lines, "attributes #0 = { nounwind }", "attributes #1 = { nounwind memory(none) }", ""]
-    )
+    lines += ["attributes #0 = { nounwind }", "attributes #1 = { nounwind memory(none) }", ""]
+    return "\n".join(lines)
 
 
 class _Writer:
