@@ -91,9 +91,9 @@ def train(
         if progress is not None:
             progress(networks, len(sizes) * starts + _FOLDS)
 
-    fits = learner.likeliest(sizes, starts, tell)[:ensemble]
+    fits = learner.find_likeliest(sizes, starts, tell)[:ensemble]
     out = _draw_folds(q, np.random.default_rng([seed, _FOLDS]))
-    without = learner.fits(fits[0].units, ~out)
+    without = learner.train_batch(fits[0].units, ~out)
     tell(len(sizes) * starts + _FOLDS)
     shape = NetworkShape(x.shape[1], max(each.units for each in fits), 3)
     settings = {
@@ -161,7 +161,7 @@ class _Learner:
     network: NetworkKind | None
     device: str
 
-    def fits(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
+    def train_batch(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
         """Train networks of so many hidden units, each on its rows (M, N), as one batch."""
         import torch
 
@@ -206,7 +206,7 @@ class _Learner:
         parts = (found.weights, found.beta**-0.5, evidence, found.root)
         return [_Fit(units, *each) for each in zip(*(p.cpu().numpy() for p in parts), strict=True)]
 
-    def likeliest(
+    def find_likeliest(
         self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
     ) -> list[_Fit]:
         """Train networks of rising size until the evidence falls, and sort them by it."""
@@ -214,7 +214,7 @@ class _Learner:
         for units in sizes:
             if fits and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * len(self.x):
                 break
-            networks = self.fits(units, np.ones((starts, len(self.x)), bool))
+            networks = self.train_batch(units, np.ones((starts, len(self.x)), bool))
             fits += networks
             tell(len(fits))
             if max(f.evidence for f in networks) < max(f.evidence for f in fits) - _UNLIKELY:

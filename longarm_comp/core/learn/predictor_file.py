@@ -168,15 +168,14 @@ def load(
     learned = header.settings.get("model_hash")
     if None not in (learned, model_hash) and learned != model_hash:
         raise InputError(path, "model_hash", str(learned)[:12] or "the declared arm", model)
+    origin = Provenance(header.arm_hash, header.session_hash, header.joint_names, header.settings)
     return Predictor(
         encoding,
         hidden=header.hidden,
         scale=header.scale,
         variance_limit=header.variance_limit,
         gain=LearnedGain(*arrays["gain"].tolist()),
-        provenance=Provenance(
-            header.arm_hash, header.session_hash, header.joint_names, header.settings
-        ),
+        provenance=origin,
         network=network,
         **{name: arrays[name] for name in _PREDICTOR},
     )

@@ -24,7 +24,7 @@ from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.arm.posture import LineLoads, Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.link_deflection import elements
-from longarm_comp.core.ik.kernel import geometric
+from longarm_comp.core.ik.kernel import rigid_jacobian
 from longarm_comp.core.model.model import Model, unstack
 
 MODES = 6
@@ -82,7 +82,7 @@ def find_modes_along(
     mass = np.repeat(np.array([np.broadcast_to(p.mass, known) for p in points]).T, 3, axis=1)
     bends = _flexibility(fine, posture, points, known)
     places = [posture.frames[p.station].transform(p.position) for p in points]
-    moved = [geometric(posture, at, p.station) for at, p in zip(places, points, strict=True)]
+    moved = [rigid_jacobian(posture, at, p.station) for at, p in zip(places, points, strict=True)]
     by_point = [_points([linear for linear, _ in columns], known) for columns in moved]
     carried = np.concatenate([columns.swapaxes(1, 2) for columns in by_point], axis=1)
     if known > 1:
