@@ -112,7 +112,15 @@ COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", 
 
 
 def meaning(report: DiagnosisReport) -> str:
-    """Say in a sentence what the verdict means."""
+    """Say what the verdict means, and how many rows it does not hold for."""
+    text, aside = _describe_verdict(report), report.set_aside
+    if aside is None or not aside.rows:
+        return text
+    were = "row was" if aside.rows == 1 else "rows were"
+    return f"{text} {aside.rows} {were} set aside ({aside.share:.1%}), and not explained."
+
+
+def _describe_verdict(report: DiagnosisReport) -> str:
     n, open_ = len(report.findings), sum(f.name_open for f in report.findings)
     left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
     explain = _count_of(n, "physical effect") + (" explains" if n == 1 else " explain")

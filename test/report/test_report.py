@@ -157,6 +157,8 @@ def test_verdict_and_tables_tell_the_record(verdict: str, reports: Path) -> None
     assert f"Verdict: {verdict.replace('_', ' ').capitalize()}" in page.words()
     for finding in report["findings"]:
         assert " or ".join(finding["set"]) in page.words()
+    aside = (report["set_aside"] or {"rows": 0})["rows"]
+    assert (f"{aside} rows were set aside" in page.words()) == bool(aside)
     held = report["held_out"]["rows"]
     assert ("they were used 1 time." in page.words()) == bool(held)
     shown = page.tables.get("errors", [])

@@ -3,7 +3,8 @@
 The rigid arm is registered to the sightings (`registration`) as the rows are, and under every
 mistake that is easily made.  A mistake that explains much more than the rows as they are is told,
 never repaired.  All rows count, a stranger's no more than any other stranger's: a mistake in one
-joint may spoil the few rows in which it moves.
+joint may spoil the few rows in which it moves.  Then every mistake is tried on the rows that are
+far off the others alone, where the others place the arm: a gross error comes right by no mistake.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import compute_rotations
 from longarm_comp.core.data.registration import Registration, Sightings, median_spread, register
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.data.set_aside import SetAside
+from longarm_comp.core.data.set_aside import FEW, SIGNIFICANT, SetAside
 from longarm_comp.core.effects.sites import near
 from longarm_comp.core.model.model import Model
 
@@ -84,14 +86,16 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
     spread = median_spread(seen.xyz)
     least = max(_STRAY_RATIO * float(np.quantile(found.distance, 0.25)), _SUSPECT_SHARE * spread)
     belief = _Belief(found.misfit, spread, SetAside.of(seen, found.distance > least))
+    if len(belief.strays.rows) >= FEW:
+        part = _find_mistake_in_part(model, session, found, least)
+        if part is not None:
+            return dataclasses.replace(belief, mistake=part[0], fall=part[1])
     if _mean_distance(found, spread) < _SUSPECT_SHARE * spread:
         axes = _find_mistake_of_axes(model, session)
         if axes is not None:
             return dataclasses.replace(belief, mistake=axes[0], fall=axes[1])
-        if (
-            session.has_position & session.has_orientation
-        ).any():  # axes of the tip show every sign
-            return belief
+        if (session.has_position & session.has_orientation).any():
+            return belief  # axes of the tip show every sign
         some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
         signs = _find_unknown_signs(model, seen.take(some), found.misfit)
         return dataclasses.replace(belief, signs=signs)
@@ -134,6 +138,38 @@ def _find_mistakes(
         own, what, session = next(t for t in tried if t[0] <= _ALIKE_RATIO * best)
         names.append(what)
     return names, session
+
+
+def _find_mistake_in_part(
+    model: Model, session: Session, found: Registration, least: float
+) -> tuple[str, str] | None:
+    """Find the mistake without which most rows farther off than `least` (m) are nearer than that.
+
+    Base and markers stay where the other rows place them.  An error of any direction and size falls
+    to a share s of itself with the chance s^3; those of all rows are combined (Fisher's method).
+
+    Returns:
+        The mistake, and the fall of these rows' median distance; None where none is significant.
+    """
+
+    def distance(rows: Session) -> np.ndarray:
+        at = Registration.at(Sightings.of(model, rows), found.rotation, found.offset, found.tip)
+        made = np.full(len(rows), np.nan)
+        made[rows.has_position] = at.distance
+        return made
+
+    far = (own := distance(session)) > least
+    tried = []
+    for what, undone in undo_mistakes(model.arm, session):
+        left = distance(undone)[far]
+        fall = np.clip(np.nan_to_num(left / own[far], nan=1.0), 1e-12, 1.0)
+        chance = chi2.logsf(-6.0 * np.log(fall).sum(), 2 * len(fall))
+        tried.append((chance, what, int((left < least).sum()), np.nanmedian(left)))
+    chance, what, right, after = min(tried)
+    if 2 * right <= far.sum() or chance + np.log(len(tried)) > np.log(SIGNIFICANT):
+        return None
+    said = f"{what} in {right} of the {far.sum()} rows that are far off the others"
+    return said, f"{1e3 * np.median(own[far]):.3g} -> {1e3 * after:.3g} mm"
 
 
 def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session]:
@@ -232,6 +268,12 @@ def undo_mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
         yield f"x, y, z look written {times} {where} than their joints", moved
     mirrored = dataclasses.replace(session, xyz=xyz * (1.0, 1.0, -1.0))
     yield "x, y, z look mirrored: two of them are swapped or one is negated", mirrored
+    for k in range(3):
+        negated = dataclasses.replace(session, xyz=xyz * np.where(np.arange(3) == k, -1.0, 1.0))
+        yield f"{'xyz'[k]} looks negated", negated
+        order = np.roll([0, 2, 1], k)
+        swapped = dataclasses.replace(session, xyz=xyz[:, order])
+        yield f"{' and '.join(np.array(list('xyz'))[order != np.arange(3)])} look swapped", swapped
     for j, slides in enumerate(arm.slides):
         name = f"q{j + 1} looks"
         yield f"{name} negated", joint(j, -q[:, j])

@@ -95,6 +95,15 @@ class Registration:
         """Median distance of a row, m."""
         return float(np.median(self.distance))
 
+    @classmethod
+    def at(
+        cls, rows: Sightings, rotation: np.ndarray, offset: np.ndarray, tip: np.ndarray
+    ) -> Registration:
+        """Compare sightings with the arm at a known placement; arguments as the attributes."""
+        local = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
+        predicted = np.einsum("nij,nj->ni", rotation[rows.group], local) + offset[rows.group]
+        return cls(rotation, offset, tip, rows.seen - predicted)
+
 
 def register(rows: Sightings, tips: bool = True) -> Registration:
     """Find bases and markers that bring the arm's points closest to the sightings, robustly.
@@ -125,7 +134,7 @@ def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
             offset[g] = np.median(seen - at @ rotation[g].T, axis=0)
         else:
             rotation[g], offset[g] = robust_kabsch(at, seen)
-    made = _registration_at(rows, rotation, offset, tip)
+    made = Registration.at(rows, rotation, offset, tip)
     for _ in range(_STEPS if tips else 0):
         following = _take_step(rows, made)
         if following.misfit > made.misfit:
@@ -134,14 +143,6 @@ def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
         if made.misfit > (1.0 - 1e-3) * before:  # too little for another step
             break
     return made
-
-
-def _registration_at(
-    rows: Sightings, rotation: np.ndarray, offset: np.ndarray, tip: np.ndarray
-) -> Registration:
-    local = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
-    predicted = np.einsum("nij,nj->ni", rotation[rows.group], local) + offset[rows.group]
-    return Registration(rotation, offset, tip, rows.seen - predicted)
 
 
 def _take_step(rows: Sightings, now: Registration) -> Registration:
@@ -166,7 +167,7 @@ def _take_step(rows: Sightings, now: Registration) -> Registration:
     turn = Rotation.from_rotvec(change[:, :3]).as_matrix()
     rotation = turn @ now.rotation
     offset = np.einsum("gij,gj->gi", turn, now.offset - centre) + centre + change[:, 3:]
-    return _registration_at(rows, rotation, offset, now.tip + x[6 * groups :].reshape(kinds, 3))
+    return Registration.at(rows, rotation, offset, now.tip + x[6 * groups :].reshape(kinds, 3))
 
 
 def _linear_tips(rows: Sightings, weights: np.ndarray) -> np.ndarray | None:

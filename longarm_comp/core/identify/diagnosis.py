@@ -197,11 +197,12 @@ def _describe_findings(found: Diagnosis) -> str:
     unnamed = f" {left} and has no name." if left else ""
     gain = f"Held-out mean error {_describe_change(found)}"
     if found.verdict == "noise":
+        rows, aside = len(found.fit.session), len(found.set_aside.rows)
+        noise = "only noise is left" + (f" in {rows - aside} of {rows} rows" if aside else "")
         if found.search.tolerance.compliance and found.written != CALIBRATED:
             text = "Every part of the arm is a little off; the model now holds this. "
-            return f"{text}Beyond it only noise is left. {gain}."
-        text = "After calibration only noise is left; no effect was added."
-        return f"{text} {gain} by the calibration."
+            return f"{text}Beyond it {noise}. {gain}."
+        return f"After calibration {noise}; no effect was added. {gain} by the calibration."
     if found.verdict == "unknown" and not found.failed and not found.causes:
         return f"The model lacks something that no effect of the library explains: {left}."
     said = [describe_finding(f) for f in found.findings]

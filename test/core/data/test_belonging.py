@@ -257,6 +257,59 @@ def test_a_mistake_is_told_where_it_explains_much_of_the_misfit(
     assert belief is not None and bool(belief.mistake) == told
 
 
+def part_of(session: Session, share: float, spoil: Spoil) -> Session:
+    """Spoil some rows of a session."""
+    spoilt = np.random.default_rng(2).random(len(session)) < share
+    made = spoil(session)
+    return dataclasses.replace(
+        session,
+        q=np.where(spoilt[:, None], made.q, session.q),
+        xyz=np.where(spoilt[:, None], made.xyz, session.xyz),
+    )
+
+
+PARTS = {
+    "q1 looks negated": joint(0, np.negative),
+    "x and y look swapped": lambda s: dataclasses.replace(s, xyz=s.xyz[:, [1, 0, 2]]),
+    "y looks negated": lambda s: dataclasses.replace(s, xyz=s.xyz * (1.0, -1.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("share", [0.08, 0.25])
+@pytest.mark.parametrize("text", PARTS)
+def test_a_mistake_in_a_part_of_the_rows_is_told(
+    demo: Arm, session: Session, text: str, share: float
+) -> None:
+    """No fit believes these rows; a quarter of them was once taken for gross errors."""
+    with pytest.raises(InputError, match=rf"{text}.* in \d+ of the \d+ rows that are far off"):
+        admit(part_of(session, share, PARTS[text]), demo)
+
+
+@pytest.mark.parametrize(("mistaken", "told"), [(0, False), (12, False), (24, True)])
+def test_gross_errors_come_right_by_no_mistake(
+    demo: Arm, session: Session, mistaken: int, told: bool
+) -> None:
+    """Eighteen rows are anywhere; beside them some are mistaken."""
+    off = 0.3 * np.random.default_rng(4).standard_normal((len(session), 3))
+    off[: len(session) - 18] = 0.0
+    rows = PARTS["x and y look swapped"](session)
+    xyz = np.where(np.arange(len(session))[:, None] < mistaken, rows.xyz, session.xyz) + off
+    belief = find_mistake(Model(demo), dataclasses.replace(session, xyz=xyz))
+    assert belief is not None and bool(belief.mistake) == told
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_mistake_is_not_told_where_chance_brings_some_rows_nearer(
+    demo: Arm, session: Session, seed: int
+) -> None:
+    """Three rows are a little farther off than an arm that is not calibrated."""
+    off = np.random.default_rng(seed).standard_normal((3, 3))
+    xyz = session.xyz.copy()
+    xyz[:3] += 0.02 * off / np.linalg.norm(off, axis=1, keepdims=True)
+    belief = find_mistake(Model(demo), dataclasses.replace(session, xyz=xyz))
+    assert belief is not None and len(belief.strays.rows) >= 3 and not belief.mistake
+
+
 READ = {
     "look w, x, y, z read as x, y, z, w": lambda q: np.roll(q, 1, axis=1),
     "look x, y, z, w read as w, x, y, z": lambda q: np.roll(q, -1, axis=1),

@@ -106,6 +106,7 @@ def test_rows_left_out_that_share_a_displacement_are_no_noise(shared: bool) -> N
     found = diagnose(ARM, dataclasses.replace(rows, xyz=xyz), test=session(n=40, seed=9), kinds=())
     assert found.verdict == ("unknown" if shared else "noise")
     assert ("shared by the 10 rows" in found.summary) is shared
+    assert ("only noise is left in 110 of 120 rows" in found.summary) is not shared
     if shared:
         assert found.structure.size_m == pytest.approx(3e-3, rel=0.1)
 
