@@ -70,6 +70,7 @@ class Context:
         return bool(getattr(self, name)) if name in PER_JOINT else name in {ORDER, *self.columns}
 
     def column(self, name: str, default: float | None = None) -> Scalar:
+        """Return a recorded quantity, else the default. Raises `InputError` without one."""
         if name in self.columns:
             return self.columns[name]
         if name == ORDER:

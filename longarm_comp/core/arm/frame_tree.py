@@ -33,6 +33,7 @@ class _Child:
     places: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def store(self, t_ns: int, place: tuple[np.ndarray, np.ndarray]) -> None:
+        """Keep a place (m; x, y, z, w) of a time (ns), and forget what is older than 10 s."""
         kept = round(1e9 * 10.0)  # How long places are kept, s
         if self.static or (self.times and t_ns < self.times[-1] - kept):  # the clock jumped back
             self.times, self.places = [], []

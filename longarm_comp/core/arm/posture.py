@@ -350,14 +350,11 @@ class Posture:
 
     def _loads_at(self, station: int) -> tuple[Vec, Vec, Vec]:
         mass, first = self.carried_masses
-        return self.once(
-            ("loads", station),
-            lambda: compute_loads(
-                self.frames[station], mass[station], first[station], self.gravity
-            ),
-        )
+        carried = self.frames[station], mass[station], first[station], self.gravity
+        return self.once(("loads", station), lambda: compute_loads(*carried))
 
     def bearing(self, row: int) -> int:
+        """Return the station of a row's bearing, which its joint turns or slides about."""
         return self.chain.rows[row - 1].bearing
 
     def frame(self, row: int) -> int:

@@ -79,6 +79,7 @@ class MeasuredRows:
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
+        """The kinds of measurement of its channels, each once, in their order."""
         return tuple(KINDS[name] for name in dict.fromkeys(b.kind for b in self.blocks))
 
     def has_own_frame(self, arm: Arm) -> bool:

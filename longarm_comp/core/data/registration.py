@@ -35,6 +35,8 @@ _MIN_ROWS = 3
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
+    """The seen points of a session's rows beside where the declared arm has their markers."""
+
     point: np.ndarray  # (N, 3) declared place of the row's marker, m, in the base frame
     axes: np.ndarray  # (N, 3, 3) axes of the frame that carries it, in columns, in the base frame
     seen: np.ndarray  # (N, 3) m
@@ -80,6 +82,8 @@ def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
+    """Where G bases stand and K markers sit, and what is left of N sightings."""
+
     rotation: np.ndarray  # (G, 3, 3) of each base in the frame of the measurements
     offset: np.ndarray  # (G, 3) m
     tip: np.ndarray  # (K, 3) m beyond each marker's declared place, in the frame that carries it

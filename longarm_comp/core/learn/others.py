@@ -39,6 +39,7 @@ class NetworkKind:
     factory: Factory = field(compare=False, repr=False)
 
     def stack(self, inputs: int, outputs: int, device: str | torch.device = "cpu") -> Stack:
+        """Return a stack that evaluates and trains many of its modules at once."""
         return Stack(self._module(inputs, outputs).to(device))
 
     def starts(self, inputs: int, outputs: int, many: int, seed: int) -> torch.Tensor:
@@ -49,6 +50,7 @@ class NetworkKind:
         return torch.stack([torch.nn.utils.parameters_to_vector(m.parameters()) for m in modules])
 
     def members(self, inputs: int, outputs: int, weights: Array) -> TorchMembers:
+        """Return the trained networks whose numbers are weights (M, D)."""
         return TorchMembers(self.stack(inputs, outputs), torch.as_tensor(weights))
 
     def _module(self, inputs: int, outputs: int) -> torch.nn.Module:

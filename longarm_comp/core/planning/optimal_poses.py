@@ -115,10 +115,8 @@ class Uncertainty:
             whole = whole.with_missing(geometry_terms(model.arm, rows))
         fitted, read = None, dict[str, float]()
         if measured is not None:
-            fitted = fit_model(
-                place_sensors(model.with_missing(geometry_terms(model.arm, measured)), measured),
-                measured,
-            )
+            solved = model.with_missing(geometry_terms(model.arm, measured))
+            fitted = fit_model(place_sensors(solved, measured), measured)
             whole = fitted.model.with_missing(whole.terms)
             noise = dict(zip(measured.channels, fitted.sigma.tolist(), strict=True))
             names = [f"read_q{k + 1}" for k in measured.read_joints]

@@ -139,10 +139,8 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
     All pushes at all postures are one posture of N times 4 times 3 P rows.
     """
     count = 3 * len(points)
-    weight = (
-        float(np.max(sum(p.mass for p in points))) * float(np.linalg.norm(model.arm.gravity_mps2))
-        or 1.0
-    )
+    heaviest = float(np.max(sum(p.mass for p in points)))
+    weight = heaviest * float(np.linalg.norm(model.arm.gravity_mps2)) or 1.0
     sizes = np.tile(_PUSH * weight * np.repeat([1.0, 2.0, -1.0, -2.0], count), postures)
     which = np.tile(np.repeat(np.arange(len(points)), 3), 4 * postures)
     along = np.tile(np.arange(count) % 3, 4 * postures)

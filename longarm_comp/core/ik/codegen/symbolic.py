@@ -7,6 +7,7 @@ that given outputs need as assembly.  No formula is written twice: a changed mod
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,12 +18,7 @@ from longarm_comp.core.arm.angles import arc_tangent2, cosine, sine
 Operand = Any  # node number (int) or constant (float)
 
 _COMMUTES = {"add", "mul", "minimum", "maximum"}
-_FOLD: dict[str, Callable[..., float]] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": lambda a, b: a / b,
-}
+_FOLD = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv}
 _ALIKE = ("tan", "tanh", "exp", "expm1", "log", "sqrt", "floor", "minimum", "maximum")
 _UFUNCS = {
     **{getattr(np, name): name for name in _ALIKE},
