@@ -31,7 +31,7 @@ from longarm_comp.nodes.interfaces import Service
 from longarm_comp.nodes.messages import driver_words
 from longarm_interfaces.msg import DriverState
 
-DRIVER = "servo_driver"
+DRIVER, KINEMATICS = "servo_driver", "kinematics"
 _LEVELS = ("ok", "warning", "error", "stale")
 
 _NONE = f"no {DRIVER} is on the graph"
@@ -74,19 +74,24 @@ class Attendant:
         begun, reports = time.monotonic(), self._reports
 
         def heard() -> bool:
-            named = there()
-            other = reports.last_message("kinematics", "driver") == UNACKNOWLEDGED
-            none = DRIVER not in named and (other or time.monotonic() - begun > ANNOUNCED_S)
-            return (self._driver is not None or none) and named <= set(reports.nodes)
+            named, announced = there(), time.monotonic() - begun > ANNOUNCED_S
+            other = reports.last_message(KINEMATICS, "driver") == UNACKNOWLEDGED
+            driver = self._driver is not None or (DRIVER not in named and (other or announced))
+            known = named if announced else named | {KINEMATICS}
+            return driver and known <= set(reports.nodes)
 
         if not client.wait(heard, FOUND_S):
             said = f"does not report within {FOUND_S:g} s"
             silent = DiagnosticStatus(level=DiagnosticStatus.STALE, message=said)
             for name in there() - set(reports.nodes):
                 reports.nodes[name] = {"process": silent}
+        if KINEMATICS not in reports.nodes:
+            gone = "is not on the graph: no target is followed until it is started"
+            lost = DiagnosticStatus(level=DiagnosticStatus.ERROR, message=gone)
+            reports.nodes[KINEMATICS] = {"process": lost}
         driver = self._driver
         words = driver_words(driver.state) if driver else ""
-        other = reports.last_message("kinematics", "driver") == UNACKNOWLEDGED
+        other = reports.last_message(KINEMATICS, "driver") == UNACKNOWLEDGED
         step = _NEXT.get(driver.state, "") if driver else "" if other else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
@@ -106,8 +111,8 @@ class Attendant:
                 if ord(said.level)
             ],
             "next": step,
-            "tip": reports.last_message("kinematics", TIP_SAID),
-            "learned": reports.last_message("kinematics", LEARNED_SAID),
+            "tip": reports.last_message(KINEMATICS, TIP_SAID),
+            "learned": reports.last_message(KINEMATICS, LEARNED_SAID),
         }
 
     def hold(self) -> str:
@@ -178,7 +183,7 @@ class Attendant:
         return str(answer.message)
 
 
-KNOWN = {"kinematics", "error_predictor", "stereo_bridge", DRIVER, "simulated_arm"}
+KNOWN = {KINEMATICS, "error_predictor", "stereo_bridge", DRIVER, "simulated_arm"}
 """Nodes of an arm."""
 
 
