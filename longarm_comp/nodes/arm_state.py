@@ -18,7 +18,7 @@ from longarm_comp.core.compensation.online import JointTrust, Readings, StaleCon
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import stamp_ns
+from longarm_comp.nodes.clock import stamp_ns, told_ns
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import (
@@ -195,7 +195,7 @@ class ArmState:
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints, self.effort = (q, now), efforts_of(message, self.arm)
-            at_s = 1e-9 * stamp if stamp else self.now_s
+            at_s = 1e-9 * told_ns(message.header.stamp, round(1e9 * self.now_s))
             for listen in self.joint_listeners:
                 listen(q, at_s)
             return
