@@ -178,7 +178,7 @@ def alone_in(folder: Path) -> Iterator[None]:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                allowed = "one change at a time"
+                allowed = "one program at a time"
                 raise InputError(folder, "folder", "in use by another process", allowed) from None
         yield
     finally:
