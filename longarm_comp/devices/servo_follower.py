@@ -139,7 +139,7 @@ class TrajectoryFollower:
         return {} if self._set is None else dict(zip(self._names, self._set.tolist(), strict=True))
 
     @property
-    def trimmed(self) -> dict[str, float]:
+    def trim_by_joint(self) -> dict[str, float]:
         """Correction of each joint's goal by trim, ticks."""
         return dict(zip(self._names, self._trim.offset.tolist(), strict=True))
 
