@@ -79,16 +79,16 @@ def draw_places(found: Marked) -> Figure:
     aside = np.linalg.svd(flat)[2][0]
     aside *= np.sign(flat[-1] @ aside) or 1.0
 
-    def seen(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return (at[..., :2] - found.arm_m[0, :2]) @ aside, at[..., 2]
 
-    axes.plot(*seen(found.arm_m), color="#8a8a8a", linewidth=5, solid_capstyle="round")
-    axes.plot(*seen(found.arm_m[:1]), marker="s", markersize=9, color=INK)
-    axes.plot(*seen(found.arm_m[-1:]), marker="x", markersize=7, color=INK)
-    low, high = np.min(seen(points), axis=1), np.max(seen(points), axis=1)
+    axes.plot(*project(found.arm_m), color="#8a8a8a", linewidth=5, solid_capstyle="round")
+    axes.plot(*project(found.arm_m[:1]), marker="s", markersize=9, color=INK)
+    axes.plot(*project(found.arm_m[-1:]), marker="x", markersize=7, color=INK)
+    low, high = np.min(project(points), axis=1), np.max(project(points), axis=1)
     # Places nearer to each other than this share of the picture get one ring
     for near in _group_places(found.places_m, 0.06 * float((high - low).max())):
-        x, z = seen(np.mean([found.places_m[where] for where in near], axis=0))
+        x, z = project(np.mean([found.places_m[where] for where in near], axis=0))
         axes.plot(x, z, color=VERMILLION, **_RING)
         label = ", ".join(where.split(",")[0].rsplit(" ", 1)[-1].strip("()") for where in near)
         aside_px, align = (8, "left") if x < (low[0] + high[0]) / 2 else (-8, "right")
