@@ -109,7 +109,11 @@ class Gate:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             page = START if where.path == _START else self.plain(where.path)
             if page is not None and not where.query:
-                return _html_page(page, hosts)
+                if not page:  # a button was pressed
+                    return _make_redirect(PATH, _policy_headers(hosts))
+                body, kind = page.encode(), {"Content-Type": "text/html; charset=utf-8"}
+                kind |= {"Content-Length": str(len(body))} | _policy_headers(hosts)
+                return Response(HTTPStatus.OK, "OK", Headers(kind), body)
             if where.query:  # the viewer would connect to the server that ?websocket= names
                 return connection.respond(HTTPStatus.NOT_FOUND, "longarm view: no such page\n")
             response = serve(connection, request)
@@ -140,15 +144,6 @@ class Gate:
 
     def _is_token(self, *given: str) -> bool:
         return len(given) == 1 and secrets.compare_digest(given[0].encode(), self.token.encode())
-
-
-def _html_page(page: str, hosts: list[str]) -> Response:
-    """Make the response with a page, or after the press of a button the way back to it."""
-    if not page:
-        return _make_redirect(PATH, _policy_headers(hosts))
-    body = page.encode()
-    kind = {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))}
-    return Response(HTTPStatus.OK, "OK", Headers(_policy_headers(hosts) | kind), body)
 
 
 def _make_redirect(to: str, headers: dict[str, str]) -> Response:
