@@ -197,22 +197,19 @@ def _check_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield unmeasured(f"{ARM}: point_masses", f"no part has a mass: weigh them. {until}")
     if arm.payload is None:
         yield unmeasured(f"{ARM}: payload", "no payload is declared: weigh tool and marker")
-    yield _check_gravity(arm)
-
-
-def _check_gravity(arm: Arm) -> _FolderFinding:
-    """Return how the arm is taken to stand or hang; a slip of gravity's sign is seen there."""
     where, gravity = f"{ARM}: gravity_mps2", np.array(arm.gravity_mps2)
     if not gravity.any():
-        return implausible(where, "no gravity")
+        yield implausible(where, "no gravity")
+        return
     foot = arm.base.frame().matrix()[:3, 2]
     lean = math.degrees(math.acos(np.clip(-gravity @ foot / np.linalg.norm(gravity), -1.0, 1.0)))
     how = "stands on" if lean < 45.0 else "hangs down from" if lean > 135.0 else "reaches out from"
     said = f"the arm {how} its base: the base's z leans {lean:.0f} deg from upright"
-    if lean > 135.0 and foot[2] > math.cos(math.radians(45.0)):
+    if lean > 135.0 and foot[2] > math.cos(math.radians(45.0)):  # a slip of gravity's sign
         said += ", by gravity towards +z with a level base.rpy_deg. "
-        return unmeasured(where, said + "On a floor it is [0, 0, -9.80665]: every sag turns round")
-    return declared(where, said)
+        yield unmeasured(where, said + "On a floor it is [0, 0, -9.80665]: every sag turns round")
+    else:
+        yield declared(where, said)
 
 
 def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
