@@ -195,7 +195,12 @@ class View:
         """
         local = np.linalg.inv(self.left_in_base) @ tips
         tags = np.einsum("mij,tkj->mtki", local[:, :3, :3], self.tags) + local[:, None, None, :3, 3]
-        found = [self._find_inside(tags - [k * self.baseline_m, 0.0, 0.0]) for k in (0, 1)]
+        found = []  # (M, T) of both cameras: all corners of a tag are in view
+        for k in (0, 1):
+            corners = self._project_points(tags - [k * self.baseline_m, 0.0, 0.0])
+            with np.errstate(invalid="ignore"):
+                inside = (corners >= 0.0) & (corners <= np.array(self.size_px) - 1.0)
+            found.append(np.asarray(inside.all(axis=(-1, -2))))
         both = (found[0] & found[1]).mean(axis=1) >= self.share
         middle = tags.mean(axis=(1, 2)) - [0.5 * self.baseline_m, 0.0, 0.0]
         normal = local[:, :3, :3] @ self.normal
@@ -223,13 +228,6 @@ class View:
     def _project_points(self, points: np.ndarray) -> np.ndarray:
         ahead = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         return np.asarray(self.focal_px * points[..., :2] / ahead + self.middle_px)
-
-    def _find_inside(self, tags: np.ndarray) -> np.ndarray:
-        """Tell (M, T) whether tags, corners (M, T, 4, 3) in the camera's frame, are all in view."""
-        pixels = self._project_points(tags)
-        with np.errstate(invalid="ignore"):
-            inside = (pixels >= 0.0) & (pixels <= np.array(self.size_px) - 1.0)
-        return np.asarray(inside.all(axis=(-1, -2)))
 
     def _describe_side(self, point: np.ndarray) -> str:
         """Say on which side of the images a point (3,) lies, from the middle of the cameras."""
