@@ -21,12 +21,7 @@ from longarm_comp.devices.servo_bus.state import (
 )
 from longarm_comp.devices.servo_check import check_memory, check_placed, check_reach
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import (
-    Accepted,
-    FollowerState,
-    Step,
-    TrajectoryFollower,
-)
+from longarm_comp.devices.servo_follower import Accepted, FollowerState, Step, TrajectoryFollower
 from longarm_comp.devices.servo_watch import stands_in_its_droop
 from longarm_comp.devices.setup_journal import SetupJournal
 

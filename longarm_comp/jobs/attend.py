@@ -17,13 +17,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import kept_stops
 from longarm_comp.jobs.client import STOPPED
-from longarm_comp.jobs.graph_client import (
-    ANNOUNCED_S,
-    FOUND_S,
-    GraphClient,
-    Interrupted,
-    Reports,
-)
+from longarm_comp.jobs.graph_client import ANNOUNCED_S, FOUND_S, GraphClient, Interrupted, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import UNACKNOWLEDGED
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
