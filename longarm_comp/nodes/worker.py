@@ -145,7 +145,7 @@ class Worker:
         return ServiceCaller(service.client(self._node, self._group), self._node)
 
     @property
-    def lost(self) -> int:
+    def lost_messages(self) -> int:
         """Number of messages that were lost, by the numbers of those that came."""
         return sum(watch.lost for _, watch, _ in self._topics)
 

@@ -88,7 +88,7 @@ class PlanCheck:
     blocks: bool
 
     @property
-    def passed(self) -> int:
+    def passed_count(self) -> int:
         return sum(not fault for fault in self.faults)
 
     @property
