@@ -104,7 +104,9 @@ class Gate:
             if where.path == "/" and self._redeem_code(*parse_qs(where.query).get("code", [])):
                 cookie = f"{_cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
                 return _make_redirect(_START, {"Set-Cookie": cookie})
-            if not self._is_token(*_read_cookies(request.headers, _cookie_name(port))):
+            given = _read_cookies(request.headers, _cookie_name(port))
+            own = self.token.encode()
+            if len(given) != 1 or not secrets.compare_digest(given[0].encode(), own):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             page = START if where.path == _START else self.plain(where.path)
@@ -141,9 +143,6 @@ class Gate:
         except (KeyError, TypeError):  # unknown, another request was quicker; none or several
             return False
         return True
-
-    def _is_token(self, *given: str) -> bool:
-        return len(given) == 1 and secrets.compare_digest(given[0].encode(), self.token.encode())
 
 
 def _make_redirect(to: str, headers: dict[str, str]) -> Response:
