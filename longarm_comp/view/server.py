@@ -96,16 +96,16 @@ class Gate:
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
             port = connection.local_address[1]
-            hosts = [f"{name}:{port}" for name in _NAMES]
+            hosts = [f"{host}:{port}" for host in _NAMES]
+            name = f"longarm_view_{port}"  # cookies are shared by all ports of a host
             why = self._find_stranger(request.headers, hosts)
             if why:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             where = urlsplit(request.path)
             if where.path == "/" and self._redeem_code(*parse_qs(where.query).get("code", [])):
-                cookie = f"{_cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+                cookie = f"{name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
                 return _make_redirect(_START, {"Set-Cookie": cookie})
-            given = _read_cookies(request.headers, _cookie_name(port))
-            own = self.token.encode()
+            given, own = _read_cookies(request.headers, name), self.token.encode()
             if len(given) != 1 or not secrets.compare_digest(given[0].encode(), own):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
@@ -150,11 +150,6 @@ def _make_redirect(to: str, headers: dict[str, str]) -> Response:
     private = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
     made = Headers(headers | private | {"Location": to, "Content-Length": "0"})
     return Response(HTTPStatus.SEE_OTHER, "See Other", made)
-
-
-def _cookie_name(port: int) -> str:
-    """Name of the cookie. Cookies are shared by all ports of a host."""
-    return f"longarm_view_{port}"
 
 
 def _read_cookies(headers: Headers, name: str) -> list[str]:
