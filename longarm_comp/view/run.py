@@ -146,7 +146,7 @@ def view(
             if now - drawn >= 0.2:  # s between two pictures
                 drawn = now
                 said, well = commands.said
-                lines = words.sections(listener.state, now, namespace, said)
+                lines = words.list_lines(listener.state, now, namespace, said)
                 panel.show(listener.state, now, lines, well=well)
                 plain.lines = [line for place in lines.values() for line in place]
                 scene.show(listener.state, now, panel.exaggeration)
