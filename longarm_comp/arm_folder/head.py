@@ -175,17 +175,16 @@ class View:
             Limits().seen_share,
         )
 
-    def through(self, left: CameraInfo, right: CameraInfo) -> View:
+    def look_through(self, left: CameraInfo, right: CameraInfo) -> View:
         """Return the view through the lenses of a pair; itself where that is not calibrated."""
-        p, across = left.p, right.p
-        if not p[0] > 0.0 or not across[0] > 0.0:
+        if not left.p[0] > 0.0 or not right.p[0] > 0.0:
             return self
         return replace(
             self,
-            focal_px=p[0],
-            middle_px=(p[2], p[6]),
+            focal_px=left.p[0],
+            middle_px=(left.p[2], left.p[6]),
             size_px=(left.width, left.height),
-            baseline_m=-across[3] / across[0],
+            baseline_m=-right.p[3] / right.p[0],
         )
 
     def unseen(self, tips: np.ndarray) -> list[str]:
@@ -254,4 +253,4 @@ def view_beside(arm: Path) -> View | None:
     view, calibrated = View.of(bridge, simulated), [camera_path(folder, side) for side in SIDES]
     if not all(file.is_file() for file in calibrated):
         return view
-    return view.through(*map(read_camera, calibrated))
+    return view.look_through(*map(read_camera, calibrated))

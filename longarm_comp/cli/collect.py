@@ -159,7 +159,7 @@ def _show_plan(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) ->
             ],
         }
     )
-    rows = [(c.question, f"{c.passed_count} of {count}", c.mostly) for c in checks]
+    rows = [(c.question, f"{c.passed_count} of {count}", c.common_faults) for c in checks]
     print_table(f"{name}: {count} visits", ("visits", "yes", "where not"), rows)
     if stopped := blocked_visits(checks, todo):
         raise JobError(f"{len(stopped)} of {count} visits cannot be driven")

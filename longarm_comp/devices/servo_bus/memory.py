@@ -60,7 +60,7 @@ class ServoMemory:
     goals: tuple[int, int] | None
     speed_ticks_s: float | None
 
-    def beyond(self, ticks: float) -> str:
+    def describe_jump(self, ticks: float) -> str:
         """Say why a servo at ``ticks`` would jump when it is driven; empty where it would not."""
         if self.goals is None or self.goals[0] <= ticks <= self.goals[1]:
             return ""
@@ -86,7 +86,7 @@ class ServoMemory:
 
     @property
     def notable(self) -> str:
-        """Those, and the registers that differ among models."""
+        """The registers that are not as from the factory or differ among models, with addresses."""
         own = [r for r in self.registers if self.values[r.name] != r.factory]
         return ", ".join(map(self.describe, own))
 

@@ -92,7 +92,7 @@ class PlanCheck:
         return sum(not fault for fault in self.faults)
 
     @property
-    def mostly(self) -> str:
+    def common_faults(self) -> str:
         """The faults in words, the most frequent kinds first."""
         return in_words(fault for fault in self.faults if fault)
 
