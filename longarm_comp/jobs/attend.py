@@ -17,13 +17,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import kept_stops
 from longarm_comp.jobs.client import STOPPED
-from longarm_comp.jobs.graph_client import (
-    ANNOUNCED_S,
-    FOUND_S,
-    GraphClient,
-    Interrupted,
-    Reports,
-)
+from longarm_comp.jobs.graph_client import ANNOUNCED_S, FOUND_S, GraphClient, Interrupted, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import UNACKNOWLEDGED
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
@@ -134,9 +128,8 @@ class Attendant:
         state: DriverState = self._client.until(lambda: self._driver, FOUND_S, missing)
         return state
 
-    @property
-    def stopped(self) -> str:
-        """The stop that stands, in the driver's words; empty where none does."""
+    def hear_stop(self) -> str:
+        """Return the stop that stands, in the driver's words; empty where none does."""
         driver = self._hear_driver()
         asked = driver.state in (DriverState.ESTOP, DriverState.HOLDING)
         return str(driver.message).partition(";")[0] if asked else ""
@@ -147,12 +140,10 @@ class Attendant:
         Raises:
             JobError: somebody has stopped the arm, or it was not stopped.
         """
-        if others := self.stopped:
+        if others := self.hear_stop():
             raise JobError(f"nothing is done: {others}; to go on: longarm reset")
         said = self.stop()
-        own = self._client.until(
-            lambda: self.stopped, FOUND_S, "the driver does not say it stopped"
-        )
+        own = self._client.until(self.hear_stop, FOUND_S, "the driver does not say it stopped")
         return said, own
 
     def take_back(self, own: str) -> str:
@@ -162,7 +153,7 @@ class Attendant:
             JobError: it was, and stays.
         """
         self._client.spin(1.2)  # the driver tells its state twice a second
-        if (now := self.stopped) != own:
+        if (now := self.hear_stop()) != own:
             raise JobError(f"the stop stays: {now}; to go on: longarm reset")
         return self._ask_service(graph.ESTOP, SetBool.Request(data=False))
 
