@@ -89,12 +89,12 @@ def judge(
         clean: (N, 3) m, the rows' points without noise: then the tip alone is judged.
         commanded: whether errors are those that a command would leave.
     """
-    known, seen = measure_uncertainty(fitted), rows.take(rows.located)
+    known, seen = measure_uncertainty(fitted), rows.take(rows.has_position)
     model = fitted.model
     off = (commanded_errors if commanded else compute_tip_errors)(model, seen)
     if clean is not None:
         known = replace(known, noise=np.zeros((3, 3)))
-        off = off + clean[rows.located] - seen.xyz
+        off = off + clean[rows.has_position] - seen.xyz
     slots = (*model.slots, *slots_of(model.arm, known.absent))
     columns = make_equations(model, seen, slots).columns[:, :3]
     carried = known.carry_to_tip(columns, [slot.identity for slot in slots])

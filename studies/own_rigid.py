@@ -125,4 +125,4 @@ def _of(names: np.ndarray, at: np.ndarray, name: str) -> np.ndarray:
 
 
 def _is_touched(session: Session) -> bool:
-    return "touch" in session.labels and not session.located.any()
+    return "touch" in session.labels and not session.has_position.any()

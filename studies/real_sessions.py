@@ -115,7 +115,7 @@ def _centre_of_mass(arm: Arm, q: np.ndarray) -> np.ndarray:
     bare = arm.model_copy(update={"point_masses": still})
     model = Model(bare)
     posture = model.posture([q[:, j] for j in range(arm.n)])
-    mass, first = posture.carried
+    mass, first = posture.carried_masses
     station = posture.frame(5)
     world = tuple(f / mass[station] for f in first[station])
     torso: Frame = posture.frames[posture.frame(4)]

@@ -96,7 +96,7 @@ def real_sets(folder: Path) -> Iterator[tuple[str, list[Measured]]]:
 def judge_splits(part: Measured, say: Say) -> Iterator[HeldOut]:
     """Yield every split of an arm's rows."""
     for train, test in part.splits:
-        touched = test is not None and not test.located.any()
+        touched = test is not None and not test.has_position.any()
         say("diagnosis")
         try:
             found = _diagnose(part.arm, train, test)
@@ -117,7 +117,7 @@ def _rows(found: Diagnosis) -> HeldOut:
     """Return rows that say where the tip is; fold by fold, as the proof has them."""
     own, inside = [], []
     for fold in found.folds:
-        rows = fold.rows.take(fold.rows.located)
+        rows = fold.rows.take(fold.rows.has_position)
         own.append(OwnRigid.fit(found.arm, fold.fits[CALIBRATED].session).left(rows))
         judged = coverage.judge("", fold.fits[found.written], rows, commanded=True)
         inside.append(judged.error <= judged.radius)

@@ -264,7 +264,7 @@ class Bench:
         model = setting.physics(self.declared, rows)
         predictor = None
         if setting.learner is not None:
-            base = model if setting.method.physics else model.rigid
+            base = model if setting.method.uses_physics else model.rigid
             predictor = setting.learner(*training_rows(base, rows), seed=seed)
         return model, predictor
 

@@ -193,7 +193,7 @@ def _check_arm(arm: Arm) -> Iterator[_FolderFinding]:
     weight = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
     if not weight:
         until = "Compliances are relative to 1 kg a metre until then"
-        until = "Without weight no compliance can be found" if arm.weighed else until
+        until = "Without weight no compliance can be found" if arm.declares_weight else until
         yield unmeasured(f"{ARM}: point_masses", f"no part has a mass: weigh them. {until}")
     if arm.payload is None:
         yield unmeasured(f"{ARM}: payload", "no payload is declared: weigh tool and marker")

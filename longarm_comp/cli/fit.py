@@ -90,7 +90,7 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
     )
     added = [p for p in calibration.parameters if not p.geometry]
     found = [(p.effect, p.where, p.name, p.value, p.ci95, p.unit) for p in added]
-    print_effects("Effects, fitted to all rows", arm.called, found)
+    print_effects("Effects, fitted to all rows", arm.names_for_people, found)
     note(f"{aside.describe(final.session)}; model in {output}")
     if not final.converged:
         note(

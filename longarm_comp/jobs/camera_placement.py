@@ -52,7 +52,7 @@ def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadP
     Args:
         assumed: (4, 4) left optical frame in the base frame that the sightings were computed with.
     """
-    rows = session.take(session.located)
+    rows = session.take(session.has_position)
     if len(rows) < FEWEST_POSES:
         allowed = f"at least {FEWEST_POSES} rows with x, y and z"
         raise InputError(session.source, "rows", len(rows), allowed)

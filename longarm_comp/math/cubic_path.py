@@ -29,7 +29,7 @@ class CubicPath:
     stretch: float = 1.0
 
     def at(self, time_s: npt.ArrayLike, order: int = 0) -> Array:
-        """(..., n) joints at times (...), or their derivative of an order up to 3.
+        """Return (..., n) joints at times (...), or their derivative of an order up to 3.
 
         Before the path and after it they are those of its ends.
         """
@@ -49,16 +49,16 @@ class CubicPath:
 
     @property
     def duration(self) -> float:
-        """s from time 0 on."""
+        """The time from 0 s to its end, s."""
         return float(self.times[-1])
 
     @property
     def end(self) -> Array:
-        """(n,) final position."""
+        """The joints (n,) at its end, rad or m."""
         return self.joints[-1]
 
     def extremes(self) -> tuple[Array, Array]:
-        """Lowest and highest position on the path, (n,) each."""
+        """Return the lowest and the highest joints on the path, (n,) each, rad or m."""
         h = np.diff(self.times)[:, None]
         b, c = self._velocity_terms()
         m = self.velocities[:-1]
@@ -69,13 +69,11 @@ class CubicPath:
             turns = np.stack((half / c, m / half))
         turns = np.clip(np.where(np.isfinite(turns), turns, 0.0), 0.0, 1.0)
         reached = self.joints[:-1] + h * (m * turns + b * turns**2 / 2 + c * turns**3 / 3)
-        every = np.concatenate((self.joints[None], reached), axis=None).reshape(
-            -1, self.joints.shape[1]
-        )
+        every = np.concatenate([self.joints, *reached])
         return every.min(axis=0), every.max(axis=0)
 
     def peak_velocity(self) -> Array:
-        """(n,) highest speed on the path."""
+        """Return each joint's highest speed on the path, (n,) rad/s or m/s."""
         b, c = self._velocity_terms()
         m = self.velocities[:-1]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -85,7 +83,7 @@ class CubicPath:
         return np.abs(np.concatenate((self.velocities, inner))).max(axis=0)
 
     def peak_acceleration(self) -> Array:
-        """(n,) highest on the path: at an end of a segment, within which it is linear."""
+        """Return the peak acceleration, (n,): at an end of a segment, as it is linear within."""
         (b, c), h = self._velocity_terms(), np.diff(self.times)[:, None]
         ends = np.maximum(np.abs(b), np.abs(b + 2.0 * c)) / h
         return np.asarray(ends.max(axis=0, initial=0.0))
@@ -104,30 +102,30 @@ class CubicPath:
         return 2.0 * self._velocity_terms()[1] / np.diff(self.times)[:, None] ** 2
 
     def mean_square_jerk(self, unit: Array) -> float:
-        """Of all joints together, in units (n,), averaged over time."""
+        """Return the squared jerk of all joints together, in units (n,), averaged over time."""
         if len(self.times) == 1:
             return 0.0
         square = ((self.jerk / unit) ** 2).sum(axis=1)
         return float(np.average(square, weights=np.diff(self.times)))
 
     def _velocity_terms(self) -> tuple[Array, Array]:
-        """Velocity in a segment is ``slope + b u + c u^2``, u from 0 to 1."""
+        """Return b, c of the velocity in each segment, ``slope + b u + c u^2``, u from 0 to 1."""
         chord = np.diff(self.joints, axis=0) / np.diff(self.times)[:, None]
         m, n = self.velocities[:-1], self.velocities[1:]
         return 6 * chord - 4 * m - 2 * n, 3 * (m + n) - 6 * chord
 
 
 def split(pieces: np.ndarray) -> Array:
-    """(sum + 1,) ends of equal pieces of intervals, so many of each: 1.5 is the middle of the
-    second interval."""
+    """Return (sum + 1,) ends of equal pieces of intervals, so many of each: 1.5 is the middle of
+    the second interval."""
     k = np.repeat(np.arange(len(pieces)), pieces)
     begun = np.repeat(np.cumsum(pieces) - pieces, pieces)
     return np.append(k + (np.arange(len(k)) - begun) / pieces[k], float(len(pieces)))
 
 
 def smooth_slopes(times: Array, joints: Array) -> Array:
-    """(k, n) velocities at way-points (k, n): 0 at both ends, in between of fourth order in the
-    steps, where these change slowly.
+    """Compute velocities (k, n) at way-points (k, n): 0 at both ends, in between of fourth order
+    in the steps, where these change slowly.
 
     They are those of parabolas through three way-points, brought nearer to a cubic spline's by one
     round of its equations, of which a third is left out: their errors of third order cancel.
@@ -146,7 +144,7 @@ def smooth_slopes(times: Array, joints: Array) -> Array:
 
 
 def monotone_slopes(times: Array, joints: Array) -> Array:
-    """As `smooth_slopes`, but the path stays in the box that the way-points span.
+    """Return `smooth_slopes` reduced so that the path stays in the box of its way-points.
 
     They are 0 wherever the direction turns, and at most three times the slower way beside them
     (Fritsch and Carlson 1980).

@@ -11,7 +11,7 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that is nearest to a matrix: its orthogonal part, never a mirror."""
+    """Return the rotation (3, 3) nearest to a matrix: its orthogonal part, never a mirror."""
     u, _, vt = np.linalg.svd(matrix)
     return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
@@ -19,7 +19,7 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
 def kabsch(
     points: np.ndarray, seen: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and offset (3,) of (N, 3) points to sightings, weighted (Kabsch 1976)."""
+    """Fit rotation (3, 3), offset (3,) of (N, 3) points to sightings, weighted (Kabsch 1976)."""
     share = (weights / weights.sum())[:, None]
     a, b = (share * points).sum(0), (share * seen).sum(0)
     rotation = nearest_rotation((share * (seen - b)).T @ (points - a))
@@ -31,12 +31,12 @@ ROUNDS = 6
 
 
 def robust_weights(distance: np.ndarray) -> np.ndarray:
-    """(N,) 1 for the closer half of N distances, falling with the square of the distance beyond."""
+    """Return (N,) 1 for the closer half of N distances, beyond it falling with their square."""
     return 1.0 / np.maximum(1.0, distance / max(float(np.median(distance)), 1e-12)) ** 2
 
 
 def robust_kabsch(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As `kabsch`, the rows weighed again by `robust_weights` after each of `ROUNDS`."""
+    """Fit as `kabsch`, the rows weighed again by `robust_weights` after each of `ROUNDS`."""
     weights = np.ones(len(points))
     for _ in range(ROUNDS):
         rotation, offset = kabsch(points, seen, weights)

@@ -31,16 +31,16 @@ class Shaper:
         return float(self.ends.max(initial=0.0))
 
     def since(self, times: np.ndarray, seconds: float) -> np.ndarray:
-        """(P, M): times of a motion of some seconds that its parts have reached at times (M,)."""
+        """Return (P, M) s: what times of a motion of some seconds its parts reached at (M,) s."""
         pace = seconds / (seconds + self.ends - self.begins)
         since = np.subtract.outer(times, self.begins) * pace
         return np.asarray(np.clip(since, 0.0, seconds).T)
 
     def parts(self, way: Way, times: np.ndarray, seconds: float) -> np.ndarray:
-        """(P, M, n): joints of every part at times (M,)."""
+        """Return (P, M, n) rad and m: the joints of every part at times (M,) s."""
         since = self.since(times, seconds)
         return way(since.ravel()).reshape(*since.shape, -1)
 
     def shape_motion(self, way: Way, seconds: float) -> Way:
-        """The motion in parts; before its time 0 the arm stands still."""
+        """Return the motion in parts; before its time 0 the arm stands still."""
         return lambda times: np.tensordot(self.weights, self.parts(way, times, seconds), 1)

@@ -93,13 +93,13 @@ class PredictorClient:
             why a predictor that the method needs was not used.
         """
         why = ""
-        if method.learned and (self._served_now or self._caller.present):
+        if method.uses_predictor and (self._served_now or self._caller.present):
             try:  # mostly one call a target
-                found = compensate(Nearby(partial(self.ask, deflection=method.physics)))
+                found = compensate(Nearby(partial(self.ask, deflection=method.uses_physics)))
                 return found, self.file_hash, ""
             except NoAnswer as absent:
                 why = absent.reason
-        elif method.learned:
+        elif method.uses_predictor:
             why = "no error_predictor is running"
         return compensate(None), "", why
 
@@ -180,5 +180,5 @@ class PredictorClient:
 def _check_physics(beside_deflection: bool, deflection: bool) -> None:
     """Raise `NoAnswer` where a predictor learned what another physics leaves."""
     if beside_deflection != deflection:
-        fits = Method.learned_beside(deflection=beside_deflection)
+        fits = Method.BOTH if beside_deflection else Method.NETWORK
         raise NoAnswer(f"its predictor was trained for method {fits.value!r}")

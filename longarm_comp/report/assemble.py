@@ -66,7 +66,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             )
             for f in diagnosis.search.doubtful
         ],
-        called=diagnosis.arm.called,
+        called=diagnosis.arm.names_for_people,
         provenance=_provenance_of(diagnosis.seed, data_sha256, proof.folds),
     )
 

@@ -128,7 +128,7 @@ def _collect_rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     held = diagnosis.held_out.take(diagnosis.proof.rows_at)
     predicted = diagnosis.model.measured(held.q, held.context())
     near = predicted + diagnosis.proof.errors[diagnosis.written]
-    seen = np.where(held.located[:, None], held.xyz, near)
+    seen = np.where(held.has_position[:, None], held.xyz, near)
     # So many arms are drawn in the scene
     shown = np.unique(np.linspace(0, len(held) - 1, min(6, len(held))).astype(int))
     context, model = held.context(), diagnosis.model
@@ -166,7 +166,7 @@ def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
 def _list_correlations(diagnosis: Diagnosis) -> PageTable | None:
     """List the five strongest correlations of each parameter, by their posterior."""
     found = {t.key for f in diagnosis.findings for t in f.terms}
-    fit, called = diagnosis.fit, diagnosis.arm.called
+    fit, called = diagnosis.fit, diagnosis.arm.names_for_people
     own = [k for k, s in enumerate(fit.slots) if s.owner.key in found]
     rest = np.array([k for k, s in enumerate(fit.slots) if s.owner.geometry], dtype=int)
     if not own or not len(rest):
@@ -191,7 +191,7 @@ def _list_detectable(diagnosis: Diagnosis) -> PageTable:
         slots = one.candidate.slots(diagnosis.arm)
         if len(one.candidate.terms) > 1 or not slots:
             continue
-        p, where = slots[0].parameter, in_names(place, diagnosis.arm.called)
+        p, where = slots[0].parameter, in_names(place, diagnosis.arm.names_for_people)
         size = (one.size * p.prior, p.unit, 1e3 * one.shift_m)
         unseen = (None, "not excited by these data", None)
         rows.append((name, where, p.name, *(size if np.isfinite(one.size) else unseen)))
@@ -256,7 +256,7 @@ def _mark_places(diagnosis: Diagnosis) -> tuple[Marked, ...]:
     row = int(np.linalg.norm(tips - tips.mean(axis=0), axis=1).argmax())
     context, q = rows.context().take(row), rows.q[row]
     line, posture = outline(model, q, context), model.posture(unstack(q), context)
-    camera, called, marked = model.arm.camera, model.arm.called, []
+    camera, called, marked = model.arm.camera, model.arm.names_for_people, []
     for terms in found:
         points: dict[str, list[np.ndarray]] = {}
         for term in terms:

@@ -275,13 +275,13 @@ def method_of(given: Method | str | None, predictor: Predictor | None) -> Method
     """
     usual = Method.DEFLECTION
     if predictor is not None:
-        usual = Method.learned_beside(deflection=predictor.provenance.beside_deflection)
+        usual = Method.BOTH if predictor.provenance.beside_deflection else Method.NETWORK
     try:
         chosen = usual if given is None else Method(given)
     except ValueError:
         allowed = ", ".join(each.value for each in Method)
         raise InputError("compensate", "method", given, allowed) from None
-    if chosen.learned and chosen is not usual:
+    if chosen.uses_predictor and chosen is not usual:
         allowed = f"{usual.value}: because the predictor was trained so"
         if predictor is None:
             allowed = f"{usual.value}; or with --predictor, a predictor"

@@ -162,7 +162,7 @@ def evaluate(
         inside = np.asarray(found.in_domain)
         outside = int(found.outside.sum())
         refused = int((~inside).sum()) - outside
-        inside = inside & session.located[session.placed]
+        inside = inside & session.has_position[session.placed]
         beneath = inputs.choose_physics(arm, model, beside)
         models["network"] = beneath if model is not None else place_as_seen(beneath, session).model
         taken_off["network"] = np.where(inside[:, None], found.error, 0.0)

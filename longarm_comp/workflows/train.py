@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
     """Return joints (M, n), residual (M, 3) in m, and circumstances of the M located rows."""
-    seen = session.take(session.located)
+    seen = session.take(session.has_position)
     if not len(seen):
         allowed = "rows with all three, to learn from"
         raise InputError(session.source, "x, y, z", "not measured together in any row", allowed)
@@ -111,10 +111,10 @@ def train(
     base, tell = given.choose_physics(arm, model, deflection), given.make_teller(progress)
     whole = given.admit_session(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
-    located = whole.take(whole.located)
+    located = whole.take(whole.has_position)
     if far := describe_offset(base, located):
         raise JobError(far, session=located.source)
-    if partly := int((whole.seen & ~whole.located).sum()):
+    if partly := int((whole.seen & ~whole.has_position).sum()):
         note(f"{whole.source}: {partly} rows hold no whole position: the network leaves them out")
     mark = given.physics_mark(model, deflection)
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, mark)

@@ -162,7 +162,7 @@ def test_two_recorders_of_one_bag_are_refused(tmp_path: Path) -> None:
     with SegmentedBag(path) as bag:
         bag.write("/word", TEXT, 10**18, word("one"))
         for resume in (True, False):
-            with pytest.raises(InputError, match="in use by another process|--resume"):
+            with pytest.raises(InputError, match=r"in use by another process|--resume"):
                 SegmentedBag(path, resume=resume)
         bag.finish_segment()
     with SegmentedBag(path, resume=True) as bag:

@@ -51,12 +51,12 @@ def test_a_joint_is_said_by_the_number_that_a_mechanic_knows() -> None:
             {"id": 3, "type": "fixed"},
             {"id": 4, "type": "revolute", "limits_deg": [-9, 9], "name": "luff"}]  # fmt: skip
     data = {"name": "any", "convention": "mdh_craig", "tip": {"frame": 4}, "joints": rows}
-    assert Arm.parse(data, "test").called == {
+    assert Arm.parse(data, "test").names_for_people == {
         "joint 2": "joint q1", "joint 4": "luff (q2)", "row 4": "row luff", "frame 4": "frame luff"
     }  # fmt: skip
     for row in rows:
         row |= {"type": "revolute", "limits_deg": [-9, 9]}
-    assert Arm.parse(data, "test").called["joint 4"] == "luff (q4)"
+    assert Arm.parse(data, "test").names_for_people["joint 4"] == "luff (q4)"
     report, _ = sample("named")
     report |= {"called": {"joint 4": "luff (q2)"}, "summary": "play at joint 4, joint 41"}
     report["findings"][0] |= {"where": ["joint 4"]}

@@ -99,7 +99,7 @@ class _Recorder:
             self._put("payload", stamp, data=float(session.columns["payload_kg"][i]))
 
     def _sighting(self, stamp: int, session: Session, i: int) -> None:
-        xyz = session.xyz[i] if session.located[i] else np.full(3, np.nan)
+        xyz = session.xyz[i] if session.has_position[i] else np.full(3, np.nan)
         covariance = np.zeros(36)
         if session.sigma is not None:
             covariance[[0, 7, 14]] = session.sigma[i] ** 2
@@ -132,7 +132,7 @@ class _Recorder:
                 if not (kind == "orientation" and _stated(session, i))
                 and not np.isnan(values[i]).any()
             }
-            if name == "readings" and not session.located[i] and session.seen[i]:
+            if name == "readings" and not session.has_position[i] and session.seen[i]:
                 held["position"] = [None if np.isnan(v) else float(v) for v in session.xyz[i]]
             row |= {name: held} if held else {}
         if session.told[i].any():
@@ -148,4 +148,4 @@ def _header(stamp: int) -> dict[str, Any]:
 def _stated(session: Session, i: int) -> bool:
     """Whether a row's orientation says how well it is known, so that a sighting can carry it."""
     stated = session.sigmas.get("orientation")
-    return bool(session.turned[i] and stated is not None and np.isfinite(stated[i]))
+    return bool(session.has_orientation[i] and stated is not None and np.isfinite(stated[i]))

@@ -37,7 +37,7 @@ _COSINE = (
 
 
 def sine(x: Scalar) -> Scalar:
-    """Compute sin x."""
+    """Compute sin x, x in rad."""
     return _quadrant(x, 0.0)
 
 

@@ -71,7 +71,7 @@ class Arm(Declared):
     tolerance: Placements = Placements()
 
     @model_validator(mode="after")
-    def _chain(self) -> Arm:
+    def _check_chain(self) -> Arm:
         rows, ids = len(self.joints), [j.id for j in self.joints]
         if ids != list(range(1, rows + 1)):
             raise Misdeclared("joints.id", ids, f"1..{rows} in order, base to tip")
@@ -134,7 +134,7 @@ class Arm(Declared):
                     raise Misdeclared(field, f"{fixed} m together", allowed)
 
     @property
-    def weighed(self) -> bool:
+    def declares_weight(self) -> bool:
         """True if the weight of any part is declared."""
         return bool(self.links or self.point_masses or self.payload)
 
@@ -161,7 +161,7 @@ class Arm(Declared):
 
     @property
     def n(self) -> int:
-        """Number of commanded joints."""
+        """The number of commanded joints, the length of q."""
         return len(self.commanded)
 
     @cached_property
@@ -177,7 +177,7 @@ class Arm(Declared):
         return [names.index(name) for name in self.joint_names]
 
     @cached_property
-    def called(self) -> dict[str, str]:
+    def names_for_people(self) -> dict[str, str]:
         """Names that people have for rows of arm.yaml, where they differ: ``luff (q2)`` for
         ``joint 4``, ``frame luff`` for ``frame 4``."""
         names: dict[str, str] = {}

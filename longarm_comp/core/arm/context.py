@@ -130,9 +130,7 @@ class Context:
         def of(value: Any) -> Any:
             return np.asarray(value)[rows] if _of_each(value) else value
 
-        history: dict[str, Any] = {
-            name: tuple([of(v) for v in getattr(self, name)]) for name in PER_JOINT
-        }
+        history: dict[str, Any] = {k: tuple([of(v) for v in getattr(self, k)]) for k in PER_JOINT}
         columns = {name: of(v) for name, v in self.columns.items()}
         labels = {name: of(v) for name, v in self.labels.items()}
         return Context(**history, columns=columns, labels=labels)
@@ -174,7 +172,7 @@ class Context:
 
     @cached_property
     def layout(self) -> Layout:
-        """Which numbers the record holds."""
+        """The names and number of what the record holds, the same for all records of a kind."""
         joints = tuple([len(getattr(self, name)) for name in PER_JOINT])
         return Layout(joints, tuple(sorted(self.columns)), tuple(sorted(self.labels.items())))
 
@@ -214,7 +212,7 @@ class Layout:
 
     @property
     def count(self) -> int:
-        """Numbers of context a target."""
+        """The number of scalars of a record: per-joint fields, then columns."""
         return sum(self.joints) + len(self.columns)
 
     def unpack(self, values: Sequence[Any]) -> Context:

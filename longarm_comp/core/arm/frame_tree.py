@@ -69,7 +69,7 @@ class FrameTree:
 
     @property
     def names(self) -> list[str]:
-        """Every known frame, sorted."""
+        """The names of every known frame, parents too, sorted."""
         parents = {child.parent for child in self._children.values()}
         return sorted(parents | set(self._children))
 
@@ -96,7 +96,7 @@ class FrameTree:
         known.store(t_ns, (np.asarray(position), np.asarray(turn) / np.linalg.norm(turn)))
 
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
-        """Pose (4, 4) of a frame in another one at a time (ns); 0: the latest known of all.
+        """Return the pose (4, 4) of a frame in another one at a time (ns); 0: the latest of all.
 
         Raises `UnknownPlace`, or `NotYet` where what was last published is older.
         """
@@ -111,11 +111,15 @@ class FrameTree:
         if not t_ns:
             told = [self._children[name] for way in ways for name in way]
             t_ns = min((child.times[-1] for child in told if not child.static), default=0)
-        up, down = (self._in_ancestor(way, t_ns) for way in ways)
+        up, down = np.eye(4), np.eye(4)
+        for name in ways[0]:
+            up = self._children[name].at(name, t_ns) @ up
+        for name in ways[1]:
+            down = self._children[name].at(name, t_ns) @ down
         return np.asarray(np.linalg.inv(down) @ up)
 
     def hangs_on(self, frame: str, other: str) -> bool:
-        """True if a frame is another one, or was told in one that is."""
+        """Tell whether a frame is another one, or was placed, over its parents, in that one."""
         return other in self._line(frame)
 
     def _line(self, name: str) -> list[str]:
@@ -124,12 +128,6 @@ class FrameTree:
         while (child := self._children.get(line[-1])) is not None:
             line.append(child.parent)
         return line
-
-    def _in_ancestor(self, way: list[str], t_ns: int) -> np.ndarray:
-        pose = np.eye(4)
-        for name in way:
-            pose = self._children[name].at(name, t_ns) @ pose
-        return pose
 
 
 def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:

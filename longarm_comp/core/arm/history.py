@@ -40,7 +40,7 @@ def add_way(legs: Sequence[float], way: float) -> list[float]:
 
 
 def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
-    """Side of arrival and legs of a joint after some ways (rad, m), one after the other."""
+    """Return side of arrival and legs of a joint after ways (rad, m), one after the other."""
     for way in ways:
         if abs(way) >= SAME_POSE:
             side = 1.0 if way > 0 else -1.0

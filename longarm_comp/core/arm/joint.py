@@ -58,7 +58,7 @@ class Joint(Declared):
     )
 
     @model_validator(mode="after")
-    def _consistent(self) -> Joint:
+    def _check_keys(self) -> Joint:
         given = {"limits_deg": self.limits_deg, "limits_m": self.limits_m}
         key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
         if self.type == "fixed" and self.mimic:

@@ -20,7 +20,7 @@ class CameraPlacement(Declared):
     optical_axis: Vec3 = (0.0, 1.0, 0.0)
 
     @model_validator(mode="after")
-    def _looks(self) -> CameraPlacement:
+    def _check_direction(self) -> CameraPlacement:
         if not any(self.optical_axis):
             raise Misdeclared("optical_axis", list(self.optical_axis), "a direction, not zero")
         return self
@@ -58,7 +58,7 @@ class Inclinometer(Declared):
     gain: Literal["one", "free"] = Field(default="one", description="free: fitted")
 
     @model_validator(mode="after")
-    def _two(self) -> Inclinometer:
+    def _check_axes(self) -> Inclinometer:
         if self.axes[0] == self.axes[1]:
             raise Misdeclared("axes", list(self.axes), "two that differ of x, y, z")
         return self

@@ -29,7 +29,7 @@ class Move:
 
     @property
     def points(self) -> np.ndarray:
-        """(k, n) way-points to send."""
+        """The (k, n) way-points to send, rad and m: one, or two with a run-up."""
         return self.q[None] if self.run_up is None else np.stack([self.run_up, self.q])
 
 

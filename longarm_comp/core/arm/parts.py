@@ -86,7 +86,7 @@ class Payload(Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
-    def _bounded(self) -> Payload:
+    def _check_most(self) -> Payload:
         if self.most_kg is not None and self.most_kg < self.mass_kg:
             raise Misdeclared("most_kg", self.most_kg, f"at least mass_kg, {self.mass_kg}")
         return self
@@ -100,7 +100,7 @@ class Tube(Declared):
     id_m: NonNegative = 0.0
 
     @model_validator(mode="after")
-    def _hollow(self) -> Tube:
+    def _check_bore(self) -> Tube:
         if self.id_m >= self.od_m:
             raise Misdeclared("id_m", self.id_m, f"less than od_m {self.od_m}")
         return self
@@ -120,7 +120,7 @@ class Rect(Declared):
     wall_m: Positive | None = Field(default=None, description="box wall; solid if absent")
 
     @model_validator(mode="after")
-    def _walled(self) -> Rect:
+    def _check_wall(self) -> Rect:
         if self.wall_m is not None and 2 * self.wall_m >= min(self.width_m, self.height_m):
             raise Misdeclared("wall_m", self.wall_m, "less than half of width_m and of height_m")
         return self
@@ -165,7 +165,7 @@ class Beam(Declared):
     body_length_m: Positive | None = None
 
     @model_validator(mode="after")
-    def _stiff(self) -> Beam:
+    def _check_stiffness(self) -> Beam:
         if (self.section is None) == (self.EI_nm2 is None):
             state = "missing" if self.section is None else "given beside EI_nm2"
             raise Misdeclared("section", state, "either section with E_pa, or EI_nm2 with GJ_nm2")
@@ -177,9 +177,8 @@ class Beam(Declared):
         if self.EI_nm2 is not None and self.GJ_nm2 is None:
             raise Misdeclared("GJ_nm2", "missing", "torsional stiffness in N m^2, beside EI_nm2")
         if self.length_m == "rest" and self.body_length_m is None and self.mass_kg > 0:
-            raise Misdeclared(
-                "body_length_m", "missing", "needed by a beam of length rest with mass"
-            )
+            allowed = "needed by a beam of length rest with mass"
+            raise Misdeclared("body_length_m", "missing", allowed)
         lowest, highest = RANGES["_nm2"]
         if not all(lowest <= value <= highest for value in self.stiffness):
             made = ", ".join(f"{value:.3g}" for value in self.stiffness)
@@ -237,14 +236,14 @@ class Box(Declared):
     max_m: Vec3
 
     @model_validator(mode="after")
-    def _ordered(self) -> Box:
+    def _check_corners(self) -> Box:
         if any(low >= high for low, high in zip(self.min_m, self.max_m, strict=True)):
             raise Misdeclared("max_m", list(self.max_m), f"above min_m, {list(self.min_m)}")
         return self
 
     @property
     def thickness(self) -> float:
-        """Its shortest side, m."""
+        """The length of its shortest side, m."""
         return min(high - low for low, high in zip(self.min_m, self.max_m, strict=True))
 
     def holds(self, points: np.ndarray) -> np.ndarray:
@@ -258,8 +257,8 @@ class Box(Declared):
         return np.asarray(inside.min(axis=-1))
 
     def clearance(self, points: np.ndarray) -> np.ndarray:
-        """(..., k - 1) m: how far segments of polylines (..., k, 3) are from the box, at least; 0
-        only for those that have a point in it.
+        """Return (..., k - 1) m: how far segments of polylines (..., k, 3) are from the box, at
+        least; 0 only for those that have a point in it.
 
         It is the largest gap along the axes that separate a segment from a box: those of the box
         together, and, for a segment longer than that, those across one of them and the segment.

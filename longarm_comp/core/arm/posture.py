@@ -90,6 +90,10 @@ class Chain:
         self.carriers = {self.spots[name]: self.frame_station(f) for name, f in carriers.items()}
         self.stations = count + len(carriers)
         self.mixing, self.offset = arm.mixing
+        self._coupled = {
+            joint: tuple((row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0)
+            for joint, weights in zip(arm.commanded, self.mixing.T, strict=True)
+        }
 
     def frame_station(self, row: int) -> int:
         """Return the station of row `row`'s frame; row 0 is the base."""
@@ -109,13 +113,6 @@ class Chain:
     def coupled_rows(self, joint: int) -> tuple[tuple[int, float], ...]:
         """Return (row, how far it moves per unit of a joint's row), that row first."""
         return self._coupled.get(joint, ((joint, 1.0),))
-
-    @cached_property
-    def _coupled(self) -> dict[int, tuple[tuple[int, float], ...]]:
-        return {
-            joint: tuple((row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0)
-            for joint, weights in zip(self.arm.commanded, self.mixing.T, strict=True)
-        }
 
     @cached_property
     def own_axes(self) -> list[tuple[int, int, int, float]]:
@@ -235,7 +232,7 @@ class Posture:
 
     @property
     def count(self) -> int:
-        """Number of postures."""
+        """The number N of postures that its scalars hold."""
         return int(np.size(self.q[0]))
 
     @cached_property
@@ -304,7 +301,7 @@ class Posture:
         return beyond
 
     @cached_property
-    def carried(self) -> tuple[list[Scalar], list[Vec]]:
+    def carried_masses(self) -> tuple[list[Scalar], list[Vec]]:
         """Mass (kg) at and beyond every station, and its first moment in the base frame (kg m).
 
         A beam element's own weight belongs to the stations before its end.
@@ -352,7 +349,7 @@ class Posture:
         return self._loads_at(station)[2]
 
     def _loads_at(self, station: int) -> tuple[Vec, Vec, Vec]:
-        mass, first = self.carried
+        mass, first = self.carried_masses
         return self.once(
             ("loads", station),
             lambda: compute_loads(
@@ -373,7 +370,7 @@ class Posture:
 
 
 def compute_loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Vec, Vec]:
-    """Gravity, and weight and moment about the origin of what a frame carries, in its axes.
+    """Compute gravity, and weight (N) and moment (N m) of what a frame carries, in its axes.
 
     Args:
         mass, first: carried (kg), and its first moment in the base frame (kg m).

@@ -161,7 +161,7 @@ def exp_large(twist: Twist) -> Frame:
 
 
 def _small(t: Scalar) -> tuple[Scalar, Scalar]:
-    """``b = (1 - cos x) / x^2`` and ``c = (x - sin x) / x^3`` of a small angle, ``t = x^2``."""
+    """Compute ``b = (1 - cos x) / x^2``, ``c = (x - sin x) / x^3``, x small and ``t = x^2``."""
     b = 0.5 - t * (1 / 24 - t * (1 / 720 - t * (1 / 40320 - t / 3628800)))
     c = 1 / 6 - t * (1 / 120 - t * (1 / 5040 - t * (1 / 362880 - t / 39916800)))
     return b, c
@@ -247,7 +247,7 @@ def small_rotation(a: Frame, b: Frame) -> Vec:
 
 
 def sum_twists(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
-    """Sum of twists by station."""
+    """Add up twists (m, rad), station by station."""
     total: dict[int, Twist] = {}
     for part in parts:
         for station, twist in part.items():
@@ -265,7 +265,7 @@ def _plus(x: Scalar, y: Scalar) -> Scalar:
 
 
 def rpy_frame(xyz: Vec, rpy: Vec) -> Frame:
-    """Pose from fixed-axis roll, pitch, yaw (rad) as in URDF: Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return a pose by roll, pitch, yaw (rad) as in URDF: Rz(yaw) Ry(pitch) Rx(roll)."""
     (cr, sr), (cp, sp), (cy, sy) = (_exact_cos_sin(float(a)) for a in rpy)
     return Frame(
         (cy * cp, sy * cp, -sp),

@@ -30,12 +30,16 @@ def stack_alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[
 
 def stack_all(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
     """Stack the scalars of some items: each to (k, N), (k, 1), or 0 where all of them are 0."""
-    return tuple(
-        [
-            0.0 if all(map(_zero, each)) else _stack_scalars(each)
-            for each in zip(*items, strict=True)
-        ]
-    )
+    made: list[Scalar] = []
+    for each in zip(*items, strict=True):
+        if all(map(_zero, each)):
+            made.append(0.0)
+            continue
+        rows = np.empty((len(each), max(np.size(x) for x in each)))
+        for row, x in zip(rows, each, strict=True):
+            row[:] = x
+        made.append(rows)
+    return tuple(made)
 
 
 def _zero(x: Scalar) -> bool:
@@ -50,14 +54,6 @@ def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
 
 _NEAR = 32768
 """Numbers in an array of several items: what a processor keeps near."""
-
-
-def _stack_scalars(scalars: Sequence[Scalar]) -> np.ndarray:
-    """Stack k floats or arrays (N,) to (k, N) or (k, 1)."""
-    rows = np.empty((len(scalars), max(np.size(x) for x in scalars)))
-    for row, x in zip(rows, scalars, strict=True):
-        row[:] = x
-    return rows
 
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:

@@ -52,7 +52,7 @@ class LeftOut:
         kept = np.flatnonzero((fit.weights > 0) & fit.has_point)
         if len(kept) < 2:
             return None
-        touched = fit.session.labels["touch"][kept] if not fit.session.located.any() else None
+        touched = fit.session.labels["touch"][kept] if not fit.session.has_position.any() else None
         white = fit.whiten_with_residual(fit.sigma)
         whole = white.reshape((fit.weights > 0).sum(), fit.width, -1)
         here = np.searchsorted(np.flatnonzero(fit.weights > 0), kept)

@@ -87,7 +87,7 @@ class ModelFit:
     def stated_noise_ratio(self, rows: Session) -> np.ndarray:
         """Return (M,) stated noise of rows over the usual one; 1 if the fit did not believe it."""
         believed = not np.isin(self.weights, (0.0, 1.0)).all()
-        return rows.uneven(self.session.claimed) if believed else np.ones(len(rows))
+        return rows.uneven(self.session.claimed_sigma) if believed else np.ones(len(rows))
 
     @cached_property
     def has_point(self) -> np.ndarray:

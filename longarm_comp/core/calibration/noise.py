@@ -230,7 +230,7 @@ def _share_by_groups(residual: np.ndarray) -> SensorShare:
 def _share_by_statement(fit: ModelFit) -> SensorShare:
     """Judge it by what the rows state of their noise: whatever else there is may be of any size."""
     sign = "is scatter far beyond the noise that the rows state"
-    stated = [fit.session.claimed.get(name, math.nan) for name in fit.session.channels]
+    stated = [fit.session.claimed_sigma.get(name, math.nan) for name in fit.session.channels]
     ratios = np.log(fit.sigma) - np.log(stated)
     if not np.isfinite(ratios).any():
         return SensorShare(1.0, 1.0, sign)
@@ -290,7 +290,7 @@ def noise_from_residual(
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
     channels = np.ascontiguousarray(np.moveaxis(np.concatenate([columns, y], -1), 1, 0))
     weights, used = np.ones(len(fit.weights)), np.zeros(0)
-    uneven, held = fit.session.uneven(fit.session.claimed), fit.session.measured
+    uneven, held = fit.session.uneven(fit.session.claimed_sigma), fit.session.measured
     sigma, size = fit.sigma, 1.0
     added = np.arange(columns.shape[-1]) >= fit.columns.shape[-1]
     ends = np.cumsum([len(block.channels) for block in fit.session.blocks])[:-1]
@@ -328,7 +328,7 @@ def noise_from_residual(
         if done and abs(shrunk - 1.0) < 0.05:
             break
     if columns.shape[-1] > (weights > 0).sum():
-        claimed = fit.session.claimed
+        claimed = fit.session.claimed_sigma
         sigma = np.maximum(sigma, [claimed.get(name, 0.0) for name in fit.session.channels])
     rho = lag_correlation(even / sigma, weights, held)
     return NoiseEstimate(sigma, "residual", rho, float(np.max(degrees))), weights

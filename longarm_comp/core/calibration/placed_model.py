@@ -91,7 +91,7 @@ def is_misplaced(model: Model, session: Session) -> bool:
     """
     if not session.placed.any():
         return (
-            bool(session.turned.any())
+            bool(session.has_orientation.any())
             and median_distance(compute_turn_errors(model, session)) > ELSEWHERE
         )
     rows = session.take(session.placed)

@@ -51,7 +51,7 @@ def place_bases(model: Model, session: Session) -> Model:
     Raises:
         InputError: a base is far beyond its declared tolerance.
     """
-    seen = session.take(session.located)
+    seen = session.take(session.has_position)
     frames = [e for e in model.effects if isinstance(e, BasePose | TipOffset)]
     tips = any(isinstance(e, TipOffset) and _is_unknown(model, e) for e in frames)
     frames = [e for e in frames if isinstance(e, BasePose) or tips]
@@ -157,7 +157,7 @@ def sensor_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
     several = len({b.sensor for b in session.blocks if b.kind == "orientation"}) > 1
     marker = session.labels.get("marker", nothing) if arm.markers else nothing
     sensor = session.labels["sensor"] if several else nothing
-    seen = session.turned
+    seen = session.has_orientation
     bodies = {(str(m), str(s)) for m, s in zip(marker[seen], sensor[seen], strict=True)}
     made: list[Bias] = [TipOrientation(marker=m, sensor=s) for m, s in sorted(bodies)]
     for name in session.names_of(KINDS["distance"]):
@@ -180,7 +180,7 @@ def _list_sensors(session: Session) -> list[str]:
     framed = {b.sensor for b in session.blocks if b.kind in ("position", "orientation")}
     names = sorted(name for name in framed if name is not None)
     labels = session.labels.get("sensor", np.array([]))
-    return sorted(names, key=lambda name: -int((session.located & (labels == name)).sum()))
+    return sorted(names, key=lambda name: -int((session.has_position & (labels == name)).sum()))
 
 
 def place_sensors(model: Model, session: Session) -> Model:
@@ -205,7 +205,7 @@ def place_sensors(model: Model, session: Session) -> Model:
 
 def _place_sensor(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
     """Place a sensor by a rigid registration of the predicted tips to what it sees."""
-    rows = session.take(session.located & (session.labels["sensor"] == term.sensor))
+    rows = session.take(session.has_position & (session.labels["sensor"] == term.sensor))
     if len(rows) < 4:
         return term
     tips = model.tip(rows.q, rows.context())
@@ -214,7 +214,7 @@ def _place_sensor(term: SensorPlace, model: Model, session: Session) -> SensorPl
 
 def _turn_axes(term: TipOrientation, model: Model, session: Session) -> TipOrientation:
     """Find the mean rotation from the predicted to the measured axes, in the tip's frame."""
-    mine = session.turned.copy()
+    mine = session.has_orientation.copy()
     for label, value in (("marker", term.marker), ("sensor", term.sensor)):
         if value:
             mine &= session.labels[label] == value

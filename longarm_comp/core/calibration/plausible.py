@@ -171,12 +171,12 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
             "is no instrument's noise; the rows may fall into groups, or a cause is missing",
             session=session.source,
         )
-    seen = session.take(session.located & (session.frames == session.frames[0])).xyz
+    seen = session.take(session.has_position & (session.frames == session.frames[0])).xyz
     if len(seen) < 2:
         return
     spread, size = median_spread(seen), float(np.linalg.norm(sigma[:3]))
     if size > NO_NOISE * spread:
-        stated = np.linalg.norm([session.claimed.get(c, 0.0) for c in session.channels[:3]])
+        stated = np.linalg.norm([session.claimed_sigma.get(c, 0.0) for c in session.channels[:3]])
         left, look_at = "is left", "the placement, the units and the order of the rows"
         if stated >= 0.9 * size:  # the noise is what the rows state, whatever is left
             left, look_at = "is stated", "sigma_x, sigma_y, sigma_z or cov_xx .. and their units"

@@ -71,7 +71,7 @@ class SessionProblem:
         self.noise = np.asarray(
             np.full(len(seen.channels), np.nan) if sigma is None else sigma, float
         )
-        self.uneven = seen.uneven(seen.claimed)
+        self.uneven = seen.uneven(seen.claimed_sigma)
         self.effective = 0.0
         if begun is not None:
             self.residual, self.columns = begun.residual, begun.columns

@@ -75,7 +75,7 @@ def _sd_of_change(
     """
     there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]
-    felt = {e.key for e in nameless if one_load or _feels_change(e, there, here)}
+    felt = {e.key for e in nameless if one_load or _is_changed(e, there, here)}
     kept = [e for e in model.effects if e.key not in felt]
     whole, named, bare = (
         dataclasses.replace(model, effects=tuple(effects)).tip(q, edge)
@@ -92,29 +92,25 @@ def _sd_of_change(
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
     variance = (share[:, None] * moved) ** 2 + moves(*absent_slots(model, context))
-    for effect in _absent_effects(model, context):
+    for effect in _list_absent_effects(model, context):
         if not effect.parameters(model.arm):  # nothing but the reading, as an inclinometer's tilt
             there_with, here_with = (model.plus(effect).tip(q, c) for c in (context, edge))
             variance += (there_with - here_with - moved) ** 2
     if one_load and nameless:
         # What a cause without a name does under one load may be the work of all that yields
-        elastic = slots_of(model.arm, [t for t in _library(model) if t.elastic])
+        elastic = slots_of(model.arm, [t for t in _list_searched_effects(model) if t.elastic])
         sizes = np.array([YIELDS * s.parameter.width for s in elastic])
         variance += np.minimum(ratio, 1.0)[:, None] ** 2 * moves(elastic, sizes)
     return np.sqrt(variance)
 
 
-def _library(model: Model) -> list[Effect]:
+def _list_searched_effects(model: Model) -> list[Effect]:
     """List every effect that is searched for, at each of its places in the arm."""
-    return [
-        t
-        for kind in searched_effects()
-        if issubclass(kind, Effect)
-        for t in kind.for_arm(model.arm)
-    ]
+    kinds = (kind for kind in searched_effects() if issubclass(kind, Effect))
+    return [term for kind in kinds for term in kind.for_arm(model.arm)]
 
 
-def _feels_change(effect: Discovered, there: Posture, here: Posture) -> bool:
+def _is_changed(effect: Discovered, there: Posture, here: Posture) -> bool:
     """Tell whether an effect, or what its function reads, changes between two postures."""
     pairs = [(q.read(there), q.read(here)) for q in effect.of.quantities]
     mine, other = effect.twists(there), effect.twists(here)
@@ -122,7 +118,7 @@ def _feels_change(effect: Discovered, there: Posture, here: Posture) -> bool:
     return not all(np.allclose(a, b, rtol=_ROUNDING, atol=0.0) for a, b in pairs)
 
 
-def _absent_effects(model: Model, context: Context) -> list[Effect]:
+def _list_absent_effects(model: Model, context: Context) -> list[Effect]:
     """List the effects that the model lacks and no row could show.
 
     They are every effect that reads a known circumstance. If the model holds no elastic effect, all
@@ -134,7 +130,7 @@ def _absent_effects(model: Model, context: Context) -> list[Effect]:
     stiff = not any(effect.elastic for effect in model.effects)
     return [
         t
-        for t in _library(model)
+        for t in _list_searched_effects(model)
         if t.key not in held and not t.missing(context)
         if (stiff and t.elastic) or any(is_told(name) for name in (*t.needs, *t.inputs))
     ]
@@ -142,6 +138,6 @@ def _absent_effects(model: Model, context: Context) -> list[Effect]:
 
 def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
     """List the k parameters of absent effects, and their sizes (k,)."""
-    slots = slots_of(model.arm, _absent_effects(model, context))
+    slots = slots_of(model.arm, _list_absent_effects(model, context))
     sizes = [s.parameter.width * (YIELDS if s.owner.elastic else 1.0) for s in slots]
     return slots, np.array(sizes)

@@ -45,7 +45,7 @@ from longarm_comp.math.points import lengths
 
 def physics_of(model: Model, method: Method) -> Model:
     """Give the part of a model that a method's inverse kinematics knows."""
-    return model.commandable if method.physics else model.rigid
+    return model.commandable if method.uses_physics else model.rigid
 
 
 def compensate(
@@ -81,7 +81,7 @@ def compensate(
         to = to[None]
     batch = _Batch(
         model=model,
-        predictor=predictor if settings.method.learned else None,
+        predictor=predictor if settings.method.uses_predictor else None,
         target=to,
         q=ik.checked_seed(model, seed, len(to), "compensate"),
         context=context or Context(),
@@ -93,7 +93,7 @@ def compensate(
     lattice = lattice_of(model, settings.realisable)
     if lattice is not None and not settings.single_pass:
         batch.choose_steps(lattice)
-    return batch.judge(doubtful)
+    return batch.make_results(doubtful)
 
 
 def judge(
@@ -189,19 +189,19 @@ class _Batch:
                 self.status[k], self.reason[k] = Status.BAD_TARGET, fault
             elif lacking:
                 self.status[k], self.reason[k] = Status.STALE_CONTEXT, lacking
-        valid = self._rows_of(Status.SUCCESS)
+        valid = self._list_rows(Status.SUCCESS)
         for k, found in self._search(valid, self.target, self.options.starts).items():
             unit = guess_unit(ik.position_of(self.target[k]), *reach(self.physics))
             self.status[k] = Status.UNREACHABLE
             self.reason[k] = unit or describe_miss("target", found)
         self.ideal = self.q.copy()
-        return self._rows_of(Status.SUCCESS)
+        return self._list_rows(Status.SUCCESS)
 
     def correct(self, going: list[int]) -> None:
         """Subtract the expected error from the targets, until it is that of the joints found."""
         options = self.options
         if self.predictor is None:
-            for k in going if self.method.learned else ():
+            for k in going if self.method.uses_predictor else ():
                 self.status[k] = Status.NO_PREDICTOR
                 self.reason[k] = "no predictor: compensated with physics only"
             return
@@ -220,11 +220,12 @@ class _Batch:
                     self.status[k], self.reason[k] = Status.OUT_OF_DOMAIN, describe_outside(why)
                 elif size_m > options.max_correction_m:
                     self.status[k] = Status.CORRECTION_TOO_LARGE
-                    self.reason[k] = options.too_large(size_m)
+                    self.reason[k] = options.describe_too_large(size_m)
                 elif passes and change_m <= options.tol_m:
                     continue
                 elif passes == options.max_passes:
-                    self.status[k], self.reason[k] = Status.NOT_CONVERGED, options.unsettled
+                    self.status[k] = Status.NOT_CONVERGED
+                    self.reason[k] = options.describe_unsettled()
                 else:
                     unsettled.append(k)
             if not unsettled:
@@ -244,7 +245,7 @@ class _Batch:
         """Choose the joints to send among those at which the servos can stand."""
         search = Search(characteristic_length(self.physics))
         locked = ik.locked_joints(self.physics, self.options.locked)
-        for k in self._rows_of(Status.SUCCESS, *_PHYSICS_ONLY):
+        for k in self._list_rows(Status.SUCCESS, *_PHYSICS_ONLY):
             sent, target = self.status[k] is Status.SUCCESS, self.target[k]
             chosen = self.chosen[k] = choose(
                 self.model.arm,
@@ -270,10 +271,10 @@ class _Batch:
             poses[:, :3, 3] += self.predictor.predict(q, here).error
         return poses
 
-    def judge(self, doubtful: np.ndarray | None) -> list[Compensation]:
-        """Make the results, and judge how good each is expected to be."""
+    def make_results(self, doubtful: np.ndarray | None) -> list[Compensation]:
+        """Make the result of each target, with how good it is expected to be."""
         count, status, reason = len(self.target), self.status, self.reason
-        sent, alone = self._rows_of(Status.SUCCESS), self._rows_of(*_PHYSICS_ONLY)
+        sent, alone = self._list_rows(Status.SUCCESS), self._list_rows(*_PHYSICS_ONLY)
         command, error = self.ideal.copy(), self.error.copy()
         command[sent], error[alone] = self.q[sent], 0.0
         for k, realisable in self.chosen.items():
@@ -281,7 +282,7 @@ class _Batch:
             reason[k] = "; ".join(filter(None, (reason[k], realisable.note)))
         pseudo = pseudo_targets(self.target, error)
         sigma, sizes = np.full((count, 3), np.nan), np.full((2, count), np.nan)
-        for rows, learned in ((sent, self.method.learned), (alone, False)):
+        for rows, learned in ((sent, self.method.uses_predictor), (alone, False)):
             if not rows:
                 continue
             of: Any = rows if len(rows) > 1 else rows[0]  # one is quicker than an array of one
@@ -337,7 +338,7 @@ class _Batch:
         self.q[rows] = found.q
         return {rows[i]: found[i] for i in np.flatnonzero(~found.ok).tolist()}
 
-    def _rows_of(self, *status: Status) -> list[int]:
+    def _list_rows(self, *status: Status) -> list[int]:
         return [k for k, each in enumerate(self.status) if each in status]
 
     def _context_of(self, rows: Sequence[int]) -> Context:

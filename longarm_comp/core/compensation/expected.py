@@ -114,20 +114,16 @@ def list_tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
     if "tolerances" not in model.memo:
         arm = model.arm
         geometry = [s for s in slots_of(arm, geometry_of(arm)) if not s.parameter.unknown]
-        widths = [_by_hand(arm, slot) or slot.parameter.width for slot in geometry]
+        widths = [slot.parameter.width for slot in geometry]
+        for k, owner in enumerate(slot.owner for slot in geometry):
+            if isinstance(owner, JointZero):
+                joint = arm.joints[owner.joint - 1]
+                if joint.type != "prismatic" and joint.tolerance.theta_deg is None:
+                    widths[k] = BY_HAND
         yielding, by = absent_slots(model, Context())
         model.memo["tolerances"] = (*geometry, *yielding), np.concatenate([widths, by])
     held: tuple[tuple[Slot, ...], np.ndarray] = model.memo["tolerances"]
     return held
-
-
-def _by_hand(arm: Arm, slot: Slot) -> float:
-    """Return `BY_HAND` for a turning joint's zero without a declared tolerance, else 0."""
-    if not isinstance(slot.owner, JointZero):
-        return 0.0
-    joint = arm.joints[slot.owner.joint - 1]
-    given = joint.tolerance.theta_deg is not None or joint.type == "prismatic"
-    return 0.0 if given else BY_HAND
 
 
 def geometry_of(arm: Arm) -> list[Effect]:

@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.history import History
@@ -38,7 +37,7 @@ from longarm_comp.core.compensation.result import (
     guess_unit,
     pseudo_targets,
 )
-from longarm_comp.core.compensation.take_up import TakeUp, Turn, slow_down, take_up_play
+from longarm_comp.core.compensation.take_up import PathLag, Reversal, slow_down, take_up_play
 from longarm_comp.core.compensation.unknown import (
     missing_column,
     outside_data,
@@ -145,30 +144,26 @@ def compensate_path(
     """
     plan.check(model.arm.n)
     options, limits = options or CompensationOptions(), limits or PathLimits()
-    learned = predictor if options.method.learned else None
-    way = _Way(model, learned, plan, start, history, context_at, limits, options)
-    faults = ik.target_faults(plan.targets, way.free, "path")
+    learned = predictor if options.method.uses_predictor else None
+    problem = _PathProblem(model, learned, plan, start, history, context_at, limits, options)
+    faults = ik.target_faults(plan.targets, problem.is_orientation_free, "path")
     for row in (row for row, fault in enumerate(faults) if fault):
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
     if plan.joints is not None:
-        joints = unwrap(model.arm, plan.joints, start if way.begun else None)
-        way = replace(way, plan=replace(plan, joints=joints))
-        if way.begun:
-            _check_start(model.arm, start, joints[0], limits.max_start)
+        joints = unwrap(model.arm, plan.joints, start if problem.has_begun else None)
+        problem = replace(problem, plan=replace(plan, joints=joints))
+        if problem.has_begun:
+            off = np.abs(np.asarray(start) - joints[0])  # the way from there was not planned
+            worst = int(off.argmax())
+            if off[worst] > limits.max_start:
+                why = f"{model.arm.joint_names[worst]} stands {off[worst]:.3g} from where the plan"
+                why = f"{why} begins, allowed {limits.max_start:g}"
+                raise PathRefused(Status.CORRECTION_TOO_LARGE, 0, why)
     try:
-        return way.solve(seed)
+        return problem.solve(seed)
     except _Unanswered as unanswered:
-        made = replace(way, predictor=None).solve(seed)
+        made = replace(problem, predictor=None).solve(seed)
         return replace(made, notes=(str(unanswered), *made.notes))
-
-
-def _check_start(arm: Arm, start: np.ndarray | None, begins: np.ndarray, most: float) -> None:
-    """Refuse a plan that begins at joints (n,) elsewhere: the way there was not planned."""
-    off = np.abs(np.asarray(start) - begins)
-    worst = int(off.argmax())
-    if off[worst] > most:
-        why = f"{arm.joint_names[worst]} stands {off[worst]:.3g} from where the plan begins"
-        raise PathRefused(Status.CORRECTION_TOO_LARGE, 0, f"{why}, allowed {most:g}")
 
 
 class _Unanswered(Exception):  # noqa: N818
@@ -176,7 +171,7 @@ class _Unanswered(Exception):  # noqa: N818
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
+class _PathProblem:
     """A plan, and everything that its way-points are solved with."""
 
     model: Model
@@ -189,12 +184,12 @@ class _Way:
     options: CompensationOptions
 
     @property
-    def begun(self) -> bool:
+    def has_begun(self) -> bool:
         return self.plan.begun and self.start is not None
 
     @property
-    def free(self) -> bool:
-        """True where the orientation is."""
+    def is_orientation_free(self) -> bool:
+        """True where only the position of the way-points is asked for."""
         return self.limits.position_only or self.plan.targets.ndim == 2
 
     @cached_property
@@ -204,12 +199,10 @@ class _Way:
     def solve(self, seed: np.ndarray | None) -> CompensatedPath:
         """Find the joints; repeat until learned error and play are those at the joints found."""
         options, learned = self.options, self.predictor is not None
-        take, seeds = TakeUp(self.physics, self.limits.turn_m), self._find_seeds(seed)
+        play, seeds = PathLag(self.physics, self.limits.turn_m), self._find_seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
-        context = self._find_context(
-            self.history
-        )  # as if no joint turned: so the way of each is known
-        lag = take.lag(seeds, context)
+        context = self._find_context(self.history)  # as if no joint reversed: each way is known
+        lag = play.compute_lag(seeds, context)
         q, turn = self._find_joints(seeds + lag, error, context)
         bare = q - lag
         if learned:
@@ -217,23 +210,25 @@ class _Way:
             q, turn = self._find_joints(q, error, context)
         way, passes = q - lag, int(learned)
         while True:
-            came = take.follow(way, lag, self.history, self.start)
-            context, before = self._find_context(came), (lag, error)
-            lag = take.lag(q, context)
+            came = play.find_history(way, lag, self.history, self.start)
+            context, used_lag, used_error = self._find_context(came), lag, error
+            lag = play.compute_lag(q, context)
             if learned and not options.single_pass:
                 error, sigma = self._predict_errors(q, context)
-            near = np.maximum(take.near, options.tol_m)
-            changes = np.linalg.norm(error - before[1], axis=1) / options.tol_m
-            changes = np.maximum(changes, (np.abs(lag - before[0]) / near).max(axis=1))
+            near = np.maximum(play.tolerance, options.tol_m)
+            changes = np.linalg.norm(error - used_error, axis=1) / options.tol_m
+            changes = np.maximum(changes, (np.abs(lag - used_lag) / near).max(axis=1))
             if (changes <= 1.0).all():
                 break
             if passes == options.max_passes:
-                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), options.unsettled)
-            q, turn = self._find_joints(q - before[0] + lag, error, context)
+                why = options.describe_unsettled()
+                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), why)
+            q, turn = self._find_joints(q - used_lag + lag, error, context)
             passes += 1
-        lag = before[0]  # that q was found with
+        lag = used_lag  # that q was found with
         check_no_turn(self.model.arm, q)
-        timed = self._give_times(way, q - lag - way, lag, take.turns(way, lag, came.approach))
+        reversals = play.find_reversals(way, lag, came.approach)
+        timed = self._give_times(way, q - lag - way, lag, reversals)
         command = timed.joints
         moved = self._measure_corrections(command)
         if self.model.arm.keep_out:
@@ -243,9 +238,9 @@ class _Way:
             if entry:
                 row = int(np.searchsorted(timed.times, times[k]))
                 raise PathRefused(Status.KEPT_OUT, row, entry)
-        came = self.history.along(command, command[0] if self.begun else self.start)
+        came = self.history.along(command, command[0] if self.has_begun else self.start)
         # What is not known where the path begins, and what lies beyond the data
-        first = int(self.begun)
+        first = int(self.has_begun)
         begins, rest = slice(first, first + 1), slice(first, None)
         notes = [
             *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
@@ -257,7 +252,7 @@ class _Way:
         return CompensatedPath(
             timed=timed,
             ideal=self._begin_where_it_stands(bare + lag) if learned else command,
-            error=before[1],
+            error=used_error,
             sigma=sigma,
             context=context,
             passes=passes,
@@ -280,7 +275,7 @@ class _Way:
         return moved
 
     def _give_times(
-        self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]
+        self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, reversals: list[Reversal]
     ) -> CubicPath:
         """Give the commands their times; their parts (k, n) are those of `take_up_play`."""
         plan, arm = self.plan, self.model.arm
@@ -292,14 +287,14 @@ class _Way:
         box = arm.bounds
 
         def commands(times: np.ndarray) -> CubicPath:
-            stands, beyond = take_up_play(way, off, lag, turns, times)
+            stands, beyond = take_up_play(way, off, lag, reversals, times)
             stands[0] = stands[second] - first  # what is beyond is gone first
             beyond[0] = begun[0] - stands[0]
             return smooth(plan, planned, times, stands, beyond, box)
 
         bare = np.vstack([way[second] - first, way[1:]])
         unit = arm.upper - arm.lower
-        times = slow_down(planned, bare, unit, begins, turns, self.limits.max_longer, commands)
+        times = slow_down(planned, bare, unit, begins, reversals, self.limits.max_longer, commands)
         try:
             motion = self.limits.motion
             if motion is None:
@@ -331,7 +326,7 @@ class _Way:
                 target,
                 seed=made[-1] if made else first,
                 context=context,
-                position_only=self.free,
+                position_only=self.is_orientation_free,
                 near=True,
                 locked=self.options.locked,
                 max_starts=1 if made else self.options.starts,
@@ -342,7 +337,7 @@ class _Way:
 
     def _begin_where_it_stands(self, q: np.ndarray) -> np.ndarray:
         """Replace the first of joints (k, n) by where the arm stands, if the path has begun."""
-        if self.begun:
+        if self.has_begun:
             q[0] = self.start
         return q
 
@@ -355,15 +350,15 @@ class _Way:
             pseudo_targets(self.plan.targets, error),
             seed=seeds,
             context=context,
-            position_only=self.free,
+            position_only=self.is_orientation_free,
             near=True,
             locked=self.options.locked,
             max_starts=1,
         )
         turn = found.angle_residual_rad
-        turn[: int(self.begun)] = 0.0  # the arm stands there already
+        turn[: int(self.has_begun)] = 0.0  # the arm stands there already
         for row in np.flatnonzero(~found.ok | (turn > self.limits.max_turn_rad)):
-            if row or not self.begun:
+            if row or not self.has_begun:
                 self._refuse_unreached(int(row), found[int(row)])
         return self._begin_where_it_stands(found.q), turn
 
@@ -382,7 +377,7 @@ class _Way:
         """Look up what is learned at all way-points (k, n): error and sigma (k, 3) m."""
         error, sigma = np.zeros((len(q), 3)), np.full((len(q), 3), np.nan)
         assert self.predictor is not None
-        for row in range(int(self.begun), len(q)):
+        for row in range(int(self.has_begun), len(q)):
             found = self.predictor.predict(q[row : row + 1], context.take(row))
             error[row], sigma[row] = found.error[0], found.sigma[0]
             size = float(np.linalg.norm(error[row]))
@@ -390,6 +385,6 @@ class _Way:
                 why = describe_outside(*found.reason[:1])
                 raise _Unanswered(f"physics only, as way-point {row} is {why}")
             if size > self.options.max_correction_m:
-                why = self.options.too_large(size)
+                why = self.options.describe_too_large(size)
                 raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
         return error, sigma

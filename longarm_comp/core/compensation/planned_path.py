@@ -196,11 +196,10 @@ def _find_times(path: CubicPath, limits: MotionLimits) -> CubicPath:
         ) from None
     top = np.append(limits.velocity, 1.0)
     most = np.append(limits.acceleration, np.inf)
+    between = constraint.DiscretizationType.Interpolation
     kept = [
         constraint.JointVelocityConstraint(np.stack([-top, top], 1)),
-        constraint.JointAccelerationConstraint(
-            np.stack([-most, most], 1), constraint.DiscretizationType.Interpolation
-        ),
+        constraint.JointAccelerationConstraint(np.stack([-most, most], 1), between),
     ]
     share = np.arange(_LOOKED_AT) / _LOOKED_AT
     grid = (path.times[:-1, None] + np.diff(path.times)[:, None] * share).ravel()

@@ -65,7 +65,7 @@ class Lattice:
         return cls(*made)
 
     @property
-    def known(self) -> np.ndarray:
+    def is_known(self) -> np.ndarray:
         """(n,) bool: whether the joint has steps whose offset is known well enough."""
         return np.asarray((self.step > 0) & (self.offset_sd <= KNOWN_TO * self.step))
 
@@ -177,7 +177,7 @@ class _Problem:
         low = np.ceil((self.lower - lattice.offset) / step - EDGE)
         high = np.floor((self.upper - lattice.offset) / step + EDGE)
         declared = (lattice.step > 0) & ~is_locked
-        on = self.stepped = np.flatnonzero(declared & lattice.known & (low <= high))
+        on = self.stepped = np.flatnonzero(declared & lattice.is_known & (low <= high))
         self.free = np.flatnonzero((lattice.step == 0) & ~is_locked)
         self.offset, self.step = lattice.offset[on], lattice.step[on]
         self.low, self.high = low[on], high[on]
@@ -186,8 +186,8 @@ class _Problem:
         self.whole = np.clip(whole, self.low, self.high)
         self.rounded = self.at_steps(self.ideal, self.whole)
         causes = {
-            f"the offset of its steps is not known to {KNOWN_TO} of a step": ~lattice.known,
-            "none of its steps lies inside its limits": lattice.known & (low > high),
+            f"the offset of its steps is not known to {KNOWN_TO} of a step": ~lattice.is_known,
+            "none of its steps lies inside its limits": lattice.is_known & (low > high),
         }
         self.note = "; ".join(
             f"{arm.joint_names[j]} stays at its ideal value: {why}"

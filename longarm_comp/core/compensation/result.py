@@ -25,17 +25,12 @@ class Method(Enum):
     BOTH = "both"
 
     @property
-    def physics(self) -> bool:
+    def uses_physics(self) -> bool:
         """True where the inverse kinematics uses the effects beyond geometry."""
         return self in (Method.DEFLECTION, Method.BOTH)
 
-    @classmethod
-    def learned_beside(cls, *, deflection: bool) -> Method:
-        """Return the method that uses a predictor, with deflection in the physics or without."""
-        return cls.BOTH if deflection else cls.NETWORK
-
     @property
-    def learned(self) -> bool:
+    def uses_predictor(self) -> bool:
         """True where the predictor's expected error is subtracted from the target."""
         return self in (Method.NETWORK, Method.BOTH)
 
@@ -116,14 +111,13 @@ class CompensationOptions:
         if self.max_passes < 1:
             raise InputError("compensate", "max_passes", self.max_passes, "1 or more")
 
-    def too_large(self, size_m: float) -> str:
+    def describe_too_large(self, size_m: float) -> str:
         """Say why an expected error is not corrected."""
         most = f"the permitted correction of {1e3 * self.max_correction_m:g} mm"
         return f"expected error {1e3 * size_m:.2f} mm is above {most}"
 
-    @property
-    def unsettled(self) -> str:
-        """The reason why a target is given up after the last pass."""
+    def describe_unsettled(self) -> str:
+        """Say why a target is given up after the last pass."""
         size = f"more than {1e3 * self.tol_m:g} mm after {self.max_passes} passes"
         return f"the expected error still changes by {size}"
 

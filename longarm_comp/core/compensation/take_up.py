@@ -1,7 +1,8 @@
 """Play along a path: how far joints stand behind their commands, and when this play is taken up.
 
-Where a joint turns, its command has to cross its play while the joint stands still.  The play is
-taken up smoothly while the joint as planned is near its turn, and the path is slowed down for it.
+A joint's *lag* is its command less where it stands.  Where the joint reverses, its command has to
+cross its play while the joint stands still.  The play is taken up smoothly while the joint as
+planned is near its reversal, and the path is slowed down for it.
 
 The price of time is the plan's own.  A plan with a mean squared jerk j^2 would lose 5 j^2 of its
 squared jerk if it took a second more.  Each take-up, and each slowing down for it, lasts until a
@@ -18,7 +19,7 @@ Then time gets a lower price, so that the whole path jerks no more than it would
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -34,12 +35,12 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
 
 @dataclass(frozen=True, eq=False)
-class TakeUp:
-    """The way in which play is taken up along a path of a model's arm.
+class PathLag:
+    """The lag of joints along a path of a model's arm, and where it changes.
 
     Attributes:
         model: the physics that commands are solved with.
-        tolerance_m: how far the tip may be from its way where a joint turns, m.
+        tolerance_m: how far the tip may be from its way where a joint reverses, m.
     """
 
     model: Model
@@ -47,47 +48,46 @@ class TakeUp:
 
     @cached_property
     def joints(self) -> list[int]:
-        """Joints (0-based) whose history matters."""
+        """The commanded joints (0-based) whose history an effect of the model reads."""
         return sorted({joint for held in history_joints(self.model).values() for joint in held})
 
     @cached_property
-    def near(self) -> np.ndarray:
-        """Joint motion that moves the tip by the tolerance, (n,) rad or m."""
+    def tolerance(self) -> np.ndarray:
+        """The joint motion that moves the tip by the tolerance, (n,) rad or m."""
         arm = self.model.arm
         return np.where(arm.slides, 1.0, 1.0 / reach(arm)) * self.tolerance_m
 
-    def lag(self, q: np.ndarray, context: Context) -> np.ndarray:
-        """Compute how far commands (k, n) are beyond where their joints stand, (k, n)."""
-        behind, arm = np.zeros_like(q), self.model.arm
+    def compute_lag(self, q: np.ndarray, context: Context) -> np.ndarray:
+        """Compute the lag (k, n), rad and m, of commands q (k, n), by effects of the history."""
+        lag, arm = np.zeros_like(q), self.model.arm
         if not self.joints:
-            return behind
-        held = [(effect, effect.history_joints(arm)) for effect in self.model.effects]
-        held = [(effect, joints) for effect, joints in held if joints]
-        loaded = any(effect.loaded for effect, _ in held)
-        posture = (self.model.posture_without_sag if loaded else self.model.posture_without_frames)(
-            unstack(q), context
-        )
-        for effect, joints in held:
+            return lag
+        every = [(effect, effect.history_joints(arm)) for effect in self.model.effects]
+        playing = [(effect, joints) for effect, joints in every if joints]
+        loaded = any(effect.loaded for effect, _ in playing)
+        make = self.model.posture_without_sag if loaded else self.model.posture_without_frames
+        posture = make(unstack(q), context)
+        for effect, joints in playing:
             twists = effect.twists(posture)
             for joint in joints:
                 row = arm.commanded[joint]
                 if twist := twists.get(posture.bearing(row)):
-                    behind[:, joint] -= twist[2 if arm.slides[joint] else 5]
-        return behind
+                    lag[:, joint] -= twist[2 if arm.slides[joint] else 5]
+        return lag
 
-    def follow(
+    def find_history(
         self, stands: np.ndarray, lag: np.ndarray, history: History, start: np.ndarray | None
     ) -> History:
-        """Return the history of joints that stand at (k, n), lag (k, n) behind their commands.
+        """Find the history of joints that stand at (k, n), lag (k, n) behind their commands.
 
-        Only the joint's own motion counts for its side. The play that its command crosses at a turn
-        is no way back, nor is a way back that is too short to matter at the tip.  A joint that
-        turns on the first way, while near where it starts, turns at once.
+        Only the joint's own motion counts for its side. The play that its command crosses at a
+        reversal is no way back, nor is a way back that is too short to matter at the tip.  A joint
+        that reverses on the first way, while near where it starts, reverses at once.
 
         Args:
             history: history of the joints at ``start`` (n,), from where they come first.
         """
-        steady, half = stands.copy(), 0.5 * self.near
+        steady, half = stands.copy(), 0.5 * self.tolerance
         low, high = stands - half, stands + half
         for row in range(1, len(stands)):
             steady[row] = np.minimum(np.maximum(steady[row - 1], low[row]), high[row])
@@ -96,40 +96,41 @@ class TakeUp:
         last = np.where(np.abs(moves) >= SAME_POSE, np.arange(len(moves))[:, None], 0)
         last = np.maximum.accumulate(last, axis=0)
         sides = np.sign(np.take_along_axis(moves, last, axis=0))
-        sides, each = np.where(last > 0, sides, came.approach[0]), np.arange(sides.shape[1])
-        turned = np.argmax(sides != sides[0], axis=0)
-        before = np.arange(len(sides))[:, None] < turned
-        at_once = (~before | (np.abs(stands - stands[0]) <= self.near)).all(axis=0)
-        at_once &= np.isin(each, self.joints)
+        sides, joints = np.where(last > 0, sides, came.approach[0]), np.arange(sides.shape[1])
+        reversed_at = np.argmax(sides != sides[0], axis=0)
+        before = np.arange(len(sides))[:, None] < reversed_at
+        at_once = (~before | (np.abs(stands - stands[0]) <= self.tolerance)).all(axis=0)
+        at_once &= np.isin(joints, self.joints)
         before[0] = False
-        then = before & at_once
-        sides = np.where(then, sides[turned, each], sides)
-        legs = np.where(then[..., None], came.legs[turned, each], came.legs)
+        changed = before & at_once
+        sides = np.where(changed, sides[reversed_at, joints], sides)
+        legs = np.where(changed[..., None], came.legs[reversed_at, joints], came.legs)
         return History(sides, legs, came.last_way)
 
-    def turns(self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray) -> list[Turn]:
-        """Find the turns of joints that stand at (k, n): there their sides (k, n) change."""
+    def find_reversals(
+        self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray
+    ) -> list[Reversal]:
+        """Find the reversals of joints that stand at (k, n): there their sides (k, n) change."""
         found = []
         for joint in self.joints:
-            begun = 0
-            for turned in (np.flatnonzero(np.diff(sides[:, joint])) + 1).tolist():
-                before = stands[begun:turned, joint]
-                turn = before.max() if sides[turned, joint] < 0 else before.min()
-                away = np.flatnonzero(np.abs(before - turn) > self.near[joint])
-                first = min(begun + (int(away[-1]) + 1 if len(away) else 0), turned - 1)
-                crossed = float(lag[turned, joint] - lag[first, joint])
-                found.append(Turn(joint, first, turned, crossed))
-                begun = turned
+            before = 0  # the reversal before this one
+            for last in (np.flatnonzero(np.diff(sides[:, joint])) + 1).tolist():
+                way = stands[before:last, joint]
+                end = way.max() if sides[last, joint] < 0 else way.min()
+                away = np.flatnonzero(np.abs(way - end) > self.tolerance[joint])
+                first = min(before + (int(away[-1]) + 1 if len(away) else 0), last - 1)
+                crossed = float(lag[last, joint] - lag[first, joint])
+                found.append(Reversal(joint, first, last, crossed))
+                before = last
         return found
 
 
-class Turn(NamedTuple):
-    """A turn of a joint on a path, where the joint takes up its play.
+class Reversal(NamedTuple):
+    """A reversal of a joint on a path, where the joint takes up its play.
 
     Attributes:
         joint: its number, 0-based.
-        first, last: numbers of the way-points between which the joint stands near the turn,
-            0-based.
+        first, last: numbers (0-based) of the way-points between which the joint stands near it.
         crossed: play that its command crosses there, rad or m.
     """
 
@@ -140,18 +141,18 @@ class Turn(NamedTuple):
 
 
 def take_up_play(
-    way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: Sequence[Turn], times: np.ndarray
+    way: np.ndarray, off: np.ndarray, lag: np.ndarray, reversals: list[Reversal], times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return where joints stand at times (k,), and how far commands are beyond: (k, n) each.
 
     They are smooth in time from one side of the play to the other.
 
     Args:
-        way: (k, n) where joints would stand if none turned.
+        way: (k, n) where joints would stand if none reversed.
         off: (k, n) by how much they have to stand further, because play changes the tip a little.
     """
     off, lag = off.copy(), lag.copy()
-    for joint, first, last, crossed in turns:
+    for joint, first, last, crossed in reversals:
         part = slice(first, last + 1)
         share = (times[part] - times[first]) / (times[last] - times[first])
         share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
@@ -165,17 +166,17 @@ def slow_down(
     ways: np.ndarray,
     unit: np.ndarray,
     begins: np.ndarray,
-    turns: Sequence[Turn],
+    reversals: list[Reversal],
     most: float,
     path_at: Callable[[np.ndarray], CubicPath],
 ) -> np.ndarray:
-    """Delay planned times (k,), s, where joints turn.
+    """Delay planned times (k,), s, where joints reverse.
 
     Args:
-        ways: (k, n) joints as if none turned.
+        ways: (k, n) joints as if none reversed.
         unit: (n,) scale of each joint, by which jerks and speeds of joints are added.
         begins: (n,) further way of the joints at the beginning of the path.
-        turns: the turns, with the play that each crosses.
+        reversals: all of the path, with the play that each crosses.
         most: share by which the path may take longer.  If the delays need more, time gets a higher
             price.
         path_at: returns the path to be sent, at times (k,).
@@ -184,13 +185,13 @@ def slow_down(
     planned2, allowed_s = plan.mean_square_jerk(unit), most * float(np.ptp(times))
     jerk2 = planned2
     first2 = float(((begins / unit) ** 2).sum())
-    if not ((turns or first2) and jerk2 and allowed_s):
+    if not ((reversals or first2) and jerk2 and allowed_s):
         return times
     steps = np.diff(times)[:, None]
     speed2 = ((np.diff(ways, axis=0) / unit / steps) ** 2).sum(axis=1)
     enough = True
     for _ in range(_ROUNDS):
-        later = _delay_at_turns(times, speed2, unit, turns, jerk2)
+        later = _delay_at_reversals(times, speed2, unit, reversals, jerk2)
         lasts = (720.0 * first2 / jerk2) ** (1.0 / 6.0)
         later[0] += max(0.0, lasts - float(steps[0, 0]))
         if not later.any():
@@ -214,12 +215,12 @@ _ALONE, _NEAR = 2.0, 0.02
 A hundredth of the jerk is not looked for."""
 
 
-def _delay_at_turns(
-    times: np.ndarray, speed2: np.ndarray, unit: np.ndarray, turns: Sequence[Turn], jerk2: float
+def _delay_at_reversals(
+    times: np.ndarray, speed2: np.ndarray, unit: np.ndarray, reversals: list[Reversal], jerk2: float
 ) -> np.ndarray:
     """Compute by how much each way takes longer, (k - 1,) s, at a price of time of ``5 jerk2``."""
     later = np.zeros(len(times) - 1)
-    for joint, first, last, crossed in turns:
+    for joint, first, last, crossed in reversals:
         near_s = times[last] - times[first]
         lasts = (720.0 * (crossed / unit[joint]) ** 2 / jerk2) ** (1.0 / 6.0)
         if last == 1 or lasts <= near_s:  # on the first way nothing moves yet
@@ -232,7 +233,7 @@ def _delay_at_turns(
             fast2 = max(speed2[there].mean(), speed2[first:last].mean())
             change_s = (14.4 * share * fast2 / jerk2) ** 0.25
             reaches_s = 0.5 * near_s + change_s * (1.0 - 0.5 * share)
-        # Planned and real times after the middle of the turn: slow, then as planned again
+        # Planned and real times after the middle of the reversal: slow, then as planned again
         slow_s = change_s * _SHARE
         fast_s = (1.0 - share) * slow_s + share * change_s * (_SHARE**3 - 0.5 * _SHARE**4)
         planned = np.append(0.0, 0.5 * near_s + fast_s)
@@ -243,5 +244,5 @@ def _delay_at_turns(
 
 
 _TOGETHER = 3
-"""Turns that are near each other use the same time: the most of what each takes, but smoothly."""
+"""Reversals near each other use the same time: the most of what each takes, but smoothly."""
 _SHARE = np.linspace(0.0, 1.0, 129)

@@ -92,23 +92,21 @@ def unknown_history(
     if not any(read.values()):
         return np.zeros((m, 3)), [""] * m
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
-    recorded = {
-        name: np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float).T.reshape(
-            m, n, -1
-        )
-        for name in PER_JOINT
-    }
+    recorded = {}
+    for name in PER_JOINT:
+        values = np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float)
+        recorded[name] = values.T.reshape(m, n, -1)
     spans = model.arm.upper - model.arm.lower
 
-    def past(joint: int) -> _Past:
+    def history_of(joint: int) -> _KnownHistory:
         held = {name: rows[:, joint] for name, rows in recorded.items()}
-        return _Past(**held, unsure=bool(unsure[joint]), span=float(spans[joint]))
+        return _KnownHistory(**held, unsure=bool(unsure[joint]), span=float(spans[joint]))
 
     open_ = [
         (name, joint, extremes)
         for name, joints in read.items()
         for joint in joints
-        if (extremes := _FIELDS[name][1](past(joint))) is not None
+        if (extremes := _FIELDS[name][1](history_of(joint))) is not None
     ]
     if not open_:
         return np.zeros((m, 3)), [""] * m
@@ -153,7 +151,7 @@ def uncertain_payload(
 
 
 @dataclass(frozen=True)
-class _Past:
+class _KnownHistory:
     """The record of what is known of a joint's history at M commands (`History`).
 
     Attributes:
@@ -170,26 +168,26 @@ class _Past:
     span: float
 
 
-def _either_side(past: _Past) -> np.ndarray | None:
+def _list_sides(joint: _KnownHistory) -> np.ndarray | None:
     """Give both sides (2, M, 1) where the side is not known, the side where it is."""
-    unknown = (past.approach == 0.0) | past.unsure
-    return np.where(unknown, [[[1.0]], [[-1.0]]], past.approach) if unknown.any() else None
+    unknown = (joint.approach == 0.0) | joint.unsure
+    return np.where(unknown, [[[1.0]], [[-1.0]]], joint.approach) if unknown.any() else None
 
 
-def _any_way_before(past: _Past) -> np.ndarray:
+def _list_ways_before(joint: _KnownHistory) -> np.ndarray:
     """Give the known legs after a long way up and after one down, (2, M, LEGS).
 
     Between the two lies every state that play of any radius can have.
     """
-    legs = past.legs
+    legs = joint.legs
     first = np.argsort(legs == 0.0, axis=1, kind="stable")
-    after = np.zeros_like(legs) if past.unsure else np.take_along_axis(legs, first, axis=1)
+    after = np.zeros_like(legs) if joint.unsure else np.take_along_axis(legs, first, axis=1)
     made = np.stack([after, after])
     made[:, np.arange(len(legs)), (after != 0.0).sum(axis=1)] = [[_FAR], [-_FAR]]
     return made
 
 
-def _any_rest_of_way(past: _Past) -> np.ndarray:
+def _list_rests_of_way(joint: _KnownHistory) -> np.ndarray:
     """Give the last way twice and not at all, (2, M, 1); where no way is known, half the joint's
     range up and down.
 
@@ -197,16 +195,16 @@ def _any_rest_of_way(past: _Past) -> np.ndarray:
     was in the session, or nothing.  Ways all over the range have a standard deviation of 0.41 of
     it.
     """
-    half = 0.5 * past.span
-    known = np.stack([2.0 * past.last_way, np.zeros_like(past.last_way)])
-    return np.where(past.legs[:, :1] == 0.0, [[[half]], [[-half]]], known)
+    half = 0.5 * joint.span
+    known = np.stack([2.0 * joint.last_way, np.zeros_like(joint.last_way)])
+    return np.where(joint.legs[:, :1] == 0.0, [[[half]], [[-half]]], known)
 
 
 _FAR = 1e6  # rad, m: farther than any play
-_FIELDS: Mapping[str, tuple[str, Callable[[_Past], np.ndarray | None]]] = {
-    "approach": ("approach", _either_side),
-    "legs": ("earlier moves", _any_way_before),
-    "last_way": ("time since the last move", _any_rest_of_way),
+_FIELDS: Mapping[str, tuple[str, Callable[[_KnownHistory], np.ndarray | None]]] = {
+    "approach": ("approach", _list_sides),
+    "legs": ("earlier moves", _list_ways_before),
+    "last_way": ("time since the last move", _list_rests_of_way),
 }
 """By field of the history, its name for people, and the two extremes of what it may be at a joint;
 None: all are known."""

@@ -119,7 +119,7 @@ class _FeltPayload:
     rests: int
 
     def tells(self, reference_kg: float) -> bool:
-        """True if it tells a payload from none; if not, friction hides it."""
+        """Tell whether it tells such a payload from none; if not, friction hides it."""
         return 2.0 * self.sigma_kg <= reference_kg
 
     def __str__(self) -> str:
@@ -171,7 +171,7 @@ class Weighing:
         return _FeltPayload(float(means[-1]), sigma, self.loads.count(self.load))
 
     def contradicts(self, told_kg: float) -> bool:
-        """True if a payload that somebody tells cannot be what is felt."""
+        """Tell whether a payload that somebody tells, kg, cannot be what is felt."""
         found = self.payload
         return found is not None and abs(found.kg - told_kg) > self.limit * found.sigma_kg
 

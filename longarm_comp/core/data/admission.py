@@ -68,26 +68,35 @@ def admit(
     session = _with_readings(session, findings)
     model = model or Model(arm)
     _check_names(session, arm)
-    _check_circumstances(session, arm)
+    for name, values in session.columns.items():
+        check_circumstance(arm, name, values, session.source)
     findings += _check_joints(session, arm)
     _check_loads(session, arm)
-    _check_order(session)
     _check_groups(session)
     findings += (AdmissionFinding("touch", *found) for found in check_touches(session, arm))
-    findings += (*_check_blanks(session), *_check_constant(session, arm), *_check_copies(session))
+    findings += _check_blanks(session)
+    for j in np.flatnonzero(np.ptp(session.q, axis=0) < arm.telling):
+        text = "never moved: its effects do not show"
+        findings.append(AdmissionFinding("constant", f"q{j + 1}", text))
+    for name, values in session.columns.items():
+        if len(session) > 1 and np.ptp(values) == 0:
+            text = "never changed: its effects do not show"
+            findings.append(AdmissionFinding("constant", name, text))
+    findings += _check_copies(session)
     poses = len(np.unique(session.take(session.seen).pose_id))
     if poses < min_poses:
         field = "rows" if len(session) < 2 else "poses with a marker"
         allowed = f"at least {min_poses} distinct poses"
         raise session.error(field, poses, allowed)
-    located = session.take(session.located)
+    located = session.take(session.has_position)
     if len(located):
         predicted = model.measured(located.q, located.context())
         _check_spread(located, arm, predicted)
-        findings += (
-            *_check_belonging(session, model, judge),
-            *_check_frames(located, arm, predicted),
-        )
+        findings += _check_belonging(session, model, judge)
+        for group in np.unique(located.frames):
+            rows = located.frames == group
+            if len(np.unique(located.pose_id[rows])) >= 2 * FEW_POSES:
+                findings += _check_frame(located.take(rows), arm, predicted[rows], str(group))
     return Admission(session, tuple(findings))
 
 
@@ -112,6 +121,7 @@ def _with_readings(session: Session, findings: list[AdmissionFinding]) -> Sessio
 
 
 def _check_names(session: Session, arm: Arm) -> None:
+    """Refuse joints, labels and columns that name nothing of the arm, or lack what it needs."""
     if session.n != arm.n:
         allowed = f"{arm.n} commanded joints of arm {arm.name}"
         raise session.error("joints", session.n, allowed)
@@ -131,17 +141,11 @@ def _check_names(session: Session, arm: Arm) -> None:
         for column in mass.position_columns or ():
             if column not in session.columns:
                 raise session.error(f"column {column}", "missing", f"where {mass.name} is, m")
-
-
-def _check_circumstances(session: Session, arm: Arm) -> None:
-    known = arm.inclinometers
     for name in session.columns:
         match = INCLINATION.match(name)
-        if match and match[1] not in known:
-            allowed = f"incl_<frame>_x, _y with frame one of {', '.join(known)}"
+        if match and match[1] not in arm.inclinometers:
+            allowed = f"incl_<frame>_x, _y with frame one of {', '.join(arm.inclinometers)}"
             raise session.error(f"column {name}", f"frame {match[1]}", f"{allowed} (0 is the base)")
-    for name, values in session.columns.items():
-        check_circumstance(arm, name, values, session.source)
 
 
 def _check_loads(session: Session, arm: Arm) -> None:
@@ -161,17 +165,10 @@ def _check_loads(session: Session, arm: Arm) -> None:
 
 
 def _check_groups(session: Session) -> None:
-    """Refuse a place of the base that too few sightings fix: a frame takes three points."""
-    if "group" not in session.labels:
-        return
-    groups = session.labels["group"][session.located]
-    for group, count in Counter(groups.tolist()).items():
-        if count < 3:
-            allowed = "at least 3 rows from a place of the base, or they cannot say where it is"
-            raise session.error(f"group {group!r}", f"{count} rows", allowed)
+    """Refuse, from each place of the base, rows out of order and sightings that do not fix it.
 
-
-def _check_order(session: Session) -> None:
+    A frame takes three points.
+    """
     groups, markers = session.texts("group"), session.texts("marker")
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
@@ -189,6 +186,11 @@ def _check_order(session: Session) -> None:
             twice = next(k for k, key in enumerate(keys) if key in keys[:k])
             field = f"index of row {rows[twice] + 1}"
             raise session.error(field, int(keys[twice][0]), "each index once")
+    if "group" in session.labels:
+        for group, count in Counter(groups[session.has_position].tolist()).items():
+            if count < 3:
+                allowed = "at least 3 rows from a place of the base, or they cannot say where it is"
+                raise session.error(f"group {group!r}", f"{count} rows", allowed)
 
 
 def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
@@ -254,16 +256,8 @@ def _check_blanks(session: Session) -> Iterator[AdmissionFinding]:
         yield AdmissionFinding("blanks", field, f"{text}: {causes}" if causes else text)
 
 
-def _check_constant(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
-    for j in np.flatnonzero(np.ptp(session.q, axis=0) < arm.telling):
-        yield AdmissionFinding("constant", f"q{j + 1}", "never moved: its effects do not show")
-    for name, values in session.columns.items():
-        if len(session) > 1 and np.ptp(values) == 0:
-            yield AdmissionFinding("constant", name, "never changed: its effects do not show")
-
-
 def _check_copies(session: Session) -> Iterator[AdmissionFinding]:
-    seen = session.take(session.located)
+    seen = session.take(session.has_position)
     _, first, which = np.unique(seen.xyz, axis=0, return_index=True, return_inverse=True)
     before = first[which.reshape(-1)]
     marker = seen.texts("marker")
@@ -306,16 +300,14 @@ def _check_spread(session: Session, arm: Arm, predicted: np.ndarray) -> None:
         raise session.error("sigma_x, sigma_y, sigma_z", sigma, allowed)
 
 
-def _check_frames(session: Session, arm: Arm, predicted: np.ndarray) -> Iterator[AdmissionFinding]:
-    for group in np.unique(session.frames):
-        rows = session.frames == group
-        if len(np.unique(session.pose_id[rows])) >= 2 * FEW_POSES:
-            yield from _check_frame(session.take(rows), arm, predicted[rows], str(group))
-
-
 def _check_frame(
     session: Session, arm: Arm, predicted: np.ndarray, group: str
 ) -> Iterator[AdmissionFinding]:
+    """Hold the rows (N, 3), m, of one frame against the predicted ones: its axes, place, outliers.
+
+    Raises:
+        InputError: the axes are mirrored.
+    """
     measured = session.xyz
     field = "x, y, z" + (f" of group {group}" if group else "")
 
@@ -335,8 +327,12 @@ def _check_frame(
     away = np.linalg.norm(np.median(measured - predicted, axis=0))
     if misfit < clear and angle > np.radians(20.0):
         like = f", axes like {name}" if spread_after(axes) < clear else ""
+        base = arm.base.frame().matrix()
+        xyz = ", ".join(f"{v:.3f}" for v in turn @ base[:3, 3] + offset)
+        rpy = ", ".join(f"{v:.1f}" for v in np.degrees(roll_pitch_yaw(turn @ base[:3, :3])))
         text = f"turned by {np.degrees(angle):.0f} deg against the declared arm{like}"
-        yield AdmissionFinding("frame", field, f"{text}; as {_base_entry(arm, turn, offset)}")
+        text = f"{text}; as base: {{xyz_m: [{xyz}], rpy_deg: [{rpy}]}}"
+        yield AdmissionFinding("frame", field, text)
     elif away > 0.3 * median_spread(predicted):
         yield AdmissionFinding("frame", field, f"{away:.3f} m away from where the declared arm is")
     distance = np.linalg.norm(residual, axis=1)
@@ -360,7 +356,7 @@ def _check_belonging(session: Session, model: Model, judge: bool) -> Iterator[Ad
     field, value = "rows", f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
     if belief.mistake:
         value = f"{belief.mistake}: {belief.fall}"
-    elif belief.torn:
+    elif belief.is_scattered:
         field, value = "x, y, z", f"{belief.strays.share:.0%} of the rows are far off the others"
     else:
         value += ", as if shuffled"
@@ -375,13 +371,3 @@ def _nearest_axes(turn: np.ndarray) -> tuple[np.ndarray, str]:
     signs = np.sign(turn[range(3), place])
     names = ("-" * bool(v < 0) + "xyz"[k] for k, v in zip(place, signs, strict=True))
     return signs[:, None] * np.eye(3)[place], ",".join(names)
-
-
-def _base_entry(arm: Arm, turn: np.ndarray, offset: np.ndarray) -> str:
-    """Return the `base` entry of arm.yaml that would explain a turned frame."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = turn, offset
-    frame = matrix @ arm.base.frame().matrix()
-    rpy = np.degrees(roll_pitch_yaw(frame[:3, :3]))
-    xyz = ", ".join(f"{v:.3f}" for v in frame[:3, 3])
-    return f"base: {{xyz_m: [{xyz}], rpy_deg: [{', '.join(f'{v:.1f}' for v in rpy)}]}}"

@@ -65,10 +65,10 @@ class _Belief:
     def belong(self) -> bool:
         """True if the rows may be this arm's."""
         near = self.misfit < _STRANGE_SHARE * self.spread
-        return not self.mistake and near and not self.torn
+        return not self.mistake and near and not self.is_scattered
 
     @property
-    def torn(self) -> bool:
+    def is_scattered(self) -> bool:
         """True if many rows stray and share nothing: what they share is a cause that a fit finds,
         as friction has rows on either side."""
         return self.strays.share >= MOST_STRAYS and not self.strays.shared_by
@@ -79,7 +79,7 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
 
     None for fewer than `MIN_POSES` rows with a position.
     """
-    seen = session.take(session.located)
+    seen = session.take(session.has_position)
     if len(np.unique(seen.pose_id)) < MIN_POSES:
         return None
     found = register(Sightings.of(model, session))
@@ -94,7 +94,9 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
         axes = _find_mistake_of_axes(model, session)
         if axes is not None:
             return dataclasses.replace(belief, mistake=axes[0], fall=axes[1])
-        if (session.located & session.turned).any():  # axes of the tip show every sign
+        if (
+            session.has_position & session.has_orientation
+        ).any():  # axes of the tip show every sign
             return belief
         some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
         signs = _find_unknown_signs(model, seen.take(some), found.misfit)
@@ -178,7 +180,7 @@ def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session
     The place is where the sums of the distances (bounded, as those of strangers are) from their
     median are largest (Page 1954, Biometrika 41).
     """
-    seen = np.flatnonzero(session.located)
+    seen = np.flatnonzero(session.has_position)
     away = found.residual - np.median(found.residual, axis=0)
     bound = 3.0 * np.median(np.abs(away), axis=0) + 1e-12
     sums = np.cumsum(np.clip(away, -bound, bound) / bound, axis=0)[:-1]
@@ -195,8 +197,11 @@ def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session
 
 
 def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
-    """A function of x, y, z, w (N, 4) beside rows that are all located: the mean angle (rad) that
-    remains to the tip's axes, where the base stands as the positions say and the tool anyhow."""
+    """Return a function of x, y, z, w (N, 4) beside rows that all have a position.
+
+    It gives the mean angle (rad) that remains to the tip's axes where the base stands as the
+    positions say, and the measured body in any way on the tool.
+    """
     sightings = Sightings.of(model, rows)
     placed = register(sightings).rotation[sightings.group]
     axes = placed @ model.pose(rows.q, rows.context())[:, :3, :3]
@@ -211,7 +216,7 @@ def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
 def _find_mistake_of_axes(model: Model, session: Session) -> tuple[str, str] | None:
     """Find how measured axes look written, with the fall of the error: None where they fit, or no
     row has them beside a position."""
-    rows = session.take(session.located & session.turned)
+    rows = session.take(session.has_position & session.has_orientation)
     if len(np.unique(rows.pose_id)) < MIN_POSES:
         return None
     misfit, read = turn_error(model, rows), rows.readings["orientation"]

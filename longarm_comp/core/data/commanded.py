@@ -54,8 +54,8 @@ def in_frame_of_start(model: Model, session: Session) -> Model:
 
 
 def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
-    """(M, 3) m, what the measuring side moves the rows by that say where the tip is; none where
-    the model has nothing there."""
+    """Compute how far the measuring side moves the M rows that say where the tip is, (M, 3) m; no
+    rows where the model has nothing there."""
     told = as_commanded(model)
     return _difference(told, dataclasses.replace(told, biases=model.biases), session)
 
@@ -90,10 +90,8 @@ def _as_moved_frame(moved: np.ndarray, model: Model, session: Session) -> np.nda
     tips = model.tip(rows.q, rows.context())
     turns = [np.cross(axis, tips) for axis in np.eye(3)]
     rigid = np.stack([*(np.broadcast_to(axis, tips.shape) for axis in np.eye(3)), *turns], axis=-1)
-    time = rows.share_of_time
-    design = (rigid[..., None, :] * (time[:, None] ** np.arange(4))[:, None, :, None]).reshape(
-        moved.size, -1
-    )
+    powers = rows.share_of_time[:, None] ** np.arange(4)
+    design = (rigid[..., None, :] * powers[:, None, :, None]).reshape(moved.size, -1)
     return (design @ np.linalg.lstsq(design, moved.ravel(), rcond=None)[0]).reshape(moved.shape)
 
 

@@ -59,7 +59,7 @@ PLACED_APART = ("group", "marker", "sensor", "anchor")
 
 
 def blocks_of(session: Session) -> np.ndarray:
-    """Number (N,) the rows by block of successive poses, each pose with all its visits."""
+    """Return the number (N,) of the block of successive poses that each row is in, whole poses."""
     _, first, inverse = np.unique(session.pose_id, return_index=True, return_inverse=True)
     poses = len(first)
     place = np.empty(poses, dtype=np.int64)

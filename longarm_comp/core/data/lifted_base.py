@@ -54,7 +54,7 @@ def lifted_base(
     """
     parts = _linear_equations(arm, points, rows)
     found = _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
-    turn = _by_axes(axes, rows)
+    turn = _solve_rotation_by_axes(axes, rows)
     if turn is None:
         turn = _solve_rotation(found) if len(found.value) >= _MIN_EQUATIONS else np.eye(3)
     right = found.value - np.einsum("mi,ij,mj->m", found.direction, turn, found.point)
@@ -119,13 +119,13 @@ def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_
                 yield _LinearEquations(directions, place, np.tile(anchor.xyz_m, count))
 
 
-def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
+def _solve_rotation_by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     """Solve R from axes ``A = R B X`` of any body X: between rows ``A_i A_j' = R B_i B_j' R'``."""
-    turned = rows.take(rows.turned)
+    turned = rows.take(rows.has_orientation)
     if len(turned) < _MIN_EQUATIONS:
         return None
     body = np.char.add(turned.texts("marker"), turned.texts("sensor"))
-    seen, mine = compute_rotations(turned.readings["orientation"]), axes[rows.turned]
+    seen, mine = compute_rotations(turned.readings["orientation"]), axes[rows.has_orientation]
     pairs = (np.roll(a, 1, axis=0) @ np.swapaxes(a, 1, 2) for a in (seen, mine))
     to, of = (Rotation.from_matrix(pair).as_rotvec() for pair in pairs)
     angle = np.linalg.norm(of, axis=1)
@@ -140,9 +140,8 @@ def _solve_rotation(found: _LinearEquations) -> np.ndarray:
     """Return R of the lifted problem, brought back to a rotation."""
     middle = found.point.mean(axis=0)
     local = found.point - middle
-    design = np.column_stack(
-        [(found.direction[:, :, None] * local[:, None, :]).reshape(-1, 9), found.direction]
-    )
+    turned = (found.direction[:, :, None] * local[:, None, :]).reshape(-1, 9)
+    design = np.column_stack([turned, found.direction])
     origin = np.linalg.lstsq(found.direction, found.value, rcond=_RANK)[0]
     value = found.value - found.direction @ origin
     if np.abs(value).max() > EXACT:

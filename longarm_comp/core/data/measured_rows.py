@@ -55,12 +55,12 @@ class MeasuredRows:
         return np.asarray(self.measured[:, of_tip].any(axis=1))
 
     @cached_property
-    def located(self) -> np.ndarray:
+    def has_position(self) -> np.ndarray:
         """(N,) whether all three coordinates of the tip were measured."""
         return np.isfinite(self.xyz).all(axis=1)
 
     @cached_property
-    def turned(self) -> np.ndarray:
+    def has_orientation(self) -> np.ndarray:
         """(N,) whether the tip's orientation was measured."""
         return np.isfinite(self.reading(KINDS["orientation"])).all(axis=1)
 
@@ -74,7 +74,7 @@ class MeasuredRows:
     @cached_property
     def plain(self) -> bool:
         """True if whole positions by one sensor are all that was measured."""
-        half = np.isfinite(self.xyz).any(axis=1) & ~self.located
+        half = np.isfinite(self.xyz).any(axis=1) & ~self.has_position
         return self.blocks == (ChannelBlock("position"),) and not half.any()
 
     @property
@@ -127,7 +127,7 @@ class MeasuredRows:
         return np.array([f"{g} seen by {s}".strip() for g, s in pairs])
 
     @cached_property
-    def stated(self) -> np.ndarray:
+    def stated_sigma(self) -> np.ndarray:
         """(N, d) standard deviations that the rows state, m or rad; NaN where none."""
         made = []
         for block in self.blocks:
@@ -147,9 +147,10 @@ class MeasuredRows:
         return tuple(str(name) for name in np.unique(self.labels[kind.label][rows]))
 
     @cached_property
-    def claimed(self) -> dict[str, float]:
-        """Median of `stated` by channel, of those in which a row states any."""
-        stated = ((k, v[np.isfinite(v)]) for k, v in zip(self.channels, self.stated.T, strict=True))
+    def claimed_sigma(self) -> dict[str, float]:
+        """Median of `stated_sigma` by channel, of those in which a row states any."""
+        pairs = zip(self.channels, self.stated_sigma.T, strict=True)
+        stated = ((name, values[np.isfinite(values)]) for name, values in pairs)
         return {name: float(np.median(values)) for name, values in stated if len(values)}
 
     def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
@@ -157,7 +158,7 @@ class MeasuredRows:
 
         It is the geometric mean over its channels; 1 where it states none.
         """
-        share = self.stated / np.array([usual.get(name, np.nan) for name in self.channels])
+        share = self.stated_sigma / np.array([usual.get(name, np.nan) for name in self.channels])
         known = np.isfinite(share)
         logs = np.log(share, where=known, out=np.zeros(share.shape))
         return np.asarray(np.exp(logs.sum(axis=1) / np.maximum(known.sum(axis=1), 1)))

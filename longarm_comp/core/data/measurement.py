@@ -95,7 +95,7 @@ def compute_tip_errors(model: Model, session: Session, near: Posture | None = No
         return positions
     found = make_equations(model, placed, (), at=at)
     moved = np.linalg.pinv(found.pull, rcond=1e-6) @ found.residual[..., None]
-    return np.where(placed.located[:, None], positions, moved[..., 0])
+    return np.where(placed.has_position[:, None], positions, moved[..., 0])
 
 
 def compute_touch_errors(model: Model, session: Session) -> np.ndarray:
@@ -115,7 +115,7 @@ def compute_touch_errors(model: Model, session: Session) -> np.ndarray:
 
 def compute_turn_errors(model: Model, session: Session) -> np.ndarray:
     """Compute rotations from predicted to measured tip, (M, 3) rad, of the M rows that tell it."""
-    turned = session.take(session.turned)
+    turned = session.take(session.has_orientation)
     if not len(turned):
         return np.zeros((0, 3))
     motion = model.motion(compute_posture(model, turned), (), turns=True)

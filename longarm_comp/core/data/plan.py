@@ -20,9 +20,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.link_frames import boxes_entered
 from longarm_comp.core.model.model import Model
 
-_PAPER_STROKES = np.array(
-    [[0, 0], [0, 63], [60, 10], [53, 63], [104, 18], [105, 63]], dtype=float
-) / np.array([105.0, 63.0])
+_PAPER_STROKES = np.array([(0, 0), (0, 63), (60, 10), (53, 63), (104, 18), (105, 63)]) / (105, 63)
 """Section III.B: the six pairs of prismatic strokes, as shares of each stroke."""
 
 

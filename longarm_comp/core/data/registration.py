@@ -55,7 +55,7 @@ class Sightings:
             groups: names of the base placements; by default one per frame of the session.
             markers: names of the markers, empty for the tip; all of the arm's by default.
         """
-        seen, arm = session.take(session.located), model.arm
+        seen, arm = session.take(session.has_position), model.arm
         marked = "marker" in seen.labels and arm.markers
         markers = markers or (list(arm.markers) if marked else [""])
         group = seen.frames if groups is None else seen.texts("group")
@@ -122,7 +122,7 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
 
 
 def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
-    """Alternate bases and weights at a given marker, then Gauss-Newton on everything."""
+    """Fit the bases at given markers (K, 3) m, then, with `tips`, everything by Gauss-Newton."""
     groups = int(rows.group.max()) + 1
     point = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
     rotation, offset = np.zeros((groups, 3, 3)), np.zeros((groups, 3))
@@ -136,7 +136,7 @@ def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
             rotation[g], offset[g] = robust_kabsch(at, seen)
     made = Registration.at(rows, rotation, offset, tip)
     for _ in range(_STEPS if tips else 0):
-        following = _step(rows, made)
+        following = _take_step(rows, made)
         if following.misfit > made.misfit:
             break
         before, made = made.misfit, following
@@ -145,7 +145,7 @@ def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     return made
 
 
-def _step(rows: Sightings, now: Registration) -> Registration:
+def _take_step(rows: Sightings, now: Registration) -> Registration:
     """Take one weighted Gauss-Newton step in the pose of every base and place of every marker."""
     n, groups, kinds = len(rows.seen), len(now.offset), len(now.tip)
     turned = rows.seen - now.residual

@@ -60,7 +60,7 @@ class RestWatch:
         self._seen.clear()
 
     def forget(self) -> None:
-        """The arm is not on its way to the command any more, or has left it."""
+        """Forget the command: the arm is not on its way there any more, or has left it."""
         self._goal = None
 
     def on_arrival(self, at_s: float) -> None:
@@ -225,7 +225,7 @@ def _end_of_motion(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple
 
 
 def _still_from(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
-    """Time (s) from which on the measured joints change no more than in the last half of the rest.
+    """Return the time (s) from which the joints change no more than in the last half of the rest.
 
     Encoders that flicker by a tick do so to the end.
     """

@@ -193,7 +193,7 @@ class Session(MeasuredRows):
 
     @property
     def n(self) -> int:
-        """Number of commanded joints."""
+        """The number n of commanded joints, columns of q."""
         return self.q.shape[1]
 
     @property

@@ -106,7 +106,12 @@ def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Fou
     spoilt = np.maximum.reduceat(aside.astype(int), first) > 0
     rows = np.add.reduceat(aside.astype(int), first)
     for j, values in enumerate(session.q[first].T, 1):
-        yield f"q{j}", _by_motion(values, spoilt, rows)
+        levels, which, count = np.unique(values, return_inverse=True, return_counts=True)
+        rest = int(np.argmax(count))
+        if count[rest] >= RESTING * len(values):
+            stands = f"{levels[rest]:.4g}"
+            texts = np.where(which == rest, f"at {stands}", f"other than {stands}")
+            yield f"q{j}", _commonest_text(texts, spoilt, rows)
         yield f"q{j}", _densest_stretch(values, spoilt, rows)
     for j, sides in enumerate(session.approach[first].T, 1):
         yield f"approach of q{j}", _commonest_text(np.where(sides < 0, "-1", "+1"), spoilt, rows)
@@ -135,16 +140,6 @@ def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> 
         chances.append((p * len(names), str(name), int(rows[mine].sum())))
     p, value, count = min(chances)
     return value, count, p
-
-
-def _by_motion(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
-    """Try whether the visits set aside are those in which a joint left where it stands."""
-    levels, which, count = np.unique(values, return_inverse=True, return_counts=True)
-    rest = int(np.argmax(count))
-    if len(levels) < 2 or count[rest] < RESTING * len(values):
-        return None
-    texts = np.where(which == rest, f"at {levels[rest]:.4g}", f"other than {levels[rest]:.4g}")
-    return _commonest_text(texts, spoilt, rows)
 
 
 def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:

@@ -109,7 +109,7 @@ _others: dict[str, tuple[Kind, str]] = {}
 
 
 def registered() -> dict[str, Kind]:
-    """All effects by name: of this package, of other packages and of loaded files."""
+    """Return all effects by name: of this package, of other packages and of loaded files."""
     _load_entry_points()
     return BUILT_IN | {name: kind for name, (kind, _) in _others.items()}
 
@@ -146,14 +146,14 @@ def effect_class(name: str, where: str, known_from: str = "") -> Kind:
 
 
 def origin(kind: Kind) -> str:
-    """Origin of an effect from outside the package, in words; empty for one of this package."""
+    """Say where an effect from outside the package is from; empty for one of this package."""
     return _others[kind.name][1] if kind.name in _others else ""
 
 
 def register(kind: _K, source: str = "") -> _K:
     """Register an effect. It can be used as a decorator."""
     source = source or f"module {getattr(kind, '__module__', '?')}"
-    _check(kind, source)
+    _check_kind(kind, source)
     known, taken = _others.get(kind.name) or (BUILT_IN.get(kind.name), "longarm_comp")
     if known is not None and _file(known) != _file(kind):
         raise InputError(source, "name", kind.name, f"a name that {taken} does not have already")
@@ -189,7 +189,7 @@ def _is_kind(value: object) -> bool:
     return of_ours and not inspect.isabstract(value)
 
 
-def _check(kind: Kind, source: str) -> None:
+def _check_kind(kind: Kind, source: str) -> None:
     """Check that a class is an effect that can be fitted, saved and loaded."""
     if not _is_kind(kind):
         raise InputError(source, "class", repr(kind), "a class of Effect or Bias, nothing abstract")

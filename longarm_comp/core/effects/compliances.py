@@ -45,7 +45,7 @@ class JointCompliance(JointTerm):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Both forms where other rows are coupled to a joint that moves."""
+        """Return both forms only where other rows are coupled to a joint that moves."""
         mixing, _ = arm.mixing
         led = {row for k, row in enumerate(arm.commanded) if np.count_nonzero(mixing[:, k]) > 1}
         alone = {row for row in led if mixing[row - 1, arm.commanded.index(row)] != 0.0}
@@ -59,7 +59,7 @@ class JointCompliance(JointTerm):
         return super().moved_rows(posture) if self.follows else ((self.joint, 1.0),)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 20 mrad (2 % of the reach) under the torque of its place (`typical_loads`).
+        """Return the prior: 20 mrad (2 % of the reach) under its place's torque (`typical_loads`).
 
         Gears, shafts and servos of a kind are as stiff as they are strong, by their catalogues.
 
@@ -120,14 +120,14 @@ class BearingTilt(JointTerm):
     )
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad under the torque of its place.
+        """Return the priors: 10 mrad under the torque of its place (`typical_loads`).
 
         First seats of real arms, fitted: Justin 11 to 18 mrad, UR5 1, Pandas 0.2 to 4.
         """
         return self.with_prior(0.01 / typical_loads(arm).at(self.joint))
 
     def twists(self, posture: Posture) -> Twists:
-        """Rotation about the seat's lateral axes, seen in the bearing's."""
+        """Return a rotation (rad) about the seat's lateral axes, seen in the bearing's axes."""
         station = posture.bearing(self.joint)
         x, y, _ = posture.moment(station)
         joint = posture.arm.joints[self.joint - 1]
@@ -163,17 +163,17 @@ class LinkBending(Effect):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Every row with a length and without a declared beam."""
+        """Return every row with a length and without a declared beam."""
         declared = {beam.row for beam in arm.links}
         return [{"row": j.id} for j in arm.joints if j.id not in declared and _long(j)]
 
     def price(self, arm: Arm) -> float:
-        """Any link may bend as likely as any other, those too whose beams are declared."""
+        """Count every link: those whose beams are declared may bend as likely as the others."""
         every = sum(map(_long, arm.joints))
         return math.log(every / len(self.sites(arm)))
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad over a quarter of the reach under the torque of its start.
+        """Return the priors: 10 mrad over a quarter of the reach under the torque at its start.
 
         A short bracket of that section turns by little, as the arm's own beams would.
         """
@@ -216,7 +216,7 @@ class BaseCompliance(Effect):
     about_y: float = parameter("rad/(N m)", "tilt about y per moment", prior=2e-3, lower=0.0)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad under the arm's typical torque."""
+        """Return the priors: 10 mrad under the arm's typical torque (`typical_loads`)."""
         return self.with_prior(0.01 / typical_loads(arm).torque)
 
     def twists(self, posture: Posture) -> Twists:

@@ -45,7 +45,7 @@ def stations(arm: Arm) -> list[str]:
     return [BASE_PLACE, *each, TIP_PLACE]
 
 
-def _acting(posture: Posture, place: str) -> tuple[int, Frame]:
+def _find_station(posture: Posture, place: str) -> tuple[int, Frame]:
     """Return the station that a twist acts at; the pose in the base frame of a wrench."""
     if place == TIP_PLACE:
         tip = posture.arm.tip
@@ -74,7 +74,7 @@ class _Component(ABC):
 
     @abstractmethod
     def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
-        """Twists by station of `amount` of it."""
+        """Return the twists (m, rad) by station of an amount of it, in `unit`."""
 
     def along(self, amount: Scalar) -> Vec:
         x, y, z = (amount if k == self.axis else 0.0 for k in range(3))
@@ -113,7 +113,7 @@ class Wrench(_Component):
 
     @abstractmethod
     def loads(self, posture: Posture, frame: Frame, amount: Scalar) -> tuple[Vec, Vec]:
-        """Force (N) and moment (N m) in the base's axes."""
+        """Return force (N) and moment (N m) of an amount of it, in the base's axes."""
 
     def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
         """Bend every element as a cantilever under the load at its end, to first order."""
@@ -168,7 +168,7 @@ COMPONENTS: dict[str, _Component] = {
 
 
 def components(arm: Arm) -> list[str]:
-    """Names of the components that an arm can have: loads need declared beams to bend."""
+    """List the components that an arm can have, by name: loads need declared beams to bend."""
     return [n for n, c in COMPONENTS.items() if arm.links or not isinstance(c, Wrench)]
 
 
@@ -178,7 +178,7 @@ MEASURED = "what is measured"
 
 
 def views(arm: Arm) -> list[str]:
-    """Ways that what is measured may be displaced; a distance is from a declared camera."""
+    """List the ways that what is measured may be displaced; a distance needs a declared camera."""
     return [*AXES, *([DISTANCE] if arm.camera is not None else [])]
 
 
@@ -201,7 +201,7 @@ class _OfFunction:
 
     @cached_property
     def of(self) -> Function:
-        """The function. Raises `FunctionError`."""
+        """The function that the text stands for. Raises `FunctionError` where there is none."""
         return function(self.function, self.domain)
 
     @property
@@ -258,7 +258,7 @@ class Discovered(_OfFunction, Effect):
     amount: float = parameter("of its component and function", "how much", prior=1e-3)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        unit = _quotient(COMPONENTS[self.component].unit, self.of.units(arm))
+        unit = _divide_unit(COMPONENTS[self.component].unit, self.of.units(arm))
         return self.with_prior(self.scale, unit=unit)
 
     @cached_property
@@ -271,7 +271,7 @@ class Discovered(_OfFunction, Effect):
         return tuple(dict.fromkeys(q.joint for q in sides))
 
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:
-        """Which quantities of N postures lie outside the data, and so count as at their end."""
+        """List, for N postures, the quantities outside the data, which count as at its end."""
         made: list[tuple[str, ...]] = [()] * posture.count
         for factor in {f.of: f for f in self.of.factors if f.of != ORDER}.values():
             read = factor.quantity.read(posture)
@@ -284,7 +284,7 @@ class Discovered(_OfFunction, Effect):
 
     def twists(self, posture: Posture) -> Twists:
         amount = self.amount * self.of.value(lambda q: q.read(posture))
-        return COMPONENTS[self.component].twists(posture, *_acting(posture, self.at), amount)
+        return COMPONENTS[self.component].twists(posture, *_find_station(posture, self.at), amount)
 
 
 @dataclass(frozen=True)
@@ -314,13 +314,13 @@ class DiscoveredView(_OfFunction, Bias):
 
     @property
     def component(self) -> str:  # type: ignore[override]
-        """Its axis, or `DISTANCE`."""
+        """The direction in which it displaces what is seen: an axis, or `DISTANCE`."""
         return self.axis
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Return the amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
-        unit = _quotient(unit, self.of.units(arm))
+        unit = _divide_unit(unit, self.of.units(arm))
         return self.with_prior(self.scale, unit=unit)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
@@ -337,8 +337,8 @@ class DiscoveredView(_OfFunction, Bias):
 _SLACK = 1e-6
 
 
-def _quotient(unit: str, over: list[str]) -> str:
-    """``N/(rad m)``, ``rad/rad^2``."""
+def _divide_unit(unit: str, over: list[str]) -> str:
+    """Return a unit over the product of others, as ``N/(rad m)`` or ``rad/rad^2``."""
     powers = {u: over.count(u) for u in over}
     below = [u if n == 1 else f"({u})^{n}" if " " in u else f"{u}^{n}" for u, n in powers.items()]
     if not below:

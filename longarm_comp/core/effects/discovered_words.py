@@ -34,7 +34,7 @@ from longarm_comp.core.effects.quantities import (
     Span,
     Warmth,
 )
-from longarm_comp.core.effects.shapes import Above, Below, Cosine, Function, Shape, Sine, Switch
+from longarm_comp.core.effects.shapes import Above, Below, Cosine, Shape, Sine, Switch
 
 Found = Discovered | DiscoveredView
 
@@ -94,16 +94,10 @@ _READINGS: tuple[tuple[str, Callable[[_Traits], bool]], ...] = (
     ("something thermal", lambda t: t.of(Warmth)),
     ("drift", lambda t: not {"t_s", ORDER}.isdisjoint(t.columns)),
     ("something that depends on the recorded column", lambda t: bool(t.columns)),
-    (
-        "a hose, chain or cable that is lifted",
-        lambda t: t.acts(Weight) and t.of(JointPosition),
-    ),
+    ("a hose, chain or cable that is lifted", lambda t: t.acts(Weight) and t.of(JointPosition)),
     ("a mass that is not declared", lambda t: t.acts(Weight)),
     ("a soft part that yields under load", lambda t: t.acts(Give)),
-    (
-        "a hose or cable that pulls",
-        lambda t: t.acts(Wrench) and t.of(JointPosition),
-    ),
+    ("a hose or cable that pulls", lambda t: t.acts(Wrench) and t.of(JointPosition)),
     ("an eccentric gear, pulley or encoder", lambda t: t.shape(Cosine, Sine) and t.acts(Turn)),
     (
         "a soft part that yields under load",
@@ -123,13 +117,15 @@ def reading(terms: Sequence[Found]) -> str:
 
 
 def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> str:
-    """``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
+    """Write terms as ``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
 
     `amounts`: value, standard error and unit of each member.
     """
     by_place: dict[str, list[str]] = {}
-    for term, amount in zip(terms, amounts, strict=True):
-        by_place.setdefault(term.where, []).append(_part(term.of, *amount))
+    for term, (value, error, unit) in zip(terms, amounts, strict=True):
+        size = f"({_round_to_error(value, error)}) {unit}".removesuffix(" 1")
+        part = f"{size} x {term.of.formula}" if term.of.factors else size
+        by_place.setdefault(term.where, []).append(part)
     return "; ".join(f"{place}: {' + '.join(parts)}" for place, parts in by_place.items())
 
 
@@ -145,18 +141,13 @@ def seen_alike(terms: Sequence[Found]) -> list[str]:
 
 
 def domain(terms: Sequence[Found]) -> list[str]:
-    """``q2 0..0.52 rad`` of every quantity: outside, it counts as at the end."""
+    """List the range of every quantity, as ``q2 0..0.52``: outside, it counts as at the end."""
     held = {s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in _Traits(terms).shapes}
     return list(held.values())
 
 
-def _part(function: Function, value: float, error: float, unit: str) -> str:
-    size = f"({_round_to_error(value, error)}) {unit}".removesuffix(" 1")
-    return f"{size} x {function.formula}" if function.factors else size
-
-
 def _round_to_error(value: float, error: float) -> str:
-    """``24.2 +- 0.3``: the value to the digits that its error leaves."""
+    """Write a value to the digits that its standard error leaves, as ``24.2 +- 0.3``."""
     if not error > 0:
         return f"{value:.3g}"
     if abs(value) >= 1e5 or abs(value) < 1e-3:

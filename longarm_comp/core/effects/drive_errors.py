@@ -153,11 +153,11 @@ class UnfinishedMove(JointTerm):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """All joints together: whoever does not wait long enough waits as long for every joint."""
+        """Return all joints together: who waits too shortly waits as long for every joint."""
         return [tuple(cls(joint=row) for row in cls.rows(arm))]
 
     def price(self, arm: Arm) -> float:
-        """Its part of what the choice among single joints and all costs an effect that has it."""
+        """Return its part of what the choice among single joints and all of them costs."""
         count = len(self.rows(arm))
         return super().price(arm) + math.log(count + 1) / count
 

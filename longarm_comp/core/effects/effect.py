@@ -110,7 +110,7 @@ class _Term:
 
     @classmethod
     def heading(cls) -> str:
-        """Its title, or its name in words."""
+        """Return its title, else its name in words."""
         return cls.title or cls.name.replace("_", " ")
 
     @classmethod
@@ -143,7 +143,7 @@ class _Term:
 
     @classmethod
     def scales(cls) -> Mapping[str, tuple[float, float]]:
-        """Forms with a continuous scale: lower and upper end by name."""
+        """Return the lower and upper end of every form with a continuous scale, by name."""
         return {name: ends for name, ends in metadata(cls, FORM).items() if ends}  # type: ignore[arg-type]
 
     @property
@@ -200,7 +200,7 @@ class _Term:
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Values of the place fields that an arm has: of an effect without a place one, `{}`.
+        """Return the values of the place fields that an arm has; without a place, one: `{}`.
 
         None where a place may be any text: then the rows of a session say which there are.
         """
@@ -213,7 +213,7 @@ class _Term:
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Candidates of a diagnosis, each a group of instances that are fitted together.
+        """Return the candidates of a diagnosis, each a group of instances that are fitted together.
 
         By default every site alone, in every form that is tried.
         """
@@ -233,11 +233,11 @@ class _Term:
         raise NotImplementedError(cls.name)
 
     def step(self, arm: Arm) -> float:
-        """Size of the steps (rad or m) that its joint stands at; 0: it has none."""
+        """Return the size of the steps (rad or m) that its joint stands at; 0: it has none."""
         return 0.0
 
     def price(self, arm: Arm) -> float:
-        """Log of the number of forms that this one was chosen among, beside `candidates`."""
+        """Return the log of the number of forms that it was chosen among, beside `candidates`."""
         return 0.0
 
     @property
@@ -249,7 +249,7 @@ class _Term:
         return self.needs
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        """Commanded joints (0-based) whose history it reads."""
+        """Return the commanded joints (0-based) whose history (`PER_JOINT`) it reads."""
         return ()
 
     def check(self, arm: Arm, where: str) -> None:
@@ -273,7 +273,7 @@ class Effect(_Term, ABC):
 
     @abstractmethod
     def twists(self, posture: Posture) -> Twists:
-        """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
+        """Return the small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
     def outside(self, posture: Posture) -> Sequence[tuple[str, ...]]:
         """List, for N postures, what lies outside the data that it was found in, in words."""
@@ -287,11 +287,11 @@ class Effect(_Term, ABC):
         return {}
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
-        """Masses that this effect adds to the arm (kg at a point of a station)."""
+        """Return the masses that it adds to the arm, kg, each at a point of a station."""
         return ()
 
     def gravity(self, gravity: Vec) -> Vec:
-        """Gravity in the base frame with this effect (m/s^2)."""
+        """Return gravity (m/s^2) in the base frame with this effect, given that without it."""
         return gravity
 
     def base(self, arm: Arm) -> Frame | None:
@@ -335,14 +335,14 @@ class Bias(_Term, ABC):
 
     @abstractmethod
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Point reported by the camera for a tip at `point` (m, base frame)."""
+        """Return the point that is reported for a tip at `point`, both (3,) m in the base frame."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
         """Return the reading of a row's encoder that sees its joint at a value (rad or m)."""
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
-        """Pose reported for a tip; by default its axes move with the points around it.
+        """Return the pose reported for a tip; by default its axes move with the points around it.
 
         The axes need not be of unit length or perpendicular: a scale stretches them.
         """

@@ -39,7 +39,7 @@ class JointZero(JointTerm):
     offset: float = parameter("rad", "joint value at command zero", prior=4e-3)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior from the row's tolerance, else 4 mrad or 1 mm."""
+        """Return the prior by the row's tolerance, else 4 mrad, or 1 mm for a slide."""
         joint = arm.joints[self.joint - 1]
         if joint.type == "prismatic":
             return self.with_prior(joint.tolerance.d_m or 1e-3, unit="m")
@@ -80,7 +80,7 @@ class DhError(Effect):
     theta: float = parameter("rad", "angle error about z_i", prior=4e-3)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Priors from the row's tolerances; the joint variable itself is held at zero."""
+        """Return the priors by the row's tolerances; the joint variable itself is held at zero."""
         joint = arm.joints[self.row - 1]
         held = joint.tolerance
         a, d = held.a_m or 1e-3, held.d_m or 1e-3
@@ -91,7 +91,7 @@ class DhError(Effect):
         return self.with_prior(*priors.values())
 
     def check(self, arm: Arm, where: str) -> None:
-        """No length is wrong by a quarter of the arm's reach."""
+        """Refuse a length error of more than `ELSEWHERE`, a quarter, of the arm's reach."""
         most = ELSEWHERE * reach(arm)
         for p in self.declared():
             value = getattr(self, p.name)
@@ -137,7 +137,7 @@ class CylinderPins(JointTerm):
         return arm.joints[row - 1].cylinder is not None
 
     def twists(self, posture: Posture) -> Twists:
-        """``(length L - near (a - b cos) - far (b - a cos)) / (L lever)``."""
+        """Turn the joint by ``(length L - near (a - b cos) - far (b - a cos)) / (L lever)``."""
         cylinder = posture.arm.joints[self.joint - 1].cylinder
         assert cylinder is not None
         q = self.command(posture)

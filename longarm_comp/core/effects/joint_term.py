@@ -44,7 +44,7 @@ class JointTerm(Effect):
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
-        """Rows that the effect may have."""
+        """Return the ids of the rows that may have it: all that move where it is `passive`."""
         return moving_joints(arm) if cls.passive else [r for r in arm.commanded if cls.fits(arm, r)]
 
     @classmethod
@@ -73,7 +73,7 @@ class JointTerm(Effect):
         return twists
 
     def moved_rows(self, posture: Posture) -> tuple[tuple[int, float], ...]:
-        """Rows that move with the joint, and how far per unit of it: its own, then coupled ones."""
+        """Return rows that move with the joint, and how far per unit of it: its own row first."""
         return posture.chain.coupled_rows(self.joint)
 
     def slides(self, arm: Arm) -> bool:
@@ -81,32 +81,33 @@ class JointTerm(Effect):
         return arm.joints[self.joint - 1].type == "prismatic"
 
     def command(self, posture: Posture) -> Scalar:
-        """Commanded position of its joint, rad or m."""
+        """Return the commanded position of its joint, rad or m."""
         return posture.q[posture.arm.commanded.index(self.joint)]
 
     def load(self, posture: Posture) -> Scalar:
-        """Its `row_loads`."""
+        """Return the load of the rows that move with its joint (`row_loads`), N m or N."""
         return row_loads(posture, self.moved_rows(posture))
 
     def direction(self, posture: Posture) -> Scalar:
-        """Side that the joint arrived from, -1, 0 (unknown) or +1."""
+        """Return the side that the joint arrived from: -1 above, 0 unknown, +1 below."""
         return self._history(posture, "approach")[0]
 
     def last_way(self, posture: Posture) -> Scalar:
-        """Signed way (rad, m) since the joint last stood or turned; 0: none, or unknown."""
+        """Return the signed way (rad, m) since the joint stood or turned; 0: none, or unknown."""
         return self._history(posture, "last_way")[0]
 
     def wound(self, posture: Posture, radius: float) -> Scalar:
-        """State of a play operator of some radius (rad, m), -1 to +1; the middle of what it can be.
+        """Return the state, -1 to +1, of a play operator of a radius (rad, m).
 
-        How far a joint is wound up by its own way: +1 against its upper flank, coming from below.
+        It is how far the joint is wound up by its own way: +1 against its upper flank, coming from
+        below.  Where its way is not known that far, it is the middle of what it can be.
         """
 
-        def found() -> Scalar:
+        def compute() -> Scalar:
             low, high = compute_play_range(self._history(posture, "legs"), radius)
             return (low + high) * (0.5 / radius)
 
-        return posture.once(("wound", self.joint, radius), found)
+        return posture.once(("wound", self.joint, radius), compute)
 
     def _history(self, posture: Posture, name: str) -> tuple[Scalar, ...]:
         return posture.context.of_joint(name, posture.arm.commanded.index(self.joint))
@@ -130,14 +131,14 @@ class RestingTerm(JointTerm):
     blend: float = form(1 / 6, lower=0.01, upper=0.5)
 
     def side(self, posture: Posture) -> Scalar:
-        """Resting side, -1 to +1.
+        """Return the side on which the joint rests, from -1 to +1.
 
         Above the threshold the load pushes the joint to its side.  Below it, friction holds the
         joint where its motion left it: it lags, on the side it came from.  The transition is
         gradual, as under a nearly balanced load.
         """
 
-        def found() -> Scalar:
+        def compute() -> Scalar:
             load = self.load(posture)
             usual = typical_loads(posture.arm)
             load_there = usual.force / 4 if self.slides(posture.arm) else usual.torque
@@ -146,24 +147,24 @@ class RestingTerm(JointTerm):
             share = 0.5 + 0.5 * spatial.tanh(settled)
             return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
 
-        return posture.once(("side", self.joint, self.gate, self.blend), found)
+        return posture.once(("side", self.joint, self.gate, self.blend), compute)
 
     def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
-        """Arriving against its load, the joint rests where the load pushes it below the threshold
-        too, however far the threshold is known."""
+        """Return the side against the load: arriving so, the joint rests where the load pushes it,
+        whatever the threshold is."""
         load = self.load(posture)
         settled = -spatial.sign(load) * (abs(load) > _RESTING)
         return {posture.arm.commanded.index(self.joint): settled}
 
 
 def joint_load(posture: Posture, joint: int) -> Scalar:
-    """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint, by virtual work
-    with the loads of passive joints coupled to it."""
+    """Compute the torque (N m) by gravity about the z axis of a row's joint, or the force (N) along
+    a slide's: by virtual work, with the loads of passive joints coupled to it."""
     return row_loads(posture, posture.chain.coupled_rows(joint))
 
 
 def row_loads(posture: Posture, rows: Iterable[tuple[int, float]]) -> Scalar:
-    """Work of gravity on some rows, (row, how far it moves), per unit of motion: N m or N."""
+    """Compute gravity's work on (row, how far it moves) per unit of the motion, N m or N."""
     total: Scalar = 0.0
     for row, weight in rows:
         station = posture.bearing(row)

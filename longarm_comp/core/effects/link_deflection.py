@@ -31,7 +31,7 @@ class LinkDeflection(Effect):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """None: every model of declared beams has it."""
+        """Return none: every model of declared beams has it."""
         return []
 
     def twists(self, posture: Posture) -> Twists:
@@ -49,12 +49,12 @@ def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
 
 
 def elements(posture: Posture) -> Iterator[Element]:
-    """Pieces of all declared beams, from the base to the tip."""
+    """Yield the pieces of all declared beams, from the base to the tip."""
     return (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
 
 
 def cantilever(posture: Posture, element: Element) -> Twist:
-    """Twist at the end of a beam element under end force, end moment and dead weight.
+    """Compute the twist at the end of a beam element under end force, end moment, dead weight.
 
     It is computed once a posture: several effects are shares of it.
 
@@ -73,7 +73,7 @@ def cantilever(posture: Posture, element: Element) -> Twist:
 def _compute_cantilevers(posture: Posture) -> dict[int, Twist]:
     """Compute the twists of all elements, by station; those of one kind at once."""
     kinds: dict[tuple, dict[tuple[int, int], tuple[Scalar, ...]]] = {}
-    masses, firsts = posture.carried
+    masses, firsts = posture.carried_masses
     for e in elements(posture):
         length, sign, inverse = _describe_beam(posture, e)
         spread = posture.line_loads[e.station]
@@ -102,7 +102,7 @@ def _cantilever(
     felt: tuple[Vec, Vec, Vec],
     spread: Sequence[tuple[Scalar, Scalar, bool]],
 ) -> Twist:
-    """Twist at the end of an element, as `cantilever`, in the beam's axes.
+    """Compute the twist at the end of an element, as `cantilever`, in the beam's axes.
 
     Args:
         sign, length, inverse: as `_describe_beam` gives them.
@@ -136,8 +136,8 @@ def _cantilever(
 
 
 def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
-    """Twist at the end of a beam element under a force (N) and moment (N m) in its axes there, to
-    first order."""
+    """Compute the twist at the end of a beam element under a force (N) and moment (N m) in its axes
+    there, to first order."""
     length, sign, inverse = _describe_beam(posture, element)
     ends = (_beam_axes(element.axis, v) for v in (force, moment))
     slope, sag = _end_loaded(length, sign, *ends)
@@ -147,7 +147,7 @@ def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
 def _describe_beam(
     posture: Posture, element: Element
 ) -> tuple[Scalar, float, tuple[float, float, float]]:
-    """Length (m), sign along its axis and compliances (1/(N m^2)) along and across an element."""
+    """Return length (m), sign along its axis, and 1/GJ, 1/EI, 1/EI (1/(N m^2)) of an element."""
     signed = posture.lengths[element.station]
     sign = -1.0 if type(signed) is float and signed < 0 else 1.0
     first, second, torsion = element.beam.stiffness
@@ -173,7 +173,7 @@ def _across(sign: float, v: Vec) -> tuple[Scalar, Scalar]:
 def _end_loaded(
     length: Scalar, sign: float, force: Vec, moment: Vec
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Integrals over the length of the bending moment ``M(s)`` and, across, of ``M(s) (l - s)``."""
+    """Integrate the bending moment ``M(s)`` over the length and, across, ``M(s) (l - s)``."""
     l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
     slope: list[Scalar] = [l1 * m for m in moment]
     sag: list[Scalar] = []
@@ -184,6 +184,6 @@ def _end_loaded(
 
 
 def _bend_beam(sign: float, slope: list[Scalar], sag: list[Scalar], inverse: Vec) -> Twist:
-    """Displacement and turn of a beam's end from these integrals."""
+    """Compute displacement (m) and turn (rad) of a beam's end from these integrals."""
     y, z = _across(-sign, (0.0, sag[0] * inverse[1], sag[1] * inverse[2]))
     return (0.0, y, z, slope[0] * inverse[0], slope[1] * inverse[1], slope[2] * inverse[2])

@@ -30,13 +30,13 @@ class TipPayload(_Weight):
     name = "tip_payload"
     title = "load at the tip"
     whole = "tip"
-    part = "weighed"  # else `undeclared_weight` has it
+    part = "declares_weight"  # else `undeclared_weight` has it
     action = "Weigh what the tip carries and declare it in arm.yaml."
 
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: a tenth of the arm's weight; the carried mass cannot become negative."""
+        """Return the prior: a tenth of the arm's weight; what is carried is never negative."""
         weight = typical_loads(arm).force / 9.81
         held = arm.payload.mass_kg if arm.payload else 0.0
         return self.with_prior(max(0.1 * weight, 1e-6), lower=-held)
@@ -64,13 +64,13 @@ class LinkMass(_Weight):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Each frame that beams carry, but for the one where `tip_payload` is."""
+        """Return each frame that beams carry, but for the one where `tip_payload` is."""
         first = min((beam.row for beam in arm.links), default=len(arm.joints))
         tip = (arm.payload or arm.tip).frame
         return [{"frame": row} for row in rows(arm) if first < row and row != tip]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: a tenth of the arm's weight."""
+        """Return the prior: a tenth of the arm's weight, kg."""
         return self.with_prior(max(0.1 * typical_loads(arm).force / 9.81, 1e-6))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
@@ -98,10 +98,10 @@ class UndeclaredWeight(_Weight):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        return [] if arm.weighed else [{}]
+        return [] if arm.declares_weight else [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Priors: an equal share at every joint and at the tip; a guide weighs like its slide."""
+        """Return priors: equal shares at each joint and at the tip; a guide weighs as its slide."""
         shares = self.with_prior(_share(arm), 1.0)
         return shares if _guides(arm) else shares[:1]
 
@@ -134,10 +134,10 @@ class UndeclaredDrive(_Weight):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        return [] if arm.weighed else [{"joint": row} for row in moving_joints(arm)]
+        return [] if arm.declares_weight else [{"joint": row} for row in moving_joints(arm)]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: an equal share at every joint and at the tip."""
+        """Return the prior: an equal share, kg, at every joint and at the tip."""
         return self.with_prior(_share(arm))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
@@ -157,7 +157,7 @@ def _along_links(posture: Posture, mass: Scalar) -> Iterator[Lumped]:
 
 
 def _guides(arm: Arm) -> list[tuple[int, float]]:
-    """Row of every slide, and the length of its guide: that of the slide at joint value 0 (m)."""
+    """List every slide's row and the length of its guide, m: that of the slide at joint value 0."""
     return [(j.id, j.d_m) for j in arm.joints if j.type == "prismatic" and j.d_m]
 
 

@@ -42,7 +42,7 @@ class MeasuredTilt(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Every frame that may carry an inclinometer, every declared one at every row it may be."""
+        """Return each frame that may carry one, and declared ones at all rows where they may be."""
         made: list[tuple[Self, ...]] = [(cls(frame=frame),) for frame in frames(arm)]
         for name, held in arm.sensors.items():
             if isinstance(held, Inclinometer):

@@ -61,7 +61,7 @@ class BasePose(RigidMotion, Effect):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """One placement; groups are of a session."""
+        """Return one placement; those of further groups come from a session."""
         return [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
@@ -112,7 +112,7 @@ class TipOffset(Effect):
         return self.with_prior(*three(known.xyz_m), unknown=False)
 
     def twists(self, posture: Posture) -> Twists:
-        """Translation in the carrying frame, of the marker alone: what hangs there stays."""
+        """Return a shift (m) of the marker alone, in its frame: what hangs there stays."""
         spot = posture.spot(self.marker)
         if not self.marker:
             return {spot: (self.x, self.y, self.z, 0.0, 0.0, 0.0)}

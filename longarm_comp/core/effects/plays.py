@@ -37,7 +37,7 @@ class Backlash(RestingTerm):
     width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior 20 mrad, or 0.5 mm for a slide."""
+        """Return the prior: 20 mrad, or 0.5 mm for a slide."""
         return self.with_prior(5e-4, unit="m") if self.slides(arm) else self.declared()
 
     def twists(self, posture: Posture) -> Twists:
@@ -151,11 +151,11 @@ class TelescopeClearance(JointTerm):
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Prismatic joints with a beam of length rest that slides in another."""
+        """Tell whether a row is a slide with a beam of length rest that slides in another."""
         return arm.joints[row - 1].type == "prismatic" and _slider(arm, row) is not None
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior of the give: 3 mrad under the arm's typical torque at half the body's length."""
+        """Return a give of 3 mrad under the arm's typical torque at half the body's length."""
         slider = _slider(arm, self.joint)
         body = slider.body_length_m if slider and slider.body_length_m else 1.0
         clearance, give = self.declared()
@@ -163,7 +163,7 @@ class TelescopeClearance(JointTerm):
         return clearance, dataclasses.replace(give, prior=prior)
 
     def twists(self, posture: Posture) -> Twists:
-        """Rotation about the lateral moment's direction at the mouth of the outer beam."""
+        """Return a turn (rad) about the lateral moment's direction at the outer beam's mouth."""
         slider = _slider(posture.arm, self.joint)
         assert slider is not None and slider.body_length_m is not None
         elements = posture.chain.rows[self.joint - 1].elements_d

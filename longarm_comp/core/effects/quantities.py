@@ -66,14 +66,14 @@ class Quantity(ABC):
 
     @abstractmethod
     def read(self, at: Any) -> Scalar:
-        """Its value at a `Posture`; on the measuring side, at a `SeenPoint`."""
+        """Return its value, in `unit`, at a `Posture`; on the measuring side at a `SeenPoint`."""
 
     def exists(self, arm: Arm) -> bool:
         """Tell whether the arm has it."""
         return True
 
     def unit(self, arm: Arm) -> str:
-        """SI unit; ``1`` for none."""
+        """Return its SI unit on an arm; ``1`` for none."""
         return self.si
 
 
@@ -88,7 +88,7 @@ class _OfJoint(OfPosture):
 
     @property
     def joint(self) -> int:
-        """Commanded joint, 0-based."""
+        """The number of its commanded joint, 0-based."""
         return self.numbers[0] - 1
 
     def exists(self, arm: Arm) -> bool:
@@ -230,18 +230,8 @@ class Recorded(Quantity):
 
 _UNITS = {"t_s": "s", "temperature_c": "K", "payload_kg": "kg"}
 _KINDS: tuple[type[Quantity], ...] = (
-    *(
-        JointPosition,
-        JointLoad,
-        JointSide,
-        JointWay,
-        LoadSum,
-        Warmth,
-        Moment,
-        Gravity,
-        Span,
-        SeenCoordinate,
-    ),
+    *(JointPosition, JointLoad, JointSide, JointWay, LoadSum),
+    *(Warmth, Moment, Gravity, Span, SeenCoordinate),
 )
 
 

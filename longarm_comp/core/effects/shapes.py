@@ -62,16 +62,16 @@ class Shape(ABC):
         return found
 
     def at(self, x: Scalar) -> Scalar:
-        """Value where the quantity is x, kept within its range."""
+        """Return the value where the quantity is x, which is kept within its range."""
         return self.value(spatial.minimum(spatial.maximum(x, self.low), self.high))
 
     @abstractmethod
     def value(self, x: Scalar) -> Scalar:
-        """Value at x within the range."""
+        """Return the value at x, which lies within the range."""
 
     @property
     def formula(self) -> str:
-        """For people."""
+        """The formula for a reader, with the numbers of its fields."""
         return self.written.format(**vars(self))
 
     @property
@@ -81,7 +81,7 @@ class Shape(ABC):
 
     @classmethod
     def numbers(cls) -> tuple[str, ...]:
-        """Names of its own numbers, in the order of the text."""
+        """Return the names of its own numbers, in the order of the text."""
         of_all = {f.name for f in dataclasses.fields(Shape)}
         return tuple(f.name for f in dataclasses.fields(cls) if f.name not in of_all)
 
@@ -238,7 +238,7 @@ class Function:
     factors: tuple[Shape, ...] = ()
 
     def value(self, read: Callable[[Quantity], Scalar]) -> Scalar:
-        """Its value, given how to read a quantity."""
+        """Compute the product of its shapes, given a function that reads a quantity."""
         return math.prod((f.at(read(f.quantity)) for f in self.factors), start=1.0)
 
     @property
@@ -281,18 +281,18 @@ def function(text: str, domain: str) -> Function:
         FunctionError: a part that is no shape, quantity, number or range; too many factors; a
             quantity without its range, or a range without its quantity.
     """
-    ranges = _ranges(domain)
+    ranges = _parse_domain(domain)
     parts = [] if text == "1" else text.split(" * ")
     if len(parts) > _MOST_FACTORS:
         raise FunctionError(f"{len(parts)} factors", f"at most {_MOST_FACTORS}")
-    factors = tuple(_factor(part, ranges) for part in parts)
+    factors = tuple(_parse_factor(part, ranges) for part in parts)
     for name in ranges:
         if all(f.of != name for f in factors):
             raise FunctionError(f"domain of {name}", "quantities of the function only")
     return Function(factors)
 
 
-def _factor(text: str, ranges: dict[str, tuple[float, float]]) -> Shape:
+def _parse_factor(text: str, ranges: dict[str, tuple[float, float]]) -> Shape:
     found = _FACTOR.fullmatch(text)
     kind = SHAPES.get(found.group(1)) if found else None
     if found is None or kind is None:
@@ -304,18 +304,18 @@ def _factor(text: str, ranges: dict[str, tuple[float, float]]) -> Shape:
     if len(listed) != len(kind.numbers()):
         allowed = ", ".join(("quantity", *kind.numbers()))
         raise FunctionError(text, f"{kind.word}({allowed})")
-    made = kind(name, *ranges[name], *map(_number, listed))
+    made = kind(name, *ranges[name], *map(_parse_number, listed))
     made.check()
     return made
 
 
-def _ranges(domain: str) -> dict[str, tuple[float, float]]:
+def _parse_domain(domain: str) -> dict[str, tuple[float, float]]:
     made: dict[str, tuple[float, float]] = {}
     for part in domain.split("; ") if domain else ():
         found = _RANGE.fullmatch(part)
         if found is None or quantity(found.group(1)) is None:
             raise FunctionError(part, "a quantity and its range, as q2 -0.4..0.7")
-        low, high = _number(found.group(2)), _number(found.group(3))
+        low, high = _parse_number(found.group(2)), _parse_number(found.group(3))
         if not (low < high and max(abs(low), abs(high)) <= LARGEST):
             raise FunctionError(part, f"lower..upper with lower < upper, within +-{LARGEST:g}")
         if found.group(1) in made:
@@ -324,7 +324,7 @@ def _ranges(domain: str) -> dict[str, tuple[float, float]]:
     return made
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
         raise FunctionError(text, "a number")
     return float(text)

@@ -6,7 +6,7 @@ from longarm_comp.core.arm.arm import Arm
 
 
 def moving_joints(arm: Arm) -> list[int]:
-    """Row ids of the joints that move, passive ones too."""
+    """Return the row ids of the joints that move, passive ones too."""
     return [joint.id for joint in arm.joints if joint.type != "fixed"]
 
 
@@ -20,7 +20,7 @@ def near(joint: int, other: int) -> bool:
 
 
 def rows(arm: Arm) -> list[int]:
-    """Ids of all rows."""
+    """Return the ids of all rows, base to tip."""
     return [joint.id for joint in arm.joints]
 
 
@@ -35,5 +35,5 @@ def beams(arm: Arm) -> list[str]:
 
 
 def markers(arm: Arm) -> list[str]:
-    """Names of the declared markers; empty for the tip."""
+    """Return the names of the declared markers, after the empty one of the tip."""
     return ["", *arm.markers]

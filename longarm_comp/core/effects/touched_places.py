@@ -39,7 +39,7 @@ class TouchPlace(Bias):
 
 
 def rows_that_touched(context: Context, name: str, carries: str) -> Scalar:
-    """1 in the rows that touched a point, or one of those that it carries (a name a line)."""
+    """Return 1 in rows that touched a point, or one of those that it carries (a name a line)."""
     mine = context.is_label("touch", name)
     for further in carries.splitlines():
         mine = mine + context.is_label("touch", further)

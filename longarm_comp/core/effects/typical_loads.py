@@ -56,7 +56,8 @@ def typical_loads(arm: Arm) -> TypicalLoads:
     if arm.hash not in _loads_of:
         mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
         mass += arm.payload.mass_kg if arm.payload else 0.0
-        force = (mass if arm.weighed else reach(arm)) * float(np.linalg.norm(arm.gravity_mps2))
+        mass = mass if arm.declares_weight else reach(arm)
+        force = mass * float(np.linalg.norm(arm.gravity_mps2))
         torque = force * reach(arm) / 4
         # The declared arm at poses between its limits
         poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSES, arm.n))
@@ -65,7 +66,7 @@ def typical_loads(arm: Arm) -> TypicalLoads:
         tip, bearings = posture.frames[posture.spot()].p, [row.bearing for row in chain.rows]
         levers = [_rms(spatial.sub(tip, posture.frames[at].p)) for at in bearings]
         built = _PAYLOAD * force * np.array(levers)
-        if arm.weighed and not any(m.position_columns for m in arm.point_masses):
+        if arm.declares_weight and not any(m.position_columns for m in arm.point_masses):
             own = np.array([_rms(posture.moment(at)) for at in bearings])
             torque = min(torque, max(own[row - 1] for row in arm.commanded))
             built = built + own

@@ -121,7 +121,7 @@ def diagnose(
     named = make_findings(found.found)
     named = complete_findings(named, arm, found.fit, final, ends, proved.fullest)
     network, proof = None, proved.proof
-    if structure.flag and train_network is not None and final.session.located.any():
+    if structure.flag and train_network is not None and final.session.has_position.any():
         say("network")
         network, proof = proved.train_network(train_network, anew=test is None)
     aside = _refuse_as_calibrate(final, proof, proved)

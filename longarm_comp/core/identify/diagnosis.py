@@ -189,7 +189,7 @@ class Diagnosis:
             for f in self.search.doubtful
         )
         text = _describe_findings(self) + (f" In doubt, and not added: {gone}." if gone else "")
-        return in_names(text, self.arm.called)
+        return in_names(text, self.arm.names_for_people)
 
 
 def _describe_findings(found: Diagnosis) -> str:

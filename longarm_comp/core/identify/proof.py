@@ -120,8 +120,8 @@ def prove_models(
     """
     seen, told, turned = (_Rows() for _ in range(3))
     for fold in made:
-        placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.turned))
-        at, turns_at = fold.numbers[fold.rows.placed], fold.numbers[fold.rows.turned]
+        placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.has_orientation))
+        at, turns_at = fold.numbers[fold.rows.placed], fold.numbers[fold.rows.has_orientation]
         for name, model in fold.models.items():
             seen.store_rows(name, at, compute_tip_errors(model, placed))
             told.store_rows(name, at, commanded_errors(model, placed))
@@ -129,7 +129,7 @@ def prove_models(
         if learned is not None:
             model, network = learned(fold)
             expected = network.predict(placed.q, placed.context())
-            known = (expected.in_domain & placed.located)[:, None]
+            known = (expected.in_domain & placed.has_position)[:, None]
             error = np.where(known, expected.error, 0.0)
             seen.store_rows(NETWORK, at, compute_tip_errors(model, placed) - error)
             told.store_rows(NETWORK, at, commanded_errors(model, placed) - error)

@@ -143,7 +143,7 @@ def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = No
 
 def smallest_that_matters(fit: ModelFit) -> float:
     """Return the size (m) below which structure does not matter."""
-    xyz = fit.session.take(fit.session.located).xyz
+    xyz = fit.session.take(fit.session.has_position).xyz
     return min(SMALLEST_M, OF_SPREAD * median_spread(xyz) if len(xyz) > 1 else SMALLEST_M)
 
 

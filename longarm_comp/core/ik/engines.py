@@ -88,9 +88,7 @@ def run(
                 start = start + radius * (low + point * (high - low) - start)
                 start = np.clip(start, low, high)
             here = context if ids.size == count else context.take(ids)
-            compiled = engine is Engine.COMPILED or (
-                engine is Engine.AUTO and _worth_compiling(model, context.layout, ids.size)
-            )
+            worth = engine is Engine.AUTO and _worth_compiling(model, context.layout, ids.size)
             given = {  # by name: (K, k), or one row for all
                 "target": targets[ids],
                 "lower": low,
@@ -101,6 +99,7 @@ def run(
                 "length": np.array([radian_m]),
                 "permitted": np.array([newton.MAX_ITERATIONS]),
             }
+            compiled = worth or engine is Engine.COMPILED
             search = _search_compiled if compiled else _search_by_model
             found, left, used = search(model, here, m, given, ids.size)
             report[ids, 2] += used

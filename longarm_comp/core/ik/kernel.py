@@ -26,7 +26,7 @@ from longarm_comp.core.ik.codegen.symbolic import Graph, Program, Symbol
 from longarm_comp.core.model.model import Model
 
 
-def geometric(posture: Posture, tip: Vec, station: float = math.inf) -> list[tuple[Vec, Vec]]:
+def rigid_jacobian(posture: Posture, tip: Vec, station: float = math.inf) -> list[tuple[Vec, Vec]]:
     """Return the tip's velocity (m, base frame) and turn (rad) per unit of each commanded joint.
 
     With a ``station`` the point is one that this station carries: rows after it are left out.
@@ -111,17 +111,17 @@ def works(
     def at(s: newton.State, x: Sequence[Any]) -> Posture:
         return model.posture_with_twists(tuple(s["trial"]), context_of(s), row.twists(x))
 
-    def carried(posture: Posture) -> newton.Outcome:
+    def carry(posture: Posture) -> newton.Outcome:
         twists = model.twists(posture)
         return {"x": [twists[station][i] for station, i in row.slot]}
 
     span = [float(v) for v in model.arm.upper - model.arm.lower]
     made: dict[str, Work] = {
-        "first": lambda s: carried(model.posture_without_sag(tuple(s["trial"]), context_of(s))),
-        "again": lambda s: carried(at(s, s["x"])),
+        "first": lambda s: carry(model.posture_without_sag(tuple(s["trial"]), context_of(s))),
+        "again": lambda s: carry(at(s, s["x"])),
         "tip": lambda s: {"out": tip_and_jacobian(model, at(s, s["x"]))},
-        "begin": lambda s: newton.begin(model.arm.n),
-        "open": newton.opening,
+        "begin": lambda s: newton.begin_search(model.arm.n),
+        "open": newton.open_level,
     }
     for m in (3, 6):
         made[f"accept{m}"] = partial(newton.accept, m=m)
@@ -157,7 +157,7 @@ class Kernel:
 
     @property
     def size(self) -> int:
-        """Length of the state."""
+        """The number of scalars in the state of a search."""
         return 1 + max(r[-1] for r in self.place.values() if r)
 
     def slice(self, name: str) -> slice:
@@ -183,7 +183,7 @@ class Kernel:
     def _compile(self) -> Any:
         from longarm_comp.core.ik.codegen import llvm
 
-        width = llvm.lanes()
+        width = llvm.count_lanes()
         made = works(self._model, lambda s: self.layout.unpack(s["c"]), self.row)
         programs: dict[str, Program] = {}
         for name, work in made.items():
@@ -201,13 +201,13 @@ class Kernel:
         for m in (3, 6):
             search = newton.flow(self.passes, m)
             flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
-        return llvm.compile_module(llvm.module(programs, flows, self.place, width), width)
+        return llvm.compile_module(llvm.write_module(programs, flows, self.place, width), width)
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
     """Return the tip, its axes n, o, a, and the Jacobian row after row, 12 + 6 n."""
     tip = model.tip_frame(posture)
-    columns = geometric(posture, tip.p)
+    columns = rigid_jacobian(posture, tip.p)
     axes = [*tip.p, *tip.n, *tip.o, *tip.a]
     return axes + [column[i // 3][i % 3] for i in range(6) for column in columns]
 

@@ -68,7 +68,7 @@ def _solve_damped(J: _Scalars, e: _Scalars, free: _Scalars, damping: Any, m: int
 
 
 def rotation_error(R: _Scalars, target: _Scalars) -> tuple[list[Any], Any]:
-    """Rotation vector (rad, base frame) from R to the target, and its angle (rad), 0 to pi.
+    """Compute the rotation vector (rad, base frame) from R to the target; its angle, 0 to pi.
 
     Both hold axes n, o, a one after the other, 9 numbers each.  At pi the vector is 0.
     """
@@ -209,7 +209,8 @@ def accept(s: State, m: int) -> Outcome:
     return {"target": [T[3], T[7], T[11], *axes], "q": q, "fault": [fault]}
 
 
-def begin(n: int) -> Outcome:
+def begin_search(n: int) -> Outcome:
+    """Return the state of n joints before the first evaluation."""
     return {
         "e": [0.0] * 6,
         "J": [0.0] * (6 * n),
@@ -220,7 +221,7 @@ def begin(n: int) -> Outcome:
     }
 
 
-def opening(s: State) -> Outcome:
+def open_level(s: State) -> Outcome:
     """Enter a level, which requires a new evaluation of the joints."""
     return {
         "trial": s["q"],

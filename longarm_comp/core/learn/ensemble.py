@@ -91,9 +91,9 @@ def train(
         if progress is not None:
             progress(networks, len(sizes) * starts + _FOLDS)
 
-    fits = learner.likeliest(sizes, starts, tell)[:ensemble]
+    fits = learner.find_likeliest(sizes, starts, tell)[:ensemble]
     out = _draw_folds(q, np.random.default_rng([seed, _FOLDS]))
-    without = learner.fits(fits[0].units, ~out)
+    without = learner.train_batch(fits[0].units, ~out)
     tell(len(sizes) * starts + _FOLDS)
     shape = NetworkShape(x.shape[1], max(each.units for each in fits), 3)
     settings = {
@@ -120,8 +120,9 @@ def train(
         provenance=replace(origin, settings={**origin.settings, **settings}),
         network=network,
     )
-    probe = _probe(x, encoding, np.random.default_rng([seed]))
-    draft = replace(draft, posterior=_leading(draft, fits[0].pad(shape, fits[0].root), probe))
+    probe = _draw_probe(x, encoding, np.random.default_rng([seed]))
+    root = fits[0].pad(shape, fits[0].root)
+    draft = replace(draft, posterior=_find_leading_directions(draft, root, probe))
     left = y.copy()
     for one, rows in zip(without, out, strict=True):
         alone = replace(draft, weights=one.pad(shape, one.weights)[None])
@@ -160,7 +161,7 @@ class _Learner:
     network: NetworkKind | None
     device: str
 
-    def fits(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
+    def train_batch(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
         """Train networks of so many hidden units, each on its rows (M, N), as one batch."""
         import torch
 
@@ -205,7 +206,7 @@ class _Learner:
         parts = (found.weights, found.beta**-0.5, evidence, found.root)
         return [_Fit(units, *each) for each in zip(*(p.cpu().numpy() for p in parts), strict=True)]
 
-    def likeliest(
+    def find_likeliest(
         self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
     ) -> list[_Fit]:
         """Train networks of rising size until the evidence falls, and sort them by it."""
@@ -213,7 +214,7 @@ class _Learner:
         for units in sizes:
             if fits and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * len(self.x):
                 break
-            networks = self.fits(units, np.ones((starts, len(self.x)), bool))
+            networks = self.train_batch(units, np.ones((starts, len(self.x)), bool))
             fits += networks
             tell(len(fits))
             if max(f.evidence for f in networks) < max(f.evidence for f in fits) - _UNLIKELY:
@@ -245,18 +246,18 @@ def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) 
     )
 
 
-def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
+def _draw_probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
     """Draw inputs (2000, d) in the training region: random joints, some sample's context."""
-    joints = int(encoding.moved.sum())
+    joints = int(encoding.is_joint.sum())
     probe = x[rng.integers(0, len(x), 2000)]
     low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)
     probe[:, :joints] = rng.uniform(low, high, (len(probe), joints))
     return probe
 
 
-def _leading(draft: Predictor, root: Array, probe: Array) -> NDArray[np.float32]:
-    """(r, D) leading directions of the posterior. They hold all but 0.5 % of the Laplace variance
-    of the outputs over the training region, at a fraction of the cost."""
+def _find_leading_directions(draft: Predictor, root: Array, probe: Array) -> NDArray[np.float32]:
+    """Return the (r, D) leading directions of the posterior: they hold all but 0.5 % of the Laplace
+    variance of the outputs over the training region, at a fraction of the cost."""
     jacobian = draft.members.jacobian(probe[:500])
     spread = jacobian.reshape(-1, jacobian.shape[-1]) @ root.T
     values, vectors = np.linalg.eigh(spread.T @ spread)

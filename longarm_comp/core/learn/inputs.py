@@ -44,7 +44,7 @@ class Encoding:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Names of the raw columns."""
+        """The names of the raw columns: joints, then circumstances."""
         names = [f"q{i + 1}" for i in range(self.joints)]
         for name in self.context:
             each = range(self.joints) if name in PER_JOINT else ()
@@ -53,12 +53,12 @@ class Encoding:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the inputs (d)."""
+        """The names of the d inputs: the raw columns that are not constant."""
         return tuple(self.columns[i] for i in self.kept)
 
     @cached_property
-    def moved(self) -> NDArray[np.bool_]:
-        """(d,) which inputs are joints."""
+    def is_joint(self) -> NDArray[np.bool_]:
+        """Tell (d,) which inputs are joints; the others are circumstances."""
         return self.kept < self.joints
 
     @cached_property
@@ -70,28 +70,29 @@ class Encoding:
         return self.lower - width, self.upper + width
 
     def encode(self, q: Array, context: Context) -> tuple[Array, Array]:
-        """Raw inputs (N, columns) in SI units, NaN where the context is unknown; and standardised
-        ones (N, d), where the training mean stands for NaN."""
+        """Return raw inputs (N, columns) in SI units, NaN where the context is unknown, and
+        standardised ones (N, d), where the training mean stands for NaN."""
         raw = _raw_columns(q, context, self.context)
         x = (raw[:, self.kept] - self.mean) / self.scale
         return raw, np.where(np.isnan(x), 0.0, x)
 
 
 def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
-    return np.concatenate((q, *(_of_context(name, context, q.shape) for name in used)), axis=1)
-
-
-def _of_context(name: str, context: Context, shape: tuple[int, ...]) -> Array:
-    """(N, 1) of a column. Of a side of arrival (N, 1+n): the mean over the joints whose side is
-    known, and the difference of each from it."""
-    if name not in PER_JOINT:
-        known = context.columns.get(name, np.nan)
-        return np.broadcast_to(np.asarray(known, float), shape[:1])[:, None]
-    each = np.broadcast_to(np.asarray(getattr(context, name) or np.nan, float).T, shape)
-    each = np.where(np.abs(each) > 0.0, each, np.nan)
-    with np.errstate(invalid="ignore"):
-        mean = np.nansum(each, axis=1, keepdims=True) / (~np.isnan(each)).sum(axis=1, keepdims=True)
-    return np.concatenate((mean, each - mean), axis=1)
+    """Return joints (N, n) and, beside them, circumstances, in SI units: a column each; of a side
+    of arrival the mean over the joints whose side is known, and the difference of each from it."""
+    made = [q]
+    for name in used:
+        if name not in PER_JOINT:
+            known = np.asarray(context.columns.get(name, np.nan), float)
+            made.append(np.broadcast_to(known, len(q))[:, None])
+            continue
+        each = np.broadcast_to(np.asarray(getattr(context, name) or np.nan, float).T, q.shape)
+        each = np.where(np.abs(each) > 0.0, each, np.nan)
+        count = (~np.isnan(each)).sum(axis=1, keepdims=True)
+        with np.errstate(invalid="ignore"):
+            mean = np.nansum(each, axis=1, keepdims=True) / count
+        made += [mean, each - mean]
+    return np.concatenate(made, axis=1)
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:

@@ -27,7 +27,7 @@ class NetworkShape:
 
     @property
     def size(self) -> int:
-        """D, the number of weights."""
+        """The number D of weights of both layers, biases included."""
         return (self.inputs + 1) * self.hidden + (self.hidden + 1) * self.outputs
 
     def split(self, weights: Any) -> tuple[Any, Any]:
@@ -84,8 +84,8 @@ class TanhMembers:
         return made
 
     def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:
-        """Slope (k, m) of the mean at inputs (d,), by the m moved ones, and the step of all of them
-        within which it is accurate to ``error``; 0 where that is not known."""
+        """Return the slope (k, m) of the mean at inputs (d,), by the m moved ones, and the step of
+        all of them within which it is accurate to ``error``; 0 where that is not known."""
         hidden, output = self._mean
         z = np.tanh(x @ hidden[:-1] + hidden[-1])
         bend, rates = 1.0 - z * z, hidden[:-1][moved]

@@ -187,8 +187,8 @@ class Predictor:
         """Predict at joints (n,) and around them."""
         encoding = self.encoding
         found, x = self._predict(q[None], context)
-        slope, step = self.members.slope(x[0], encoding.moved, LINEAR_M / self.scale)
-        moved, width = encoding.kept[encoding.moved], encoding.scale[encoding.moved]
+        slope, step = self.members.slope(x[0], encoding.is_joint, LINEAR_M / self.scale)
+        moved, width = encoding.kept[encoding.is_joint], encoding.scale[encoding.is_joint]
         jacobian, reach = np.zeros((3, len(q))), np.zeros(len(q))
         jacobian[:, moved] = self.scale * slope / width
         # allowed growth of the variance, up to the limit of the domain

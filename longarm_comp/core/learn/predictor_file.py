@@ -168,15 +168,14 @@ def load(
     learned = header.settings.get("model_hash")
     if None not in (learned, model_hash) and learned != model_hash:
         raise InputError(path, "model_hash", str(learned)[:12] or "the declared arm", model)
+    origin = Provenance(header.arm_hash, header.session_hash, header.joint_names, header.settings)
     return Predictor(
         encoding,
         hidden=header.hidden,
         scale=header.scale,
         variance_limit=header.variance_limit,
         gain=LearnedGain(*arrays["gain"].tolist()),
-        provenance=Provenance(
-            header.arm_hash, header.session_hash, header.joint_names, header.settings
-        ),
+        provenance=origin,
         network=network,
         **{name: arrays[name] for name in _PREDICTOR},
     )
@@ -185,7 +184,21 @@ def load(
 def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
     """Return checked header, and all arrays of the file, of any shape."""
     try:
-        said, arrays = (_read_packed if Path(path).suffix == _OTHERS else _read_zipped)(path)
+        check_regular(path)
+        if Path(path).suffix == _OTHERS:
+            from safetensors import safe_open
+
+            with safe_open(path, framework="numpy") as data:
+                entry = json.loads(data.metadata()["longarm"])
+                arrays = {name: data.get_tensor(name) for name in data.keys()}  # noqa: SIM118
+            said = entry["header"]
+            if entry["sha256"] != _digest(said, arrays):
+                raise InputError(path, "sha256", "does not match", "an undamaged file")
+        else:
+            with np.load(path, allow_pickle=False) as data:
+                check_unpacked(path, data.zip)
+                arrays = dict(data)  # checked against the checksums of the archive
+            said = arrays.pop("header").tobytes()
         header = json.loads(said)
     except InputError:
         raise
@@ -199,26 +212,6 @@ def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]
         if not isinstance(arrays.get(name), np.ndarray):
             raise InputError(path, name, "missing", "a file that longarm wrote")
     return parse_declared(_Header, header, str(path)), arrays
-
-
-def _read_zipped(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
-    check_regular(path)
-    with np.load(path, allow_pickle=False) as data:
-        check_unpacked(path, data.zip)
-        arrays = dict(data)  # checked against the checksums of the archive
-    return arrays.pop("header").tobytes(), arrays
-
-
-def _read_packed(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
-    from safetensors import safe_open
-
-    check_regular(path)
-    with safe_open(path, framework="numpy") as data:
-        said = json.loads(data.metadata()["longarm"])
-        arrays = {name: data.get_tensor(name) for name in data.keys()}  # noqa: SIM118
-    if said["sha256"] != _digest(said["header"], arrays):
-        raise InputError(path, "sha256", "does not match", "an undamaged file")
-    return said["header"].encode(), arrays
 
 
 def _digest(header: str, arrays: Mapping[str, NDArray[Any]]) -> str:

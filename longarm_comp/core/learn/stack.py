@@ -92,7 +92,7 @@ class TanhNetwork(torch.nn.Module):
 
 
 class TanhStack(Stack):
-    """Networks of the paper."""
+    """A stack of the networks of the paper, with the normal equations of their special form."""
 
     def __init__(self, shape: NetworkShape, device: torch.device) -> None:
         super().__init__(TanhNetwork(shape).to(device))
@@ -124,8 +124,8 @@ class TanhStack(Stack):
         return matrix, (by_weight[:, -k:] * lift).sum(1)
 
     def squared_error(self, x: Tensor, y: Tensor, used: Tensor) -> Fitness:
-        """The sparrow's fitness: weights (M, P, D) -> mean squared error per output (M, P) over the
-        rows ``used`` (M, N), in single precision.
+        """Return the sparrow's fitness: of weights (M, P, D) the mean squared error per output, (M,
+        P), over the rows ``used`` (M, N), in single precision.
 
         With ``tanh a = 2 s - 1`` and ``s = 1 / (1 + exp(-2a))`` the rest folds into the output
         layer. All sparrows of a network go through one product.
@@ -141,9 +141,8 @@ class TanhStack(Stack):
             return (error.square_() * share).sum(dim=(2, 3))
 
         def fitness(position: Tensor) -> Tensor:
-            step = max(
-                1, _numbers_at_once(x.device) // (len(position) * self.shape.hidden * x1.shape[2])
-            )
+            each = len(position) * self.shape.hidden * x1.shape[2]
+            step = max(1, _numbers_at_once(x.device) // each)
             return torch.cat([one(p) for p in position.float().split(step, dim=1)], dim=1)
 
         return fitness
@@ -186,7 +185,7 @@ def hidden_alike(v: Tensor) -> Tensor:
 
 
 def _units(v: Tensor, x1: Tensor) -> Tensor:
-    """``tanh(x1 V)`` (..., N, H); as ``2 / (1 + exp(-2a)) - 1`` torch takes a fifth as long."""
+    """Compute ``tanh(x1 V)``, (..., N, H): as ``2 / (1 + exp(-2a)) - 1`` in a fifth of the time."""
     return (x1 @ (2.0 * v)).sigmoid_().mul(2.0).sub_(1.0)
 
 

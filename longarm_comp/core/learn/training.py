@@ -54,7 +54,7 @@ class Networks:
 
 @dataclass
 class Fits(Networks):
-    """Trained networks."""
+    """The networks after their training, with posterior and evidence."""
 
     root: Tensor  # (M, D, D) lower-triangular R with the posterior's covariance R'R (Laplace)
     evidence: Tensor  # (M,) log evidence (Laplace), equal optima not counted
@@ -84,14 +84,13 @@ def back_propagate(
     )
     ended = list[list[Tensor]]()
     for step in range(1, max_steps + 1):
-        moved = _move(stack, going)
+        moved = _try_step(stack, going)
         if step > _PLAIN_STEPS:
             _weigh_rows(going)
-        going.matrix, going.gradient = stack.normal_equations(
-            going.weights, going.x, going.residual, going.robust
-        )
+        state = going.weights, going.x, going.residual, going.robust
+        going.matrix, going.gradient = stack.normal_equations(*state)
         if step > _PLAIN_STEPS:
-            change = _estimate(stack, going)
+            change = _estimate_precisions(stack, going)
             settled = torch.where(change < _SETTLED, going.settled + 1.0, 0.0)
             going.settled = torch.where(moved, settled, going.settled)
         done = (going.settled >= _SETTLED_STEPS) | (step == max_steps)
@@ -102,10 +101,10 @@ def back_propagate(
                 break
     parts = [torch.cat(each) for each in zip(*ended, strict=True)]
     order = parts[0].argsort()
-    return _fits(stack, Networks(*(each[order] for each in parts)))
+    return _evaluate_fits(stack, Networks(*(each[order] for each in parts)))
 
 
-def _move(stack: Stack, at: Networks) -> Tensor:
+def _try_step(stack: Stack, at: Networks) -> Tensor:
     """Try a damped Gauss-Newton step of each network; returns (M,) which were moved by it."""
     prior = at.alpha[:, stack.groups]
     pull = at.beta[:, None] * at.gradient - prior * at.weights
@@ -117,8 +116,8 @@ def _move(stack: Stack, at: Networks) -> Tensor:
     step = torch.cholesky_solve(pull[..., None], factor)[..., 0]
     weights = at.weights + step
     left = at.y - stack.outputs(weights, at.x)
-    before = _cost(at, at.residual, at.weights, prior)
-    gained = before - _cost(at, left, weights, prior)
+    before = _compute_cost(at, at.residual, at.weights, prior)
+    gained = before - _compute_cost(at, left, weights, prior)
     ratio = gained / (0.5 * (step * (pull + damped * step)).sum(1))
     good = gained > -1e-9 * before  # rounding is no reason to stay
     shrink = (1.0 - (2.0 * ratio.clamp(0.0, 1.0) - 1.0) ** 3).clamp(min=0.2)
@@ -128,13 +127,13 @@ def _move(stack: Stack, at: Networks) -> Tensor:
     return good
 
 
-def _cost(at: Networks, residual: Tensor, weights: Tensor, prior: Tensor) -> Tensor:
+def _compute_cost(at: Networks, residual: Tensor, weights: Tensor, prior: Tensor) -> Tensor:
     square = (residual.square().sum(2) * at.robust).sum(1)
     return 0.5 * (at.beta * square + (prior * weights.square()).sum(1))
 
 
 def _weigh_rows(at: Networks) -> None:
-    """The likeliest ``nu`` of the table and the weights of the rows for it."""
+    """Set the likeliest ``nu`` of `_TAILS`, and the weights (M, N) of the rows for it."""
     k, tails, square = at.y.shape[2], at.beta.new_tensor(_TAILS), at.square()
     at.tail = tails[_student_log(square, tails.expand(len(square), -1), at.used, k).argmax(1)]
     at.robust = (at.tail[:, None] + k) / (at.tail[:, None] + square) * at.used
@@ -148,20 +147,20 @@ def _student_log(square: Tensor, nu: Tensor, used: Tensor, k: int) -> Tensor:
     return constant * used.sum(1, keepdim=True) - half * logs[..., 0]
 
 
-def _factor(stack: Stack, at: Networks) -> Tensor:
+def _factor_precision(stack: Stack, at: Networks) -> Tensor:
     """Return the lower triangle L of the posterior's precision ``A = L L'``."""
     precision = at.beta[:, None, None] * at.matrix
     precision.diagonal(dim1=1, dim2=2).add_(at.alpha[:, stack.groups])
     return torch.linalg.cholesky(precision)
 
 
-def _estimate(stack: Stack, at: Networks) -> Tensor:
-    """Re-estimate alpha, beta and the effective weights; returns the change of log beta (M,)."""
+def _estimate_precisions(stack: Stack, at: Networks) -> Tensor:
+    """Estimate alpha, beta and the effective weights anew; return the change of log beta (M,)."""
 
     def by_group(each: Tensor) -> Tensor:
         return torch.zeros_like(at.alpha).index_add(1, stack.groups, each)
 
-    covariance = torch.cholesky_inverse(_factor(stack, at))
+    covariance = torch.cholesky_inverse(_factor_precision(stack, at))
     count = by_group(torch.ones_like(at.weights))
     determined = count - at.alpha * by_group(covariance.diagonal(dim1=1, dim2=2))
     gamma = torch.minimum(determined.clamp(min=1e-3), count)
@@ -173,8 +172,8 @@ def _estimate(stack: Stack, at: Networks) -> Tensor:
     return (at.beta / before).log().abs()
 
 
-def _fits(stack: Stack, at: Networks) -> Fits:
-    prior, k, factor = at.alpha[:, stack.groups], at.y.shape[2], _factor(stack, at)
+def _evaluate_fits(stack: Stack, at: Networks) -> Fits:
+    prior, k, factor = at.alpha[:, stack.groups], at.y.shape[2], _factor_precision(stack, at)
     evidence = (
         _student_log(at.square(), at.tail[:, None], at.used, k)[:, 0]
         + 0.5 * k * at.used.sum(1) * at.beta.log()

@@ -238,7 +238,7 @@ class Choice:
     def after(self, chosen: Sequence[int]) -> _Known:
         """Return what is known once these are measured."""
         covariance = self.covariance(chosen)
-        turned = _transpose(self.x)
+        turned = self.x.swapaxes(1, 2)
         own = _times(self.x, covariance) @ turned + np.eye(self.x.shape[1])
         if self.tips is None:
             return _Known(self, covariance, own)
@@ -297,18 +297,18 @@ class _Known:
         if self.error is None or self.left is None:
             seen = _times(poses, a)
             covariance = self.covariance - a @ core @ a.T
-            return _Known(self.choice, covariance, self.own - seen @ core @ _transpose(seen))
+            return _Known(self.choice, covariance, self.own - seen @ core @ seen.swapaxes(1, 2))
         b = self.error @ x.T
         b = b - a @ (core @ (x @ b)) / 2  # half: each cross term takes its share of the last one
         seen, weighed = np.split(_times(poses, np.concatenate([a, b], axis=1)), 2, axis=2)
         seen_core, a_core = seen @ core, a @ core
-        cross, error = seen_core @ _transpose(weighed), a_core @ b.T
+        cross, error = seen_core @ weighed.swapaxes(1, 2), a_core @ b.T
         return _Known(
             self.choice,
             self.covariance - a_core @ a.T,
-            self.own - seen_core @ _transpose(seen),
+            self.own - seen_core @ seen.swapaxes(1, 2),
             self.error - error - error.T,
-            self.left - cross - _transpose(cross),
+            self.left - cross - cross.swapaxes(1, 2),
         )
 
     def gains(self, taken: Sequence[int]) -> np.ndarray:
@@ -319,10 +319,6 @@ class _Known:
             gain = np.einsum("mij,mji->m", np.linalg.inv(self.own), self.left)
         gain[list(taken)] = -np.inf
         return np.asarray(gain)
-
-
-def _transpose(blocks: np.ndarray) -> np.ndarray:
-    return np.swapaxes(blocks, 1, 2)
 
 
 def _times(blocks: np.ndarray, right: np.ndarray) -> np.ndarray:

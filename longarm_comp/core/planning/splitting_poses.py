@@ -58,12 +58,12 @@ def choose_splitting_poses(
     pool = Context(tuple(side for _ in range(arm.n)), typical)
     at = fit.model.posture(unstack(q), pool)
 
-    def measured(slots: Sequence[Slot]) -> np.ndarray:
+    def compute_columns(slots: Sequence[Slot]) -> np.ndarray:
         return make_equations(fit.model, fit.session, slots, at=fit.posture).columns
 
-    theirs, mine = map(fit.whiten_columns, _designs(fit, found, other, measured))
-    far, shift = _designs(fit, found, other, lambda slots: fit.model.columns(at, slots)[1])
-    scale = _noise_of(fit)[None, :, None]
+    theirs, mine = map(fit.whiten_columns, _compute_designs(fit, found, other, compute_columns))
+    far, shift = _compute_designs(fit, found, other, lambda slots: fit.model.columns(at, slots)[1])
+    scale = _find_noise(fit)[None, :, None]
     own = np.concatenate([theirs, mine], axis=1)
     information = own.T @ own + np.eye(own.shape[1])
     amount = np.zeros_like(information)
@@ -76,7 +76,7 @@ def choose_splitting_poses(
     return SplittingPoses(q[chosen], side[chosen], payload, None, between, float(odds))
 
 
-def _noise_of(fit: ModelFit) -> np.ndarray:
+def _find_noise(fit: ModelFit) -> np.ndarray:
     """Return the (3,) noise of a position to be measured, m.
 
     It is the noise of the session's positions (an axis without one has the smallest), or the
@@ -88,7 +88,7 @@ def _noise_of(fit: ModelFit) -> np.ndarray:
     return np.full(3, np.min(lengths))
 
 
-def _designs(
+def _compute_designs(
     fit: ModelFit, found: Candidate, other: Candidate, of: Callable[[Sequence[Slot]], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, d, p) by geometry, rest and alternative, (N, d, 1) by the found effect's shift."""

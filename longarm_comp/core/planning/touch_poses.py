@@ -33,9 +33,8 @@ def draw_touch_poses(
     each = max(count // len(points), 2)
     for name, place in points.items():
         start = random_joints(model.arm, each, rng)
-        found = solve_many(
-            model, np.tile(place, (each, 1)), seed=start, position_only=True, max_starts=1
-        )
+        to = np.tile(place, (each, 1))
+        found = solve_many(model, to, seed=start, position_only=True, max_starts=1)
         there = found.q[found.ok]
         if len(there) < 2:
             said = ", ".join(f"{v:g}" for v in place)

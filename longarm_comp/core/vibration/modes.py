@@ -24,7 +24,7 @@ from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.arm.posture import LineLoads, Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.link_deflection import elements
-from longarm_comp.core.ik.kernel import geometric
+from longarm_comp.core.ik.kernel import rigid_jacobian
 from longarm_comp.core.model.model import Model, unstack
 
 MODES = 6
@@ -45,7 +45,7 @@ class Modes:
 
     @property
     def hz(self) -> np.ndarray:
-        """(k,) frequencies."""
+        """The undamped frequencies (k,), Hz."""
         return np.asarray(self.omega / (2.0 * np.pi))
 
     @cached_property
@@ -77,26 +77,28 @@ def find_modes_along(
     fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))
     posture = fine.posture(unstack(joints), context)
     known, tip = len(joints), model.arm.tip
-    points = [*_masses_of(posture), Lumped(posture.frame(tip.frame), 0.0, tip.position_m)]
+    # The last is the tip, without mass
+    points = [*_list_masses(posture), Lumped(posture.frame(tip.frame), 0.0, tip.position_m)]
     mass = np.repeat(np.array([np.broadcast_to(p.mass, known) for p in points]).T, 3, axis=1)
     bends = _flexibility(fine, posture, points, known)
-    carried = np.concatenate([_motion_by_joints(posture, p, known) for p in points], axis=1)
+    places = [posture.frames[p.station].transform(p.position) for p in points]
+    moved = [rigid_jacobian(posture, at, p.station) for at, p in zip(places, points, strict=True)]
+    by_point = [_points([linear for linear, _ in columns], known) for columns in moved]
+    carried = np.concatenate([columns.swapaxes(1, 2) for columns in by_point], axis=1)
     if known > 1:
         from scipy.interpolate import CubicSpline
 
         asked, given = np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, known)
         mass, bends, carried = (CubicSpline(given, x)(asked) for x in (mass, bends, carried))
-    return [_modes(*row) for row in zip(np.maximum(mass, 0.0), bends, carried, strict=True)]
-
-
-def _modes(mass: np.ndarray, bend: np.ndarray, carried: np.ndarray) -> Modes:
-    """Find modes of masses (m,) with a flexibility (m, m); the last is the tip, without mass."""
-    root = np.sqrt(mass)
-    values, shapes = np.linalg.eigh(root[:, None] * bend * root)
-    chosen = np.flatnonzero(values > _STIFF * max(values[-1], VISIBLE_M / 9.81))[::-1][:MODES]
-    omega = 1.0 / np.sqrt(values[chosen])
-    moved = ((bend @ (root[:, None] * shapes[:, chosen])) * omega**2).T
-    return Modes(omega, moved[:, -3:], moved[:, :-3], mass[:-3], carried[:-3])
+    found = []
+    for m, bend, by_joints in zip(np.maximum(mass, 0.0), bends, carried, strict=True):
+        root = np.sqrt(m)
+        values, shapes = np.linalg.eigh(root[:, None] * bend * root)
+        chosen = np.flatnonzero(values > _STIFF * max(values[-1], VISIBLE_M / 9.81))[::-1][:MODES]
+        omega = 1.0 / np.sqrt(values[chosen])
+        shape = ((bend @ (root[:, None] * shapes[:, chosen])) * omega**2).T
+        found.append(Modes(omega, shape[:, -3:], shape[:, :-3], m[:-3], by_joints[:-3]))
+    return found
 
 
 _STIFF = 1e-4
@@ -104,7 +106,7 @@ _STIFF = 1e-4
 100 times as fast."""
 
 
-def _masses_of(posture: Posture) -> list[Lumped]:
+def _list_masses(posture: Posture) -> list[Lumped]:
     """Return all masses of the arm, each at a station; beams at the ends of their elements."""
     ends: dict[int, Scalar] = {}
     for station, spread in posture.line_loads.items():
@@ -168,11 +170,13 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
     carriers = np.array([p.station for p in points])
     places = _points([posture.frames[p.station].transform(p.position) for p in points], postures)
     for station, twist in model.twists(pushed).items():
-        d, delta = (
-            _slope(np.stack([np.broadcast_to(x, 4 * count * postures) for x in turned]), postures)
-            / (2.0 * _PUSH * weight)
-            for turned in (frames[station].rotate(part) for part in (twist[:3], twist[3:]))
-        )
+        slopes = []
+        for part in (twist[:3], twist[3:]):
+            seen = frames[station].rotate(part)
+            answers = np.stack([np.broadcast_to(x, 4 * count * postures) for x in seen])
+            up, twice, down, back = answers.reshape(3, postures, 4, -1).transpose(2, 1, 0, 3)
+            slopes.append(((twice - up) - (back - down)) / (2.0 * _PUSH * weight))
+        d, delta = slopes  # between one and two pushes, to either side
         after = carriers >= station
         levers = places[:, after] - _points([posture.frames[station].p], postures)
         turned = np.cross(delta[:, None], levers[..., None], axisa=2, axisb=2, axisc=2)
@@ -183,19 +187,5 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
 
 def _points(places: Sequence[Vec], postures: int) -> np.ndarray:
     """Stack P places with scalars or (N,) in them to (N, P, 3)."""
-    return np.array(
-        [[np.broadcast_to(x, postures) for x in place] for place in places], float
-    ).transpose(2, 0, 1)
-
-
-def _slope(answers: np.ndarray, postures: int) -> np.ndarray:
-    """Return twice push times slope between one and two pushes to either side, (N, 3, P)."""
-    up, twice, down, back = answers.reshape(3, postures, 4, -1).transpose(2, 1, 0, 3)
-    return np.asarray((twice - up) - (back - down))
-
-
-def _motion_by_joints(posture: Posture, point: Lumped, postures: int) -> np.ndarray:
-    """Return (N, 3, n): motion of a point by a unit of every joint, the bend held."""
-    place = posture.frames[point.station].transform(point.position)
-    columns = [linear for linear, _ in geometric(posture, place, point.station)]
-    return _points(columns, postures).swapaxes(1, 2)
+    rows = [[np.broadcast_to(x, postures) for x in place] for place in places]
+    return np.array(rows, float).transpose(2, 0, 1)

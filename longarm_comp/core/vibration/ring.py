@@ -33,12 +33,12 @@ class _Ring:
         return np.asarray(waves @ self.tip)
 
     def size_m(self, time_s: float = 0.0) -> float:
-        """Bound of the tip's motion from a time on, m."""
+        """Return a bound of the tip's motion (m) from a time (s) on."""
         left = np.abs(self.amplitude) * np.exp(self.rate.real * time_s)
         return float(left @ np.linalg.norm(self.tip, axis=1))
 
     def settle_s(self, limit_m: float = VISIBLE_M) -> float:
-        """Time until it stays below a size, s."""
+        """Find the time (s) from which on it stays below a size (m)."""
         if self.size_m() <= limit_m:
             return 0.0
         slowest = float(-self.rate.real.max())
@@ -75,9 +75,8 @@ def find_amplitudes(
     speeds = np.diff(joints, axis=0) / np.diff(times)[:, None, None]
     wave = np.zeros((len(factors), count, joints.shape[2]), complex)
     here, before = int(where[0]), np.zeros(joints.shape[1:])
-    for step, took, speed in zip(
-        where, np.diff(times, append=times[-1]), [*speeds, np.zeros_like(before)], strict=True
-    ):
+    spans = np.diff(times, append=times[-1])
+    for step, took, speed in zip(where, spans, [*speeds, np.zeros_like(before)], strict=True):
         while here < step:
             old, new = way[here], way[here + 1]
             pull = new.shape[:count] * new.mass
@@ -117,9 +116,8 @@ def find_ring(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
     times = sample_times([modes], seconds)
     joints, left = way(times)[..., None], np.zeros((1, 0, 1), complex)
     if len(modes.omega):
-        left = find_amplitudes(
-            [modes], np.zeros(len(times), int), times, joints, damping, np.ones(1)
-        )
+        where = np.zeros(len(times), int)
+        left = find_amplitudes([modes], where, times, joints, damping, np.ones(1))
     return _Ring(_rates(modes, damping), modes.tip, left[0, :, 0])
 
 

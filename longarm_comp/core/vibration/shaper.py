@@ -72,9 +72,8 @@ def find_shaper(along: Sequence[Modes], way: Way, seconds: float, damping: float
         rows = np.concatenate([left.real, left.imag])
         # The last row: the shares add up to 1.  Its weight changes their sum, not their ratios.
         like = np.abs(rows).max()
-        weights, _ = nnls(
-            np.vstack([rows, np.full(len(begin), like)]), np.append(np.zeros(len(rows)), like)
-        )
+        table = np.vstack([rows, np.full(len(begin), like)])
+        weights, _ = nnls(table, np.append(np.zeros(len(rows)), like))
         parts = replace(parts, weights=weights / weights.sum())
     used = parts.weights > 0.0
     return Shaper(parts.weights[used], parts.begins[used], parts.ends[used])

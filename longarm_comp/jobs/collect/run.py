@@ -263,7 +263,7 @@ class _Run:
                 self._client.until(takes, math.inf, "driver")
                 begun_s = time.monotonic()
         why = row.lost.get(visit.index, "")
-        self.made[visit.index] = "" if row.located[0] else self._describe_cause(visit.q, why)
+        self.made[visit.index] = "" if row.has_position[0] else self._describe_cause(visit.q, why)
         self._driving_s += time.monotonic() - begun_s
         self._tell_progress()
 
@@ -311,7 +311,7 @@ class _Run:
             read_at = tip
             rows = read_visit(recorder.about(begun), client.arm)
             row = rows.take(np.flatnonzero(rows.index == visit.index)[-1:])
-            return row if late or row.located[0] else None
+            return row if late or row.has_position[0] else None
 
         row: Session = client.until(complete, pace.look_s + 60.0, "recording")
         recorder.keep(since_ns=begun)

@@ -203,10 +203,10 @@ def test_mass_where_the_columns_say(arm: Arm) -> None:
     without = Model(light).posture((0.3, 0.1), context)
     frame = by_hand(np.array([0.3, 0.1]))
     centre = (frame[2] @ np.array([0.1, 0.2, -0.3, 1]))[:3]
-    extra = np.array(posture.carried[1][0]) - np.array(without.carried[1][0])
+    extra = np.array(posture.carried_masses[1][0]) - np.array(without.carried_masses[1][0])
     np.testing.assert_allclose(extra, 0.7 * centre, atol=1e-14)
     with pytest.raises(InputError, match=r"mx.*missing"):
-        _ = Model(arm).posture((0.3, 0.1)).carried
+        _ = Model(arm).posture((0.3, 0.1)).carried_masses
 
 
 def test_tolerances_become_priors(arm: Arm) -> None:

@@ -335,8 +335,8 @@ def test_a_network_learns_from_whole_positions_and_says_what_it_leaves_out() -> 
     model = la.calibrate(ARM, session).model
     said: list[str] = []
     learned = la.train(ARM, session, model=model, ensemble=1, init="xavier", note=said.append)
-    assert learned.samples == session.located.sum() < len(session)
-    left = int((session.seen & ~session.located).sum())
+    assert learned.samples == session.has_position.sum() < len(session)
+    left = int((session.seen & ~session.has_position).sum())
     assert any(f"{left} rows hold no whole position" in text for text in said)
 
 

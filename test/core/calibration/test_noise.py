@@ -36,7 +36,7 @@ def fit_of(residual: np.ndarray) -> Any:
     rows = len(residual)
     session = SimpleNamespace(
         measured=np.ones((rows, 3), dtype=bool),
-        claimed={},
+        claimed_sigma={},
         uneven=lambda _: np.ones(rows),
         blocks=(ChannelBlock("position"),),
         channels=("x", "y", "z"),
@@ -96,10 +96,10 @@ def test_noise_is_the_sensors_as_far_as_it_may_have_stated_it(
 ) -> None:
     """The rows scatter so many times as much as they state."""
     fit = fit_of(np.zeros((ROWS, 3)))
-    fit.session.claimed = dict.fromkeys(fit.session.channels[:2], 1e-3 / times)
+    fit.session.claimed_sigma = dict.fromkeys(fit.session.channels[:2], 1e-3 / times)
     found = share_of_sensor(fit)
     assert found[:2] == (pytest.approx(share, 0.3), pytest.approx(whole, abs=0.1))
-    fit.session.claimed = {}
+    fit.session.claimed_sigma = {}
     assert share_of_sensor(fit)[:2] == (1.0, 1.0)
 
 

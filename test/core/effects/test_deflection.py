@@ -328,7 +328,7 @@ def test_no_weight_is_lost_at_any_extension(arm: Arm) -> None:
     for q in (arm.lower, arm.mid, arm.upper):
         for elements in (1, 2, 3):
             posture = Model(arm, elements_per_beam=elements).posture(unstack(q))
-            assert posture.carried[0][0] == pytest.approx(total, abs=1e-14)
+            assert posture.carried_masses[0][0] == pytest.approx(total, abs=1e-14)
 
 
 @pytest.mark.parametrize("out", [0.05, 0.3, 0.7])
@@ -352,7 +352,7 @@ def test_a_body_behind_its_bearing_keeps_its_weight(out: float) -> None:
     for elements in (1, 2, 3):
         q = (math.pi / 2, out - 0.01)
         posture = Model(arm, elements_per_beam=elements).posture(q)
-        assert posture.carried[0][0] == pytest.approx(2.0, abs=1e-14)
+        assert posture.carried_masses[0][0] == pytest.approx(2.0, abs=1e-14)
         torque = posture.moment(posture.bearing(1))[2]
         assert abs(torque) == pytest.approx(2.0 * G * abs(out - 0.5), abs=1e-12)
         batch = Model(arm, elements_per_beam=elements).posture(tuple(np.full(2, v) for v in q))

@@ -100,7 +100,7 @@ def test_a_scale_has_two_ends() -> None:
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_our_own_effects_say_all_that_others_must(name: str) -> None:
     kind = BUILT_IN[name]
-    catalogue._check(kind, name)
+    catalogue._check_kind(kind, name)
     assert {*kind.aliases, *kind.limit_aliases} <= set(BUILT_IN)
     for term in kind.for_arm(ARM):
         for field, allowed in kind.allowed_places().items():

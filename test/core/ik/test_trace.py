@@ -19,7 +19,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.codegen.llvm import compile_module, module
+from longarm_comp.core.ik.codegen.llvm import compile_module, write_module
 from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
 from longarm_comp.core.ik.kernel import MOST_KERNELS, Kernel, kernel_of, tip_and_jacobian, works
 from longarm_comp.core.model.model import Model
@@ -211,7 +211,7 @@ def test_every_operation_in_machine_code():
     for column in s.T.tolist():
         assert column[2] == pytest.approx(work(*column[:2]), abs=1e-13)
     for width in (1, 2, 4, 8):
-        text = module({"f": (graph, outputs)}, {}, {"s": range(5)}, width)
+        text = write_module({"f": (graph, outputs)}, {}, {"s": range(5)}, width)
         blocks = np.zeros((-(-50 // width), 5, width))
         for k in range(50):
             blocks[k // width, :2, k % width] = s[:2, k]

@@ -226,7 +226,7 @@ def test_a_network_of_a_batch_learns_its_own_rows_alone():
     rows = rng.random((1, 60)) < 0.7
 
     def fits(x, y, rows):
-        return _Learner(x, y, "xavier", 0, (4, 1), None, "cpu").fits(3, rows)
+        return _Learner(x, y, "xavier", 0, (4, 1), None, "cpu").train_batch(3, rows)
 
     (own,) = fits(x, y, rows)
     (alone,) = fits(x[rows[0]], y[rows[0]], np.ones((1, rows.sum()), bool))

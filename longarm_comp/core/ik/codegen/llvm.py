@@ -28,7 +28,7 @@ _COMPARE = {"lt": "olt", "le": "ole"}
 _CHOICE = {"minimum": "olt", "maximum": "ogt"}
 
 
-def module(
+def write_module(
     programs: Mapping[str, Program],
     flows: Mapping[str, Flow],
     place: Mapping[str, range],
@@ -43,9 +43,8 @@ def module(
     for name, body in bodies.items():
         lines += [f"define void @{name}(ptr %s) #0 {{", *body, "ret void", "}"]
         lines += _many(name, size)
-    return "\n".join(
-        [*lines, "attributes #0 = { nounwind }", "attributes #1 = { nounwind memory(none) }", ""]
-    )
+    lines += ["attributes #0 = { nounwind }", "attributes #1 = { nounwind memory(none) }", ""]
+    return "\n".join(lines)
 
 
 class _Writer:
@@ -186,7 +185,7 @@ class _Code:
         return self._functions[name]
 
 
-def lanes() -> int:
+def count_lanes() -> int:
     """Return number of doubles in a vector register of this processor."""
     features = binding.get_host_cpu_features()
     return 8 if features.get("avx512f") else 4 if features.get("avx") else 2
