@@ -246,6 +246,6 @@ def test_cameras_whose_clock_is_ahead_show_the_arm_at_rest(
             np.testing.assert_allclose(looks, [stage.true] * len(looks), atol=1e-6)
     run(tmp_path / "bag", plan)
     session = read_session(tmp_path / "bag", ARM)
-    assert session.located.all()
+    assert session.has_position.all()
     tips = declared_model(ARM).tip(session.q, session.context())
     np.testing.assert_allclose(session.xyz, tips, atol=1e-6)

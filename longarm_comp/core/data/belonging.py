@@ -157,7 +157,7 @@ def _find_mistake_in_part(
     def distance(rows: Session) -> np.ndarray:
         at = Registration.at(Sightings.of(model, rows), found.rotation, found.offset, found.tip)
         made = np.full(len(rows), np.nan)
-        made[rows.located] = at.distance
+        made[rows.has_position] = at.distance
         return made
 
     far = (own := distance(session)) > least
