@@ -62,7 +62,7 @@ def weigh_at_rests(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> 
     for k in range(RESTS * len(PAYLOADS_KG)):
         kg = PAYLOADS_KG[k // RESTS]
         q, side = rng.uniform(arm.lower, arm.upper), rng.choice([-1.0, 1.0], arm.n)
-        torque = true.settled(q, TrueContext(side, 22.0, kg, 0.0)).torques[0]
+        torque = true.settle(q, TrueContext(side, 22.0, kg, 0.0)).torques[0]
         parts = rng.uniform(1.0 - SCATTER, 1.0, arm.n)
         shares = zip(torque / full_effort, side, parts, strict=True)
         load = np.array([reported_load(servo, *each) for each in shares])

@@ -148,6 +148,6 @@ class _Gauge:
         wanted = float(np.exp(rng.uniform(np.log(1.25), np.log(3.0))))
         now = self.visibility(effect)
         if now < wanted and now > 0:
-            effect = effect.scaled(min(wanted / now, _MOST))
+            effect = effect.scale_by(min(wanted / now, _MOST))
             now = self.visibility(effect)
         return effect, now

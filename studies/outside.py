@@ -113,7 +113,7 @@ class SupplySag(HiddenEffect):
     gated: ClassVar[bool] = True
     sag: float
 
-    def held(self, torques: Array, state: State) -> Array:
+    def find_rest(self, torques: Array, state: State) -> Array:
         turning = ~state.arm.slides
         drawn = np.abs(torques * turning).sum(axis=1, keepdims=True)
         return self.sag * torques * turning * drawn

@@ -88,7 +88,7 @@ def paper_mix(
     for _ in range(10):
         effects = (
             geometry.JointZero(zero * lifter),
-            *(effect.scaled(dose) for effect in graded),
+            *(effect.scale_by(dose) for effect in graded),
             *fixed,
         )
         z = (

@@ -154,7 +154,7 @@ def at_joint(
     sound = TrueArm(arm, steps=2).tip(poses)
     for _ in range(8):
         moved = TrueArm(arm, [made], steps=2).tip(poses) - sound
-        made = made.scaled(1e-3 * size_mm / float(np.sqrt((moved**2).sum(1).mean())))
+        made = made.scale_by(1e-3 * size_mm / float(np.sqrt((moved**2).sum(1).mean())))
     return made
 
 

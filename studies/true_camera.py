@@ -180,7 +180,7 @@ def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden
     """Return an effect by name, `dose` times its typical size, at a random place."""
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
-    made: Hidden = HIDDEN[name](arm, rng).scaled(dose)
+    made: Hidden = HIDDEN[name](arm, rng).scale_by(dose)
     return made
 
 

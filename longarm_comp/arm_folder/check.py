@@ -82,13 +82,19 @@ def _describe_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
         row = posture.chain.rows[beam.row - 1]
         element = (row.elements_a if beam.role == "a" else row.elements_d)[0]
         fell = np.array([float(v) for v in posture.gravity_in(element.station)])
-        across = [(element.axis + 1) % 3, (element.axis + 2) % 3]
+        across = np.abs(fell[[(element.axis + 1) % 3, (element.axis + 2) % 3]])
         first, second, torsion = beam.stiffness
         bending = f"{first:.3g}" if first == second else f"{first:.3g} and {second:.3g}"
         stiff = f"EI {bending}, GJ {torsion:.3g} N m^2"
         text = f"{_describe_section(beam)}; {stiff}; {1e3 * beam.mass_kg:.4g} g"
-        if isinstance(beam.section, Rect):
-            text += _describe_standing(fell[across], float(np.linalg.norm(fell)))
+        if isinstance(beam.section, Rect):  # width and height: which side is up
+            lean = math.degrees(math.atan2(*across))
+            if np.linalg.norm(across) < 0.1 * (np.linalg.norm(fell) or 1.0):
+                text += "; the beam is vertical here, so no side is up"
+            elif lean <= 45.0:
+                text += f"; height_m is upright there, to {lean:.0f} deg"
+            else:
+                text += f"; width_m is upright there, to {90.0 - lean:.0f} deg"
         yield declared(f"arm.yaml: links.{beam.name}", text)
     sag = 1e3 * float(np.linalg.norm(model.tip(at) - rigid.tip(at)))
     joints = []
@@ -114,16 +120,6 @@ def _describe_section(beam: Beam) -> str:
         return f"tube {1e3 * section.od_m:.4g}{inner} mm"
     wall = f"wall {1e3 * section.wall_m:.4g}" if section.wall_m else "solid"
     return f"{1e3 * section.width_m:.4g} wide x {1e3 * section.height_m:.4g} high mm, {wall}"
-
-
-def _describe_standing(fell: np.ndarray, gravity: float) -> str:
-    """Say which side is up; `fell`: gravity along width and height."""
-    if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
-        return "; the beam is vertical here, so no side is up"
-    lean = math.degrees(math.atan2(abs(fell[0]), abs(fell[1])))
-    if lean <= 45.0:
-        return f"; height_m is upright there, to {lean:.0f} deg"
-    return f"; width_m is upright there, to {90.0 - lean:.0f} deg"
 
 
 _REACH_M = (0.05, 20.0)
@@ -201,22 +197,19 @@ def _check_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield unmeasured(f"{ARM}: point_masses", f"no part has a mass: weigh them. {until}")
     if arm.payload is None:
         yield unmeasured(f"{ARM}: payload", "no payload is declared: weigh tool and marker")
-    yield _check_gravity(arm)
-
-
-def _check_gravity(arm: Arm) -> _FolderFinding:
-    """Return how the arm is taken to stand or hang; a slip of gravity's sign is seen there."""
     where, gravity = f"{ARM}: gravity_mps2", np.array(arm.gravity_mps2)
     if not gravity.any():
-        return implausible(where, "no gravity")
+        yield implausible(where, "no gravity")
+        return
     foot = arm.base.frame().matrix()[:3, 2]
     lean = math.degrees(math.acos(np.clip(-gravity @ foot / np.linalg.norm(gravity), -1.0, 1.0)))
     how = "stands on" if lean < 45.0 else "hangs down from" if lean > 135.0 else "reaches out from"
     said = f"the arm {how} its base: the base's z leans {lean:.0f} deg from upright"
-    if lean > 135.0 and foot[2] > math.cos(math.radians(45.0)):
+    if lean > 135.0 and foot[2] > math.cos(math.radians(45.0)):  # a slip of gravity's sign
         said += ", by gravity towards +z with a level base.rpy_deg. "
-        return unmeasured(where, said + "On a floor it is [0, 0, -9.80665]: every sag turns round")
-    return declared(where, said)
+        yield unmeasured(where, said + "On a floor it is [0, 0, -9.80665]: every sag turns round")
+    else:
+        yield declared(where, said)
 
 
 def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:

@@ -175,17 +175,16 @@ class View:
             Limits().seen_share,
         )
 
-    def through(self, left: CameraInfo, right: CameraInfo) -> View:
+    def look_through(self, left: CameraInfo, right: CameraInfo) -> View:
         """Return the view through the lenses of a pair; itself where that is not calibrated."""
-        p, across = left.p, right.p
-        if not p[0] > 0.0 or not across[0] > 0.0:
+        if not left.p[0] > 0.0 or not right.p[0] > 0.0:
             return self
         return replace(
             self,
-            focal_px=p[0],
-            middle_px=(p[2], p[6]),
+            focal_px=left.p[0],
+            middle_px=(left.p[2], left.p[6]),
             size_px=(left.width, left.height),
-            baseline_m=-across[3] / across[0],
+            baseline_m=-right.p[3] / right.p[0],
         )
 
     def unseen(self, tips: np.ndarray) -> list[str]:
@@ -195,7 +194,12 @@ class View:
         """
         local = np.linalg.inv(self.left_in_base) @ tips
         tags = np.einsum("mij,tkj->mtki", local[:, :3, :3], self.tags) + local[:, None, None, :3, 3]
-        found = [self._find_inside(tags - [k * self.baseline_m, 0.0, 0.0]) for k in (0, 1)]
+        found = []  # (M, T) of both cameras: all corners of a tag are in view
+        for k in (0, 1):
+            corners = self._project_points(tags - [k * self.baseline_m, 0.0, 0.0])
+            with np.errstate(invalid="ignore"):
+                inside = (corners >= 0.0) & (corners <= np.array(self.size_px) - 1.0)
+            found.append(np.asarray(inside.all(axis=(-1, -2))))
         both = (found[0] & found[1]).mean(axis=1) >= self.share
         middle = tags.mean(axis=(1, 2)) - [0.5 * self.baseline_m, 0.0, 0.0]
         normal = local[:, :3, :3] @ self.normal
@@ -224,13 +228,6 @@ class View:
         ahead = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         return np.asarray(self.focal_px * points[..., :2] / ahead + self.middle_px)
 
-    def _find_inside(self, tags: np.ndarray) -> np.ndarray:
-        """Tell (M, T) whether tags, corners (M, T, 4, 3) in the camera's frame, are all in view."""
-        pixels = self._project_points(tags)
-        with np.errstate(invalid="ignore"):
-            inside = (pixels >= 0.0) & (pixels <= np.array(self.size_px) - 1.0)
-        return np.asarray(inside.all(axis=(-1, -2)))
-
     def _describe_side(self, point: np.ndarray) -> str:
         """Say on which side of the images a point (3,) lies, from the middle of the cameras."""
         if point[2] <= 0.0:
@@ -256,4 +253,4 @@ def view_beside(arm: Path) -> View | None:
     view, calibrated = View.of(bridge, simulated), [camera_path(folder, side) for side in SIDES]
     if not all(file.is_file() for file in calibrated):
         return view
-    return view.through(*map(read_camera, calibrated))
+    return view.look_through(*map(read_camera, calibrated))

@@ -109,7 +109,7 @@ def parameter_files(
         "servo_driver": {
             "joints": servo_section(arm, servos, direct, fastest),
             "bus.protocol": models()[servos].protocol,
-        },
+        }
     } | head_for(arm)
     values["simulated_arm"] |= {
         "payload_kg": arm.payload.mass_kg if arm.payload else 0.0,

@@ -29,7 +29,16 @@ def lay_out_sheet(board: Printed) -> tuple[str, Figure]:
     """Return the smallest paper that the marker fits on, and the page in true size."""
     from matplotlib.figure import Figure
 
-    size, quiet = _measure_sheet(board)
+    grid = np.array([board.columns, board.rows])
+    what = f"{board.dictionary}, tag {1e3 * board.tag_m:g} mm"
+    if isinstance(board, CharucoTarget):
+        size, quiet = 1e3 * board.square_m * grid, 200.0 * board.square_m
+        square = f"square {1e3 * board.square_m:g} mm"
+        what = f"ChArUco {board.columns}x{board.rows}, {square}, {what}"
+    else:
+        apart = board.tag_m + board.gap_m
+        size, quiet = 1e3 * (grid * apart - board.gap_m), 200.0 * board.tag_m
+        what += f", gap {1e3 * board.gap_m:g} mm"
     needed = size + 2 * (quiet + _RIM) + (0.0, _FOOT)
     paper = next((p for p, s in PAPERS.items() if (needed <= s).all()), None)
     if paper is None:
@@ -42,11 +51,11 @@ def lay_out_sheet(board: Printed) -> tuple[str, Figure]:
     axes.axis("off")
     left, top = (width - size[0]) / 2, height - _RIM - quiet
     if isinstance(board, CharucoTarget):  # as OpenCV draws it; its corners are whole pixels
-        grid = board.square_m, board.tag_m, board.columns, board.rows
-        cells = charuco_plate(*grid, board.dictionary).texture
+        whole = board.square_m, board.tag_m, board.columns, board.rows
+        cells = charuco_plate(*whole, board.dictionary).texture
         _draw_cells(axes, cells, left, top, *size)
     else:
-        pitch, side = 1e3 * (board.tag_m + board.gap_m), 1e3 * board.tag_m
+        pitch, side = 1e3 * apart, 1e3 * board.tag_m
         family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
         for index in range(board.columns * board.rows):
             row, column = divmod(index, board.columns)
@@ -54,12 +63,6 @@ def lay_out_sheet(board: Printed) -> tuple[str, Figure]:
             cells = cv2.aruco.generateImageMarker(family, tag, pixels)
             _draw_cells(axes, cells, left + column * pitch, top - row * pitch, side, side)
     low = top - size[1] - quiet - 8.0
-    what = f"{board.dictionary}, tag {1e3 * board.tag_m:g} mm"
-    if isinstance(board, CharucoTarget):
-        square = f"square {1e3 * board.square_m:g} mm"
-        what = f"ChArUco {board.columns}x{board.rows}, {square}, {what}"
-    else:
-        what += f", gap {1e3 * board.gap_m:g} mm"
     how = "Print at 100 %, measure the ruler, mount it flat."
     axes.text(width / 2, low, f"{what}. {how}", ha="center", fontsize=8)
     y = low - 6.0
@@ -80,15 +83,6 @@ def write_sheet(board: Printed, path: Path) -> str:
     figure.savefig(page, format="pdf", dpi=600, metadata={"Creator": "longarm"})
     write_bytes(path, page.getvalue())
     return paper
-
-
-def _measure_sheet(board: Printed) -> tuple[np.ndarray, float]:
-    """Return width and height, and the white about it, mm."""
-    grid = np.array([board.columns, board.rows])
-    if isinstance(board, CharucoTarget):
-        return 1e3 * board.square_m * grid, 200.0 * board.square_m
-    pitch = board.tag_m + board.gap_m
-    return 1e3 * (grid * pitch - board.gap_m), 200.0 * board.tag_m
 
 
 def _draw_cells(

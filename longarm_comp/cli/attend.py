@@ -174,10 +174,10 @@ def view(namespace: str, port: int, show: bool) -> None:
         wanted = "pip install 'longarm_comp[view]'"
         raise JobError(f"longarm view needs {error.name}: {wanted}") from error
 
-    def opened(link: Callable[[], str]) -> None:
+    def open_link(link: Callable[[], str]) -> None:
         click.echo(link())
         if show:
             click.launch(link())
 
     with stop_on_signals() as stop:
-        run.view(namespace, port, stop, opened)
+        run.view(namespace, port, stop, open_link)

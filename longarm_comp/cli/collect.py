@@ -125,7 +125,7 @@ def _drive_visits(
     def say_kept() -> str:
         if not last or not (output / "metadata.yaml").is_file():
             return ""
-        made, seen = len(last[-1].made), last[-1].seen
+        made, seen = len(last[-1].made), last[-1].seen_count
         told = f"driven in this run: {made} of {len(todo)} visits, marker seen at {seen}"
         return f"{told}; {output} keeps them, the same command with --resume adds the others"
 
@@ -151,7 +151,7 @@ def _show_plan(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) ->
             "checks": [
                 {
                     "question": c.question,
-                    "passed": c.passed,
+                    "passed": c.passed_count,
                     "blocks": c.blocks,
                     "faults": {v.index: f for v, f in zip(todo, c.faults, strict=True) if f},
                 }
@@ -159,7 +159,7 @@ def _show_plan(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) ->
             ],
         }
     )
-    rows = [(c.question, f"{c.passed} of {count}", c.mostly) for c in checks]
+    rows = [(c.question, f"{c.passed_count} of {count}", c.common_faults) for c in checks]
     print_table(f"{name}: {count} visits", ("visits", "yes", "where not"), rows)
     if stopped := blocked_visits(checks, todo):
         raise JobError(f"{len(stopped)} of {count} visits cannot be driven")

@@ -106,7 +106,7 @@ def fleet(folder: Path, output: Path, **how: Any) -> None:
     for arm in arms:
         if arm.verdict == "failed":
             note(f"{arm.name}: {arm.summary}")
-        if arm.drifted:
+        if arm.has_drifted:
             note(
                 f"{arm.name} drifted: its model errs by {arm.in_use_mm:.2f} mm, a calibration of "
                 f"today by {arm.calibrated_mm:.2f} mm"

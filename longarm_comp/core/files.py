@@ -159,6 +159,32 @@ def lock_beside(path: Path) -> IO[bytes] | None:
     return lock
 
 
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Hold a folder against other processes that hold it too; nothing is written there.
+
+    Where it is missing or cannot be locked, nothing is held.
+
+    Raises:
+        InputError: another process holds it.
+    """
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        yield
+        return
+    try:
+        with suppress(OSError):  # a file system without locks
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                allowed = "one program at a time"
+                raise InputError(folder, "folder", "in use by another process", allowed) from None
+        yield
+    finally:
+        os.close(handle)
+
+
 def check_writable(folder: Path) -> None:
     """Make a folder if it is missing, and write a file there to see whether that is possible.
 

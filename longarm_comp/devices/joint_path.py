@@ -27,12 +27,27 @@ def check_trajectory(
     if len(trajectory.points) > _MOST_POINTS + (trajectory.points[0].time_from_start_s == 0.0):
         found = f"{len(trajectory.points)} points"
         raise InputError(_WHERE, "points", found, f"{_MOST_POINTS} at most, cubic in between")
-    columns = _find_columns(trajectory.joint_names, tuple(config.joints))
+    names, known = trajectory.joint_names, tuple(config.joints)
+    for k, name in enumerate(names):
+        if name not in known:
+            raise InputError(_WHERE, f"joint_names[{k}]", name, "one of " + ", ".join(known))
+        if name in names[:k]:
+            raise InputError(_WHERE, f"joint_names[{k}]", name, "each joint once")
+    if not names:
+        raise InputError(_WHERE, "joint_names", "none", "at least one of " + ", ".join(known))
+    columns = [known.index(name) for name in names]
     with_velocities = [p for p in trajectory.points if p.velocities]
     if with_velocities and len(with_velocities) != len(trajectory.points):
         found = f"{len(with_velocities)} of {len(trajectory.points)} points"
         raise InputError(_WHERE, "velocities", found, "at every point or at none")
-    times = _check_times(trajectory)
+    times = np.array([point.time_from_start_s for point in trajectory.points], dtype=float)
+    for k, time in enumerate(times.tolist()):
+        field = f"points[{k}].time_from_start"
+        if not 0.0 <= time < 1e6:
+            raise InputError(_WHERE, field, time, "0 to 1e6 s")
+        if k and time <= times[k - 1]:
+            allowed = f"later than {times[k - 1]:g} s, the point before"
+            raise InputError(_WHERE, field, time, allowed)
     positions = np.tile(start, (len(times), 1))
     velocities = np.zeros_like(positions)
     positions[:, columns] = _check_rows(trajectory, "positions")
@@ -42,30 +57,6 @@ def check_trajectory(
         for k in (int(column.argmin()), int(column.argmax())):
             joint.check_inside(float(column[k]), _WHERE, f"points[{k}].positions of {name}")
     return times, positions, velocities if with_velocities else None
-
-
-def _find_columns(names: tuple[str, ...], known: tuple[str, ...]) -> list[int]:
-    for k, name in enumerate(names):
-        if name not in known:
-            raise InputError(_WHERE, f"joint_names[{k}]", name, "one of " + ", ".join(known))
-        if name in names[:k]:
-            raise InputError(_WHERE, f"joint_names[{k}]", name, "each joint once")
-    if not names:
-        raise InputError(_WHERE, "joint_names", "none", "at least one of " + ", ".join(known))
-    return [known.index(name) for name in names]
-
-
-def _check_times(trajectory: JointTrajectory) -> Array:
-    times = np.array([point.time_from_start_s for point in trajectory.points], dtype=float)
-    for k, time in enumerate(times.tolist()):
-        field = f"points[{k}].time_from_start"
-        if not 0.0 <= time < 1e6:
-            raise InputError(_WHERE, field, time, "0 to 1e6 s")
-        if k and time <= times[k - 1]:
-            raise InputError(
-                _WHERE, field, time, f"later than {times[k - 1]:g} s, the point before"
-            )
-    return times
 
 
 def _check_rows(trajectory: JointTrajectory, field: str) -> Array:

@@ -21,12 +21,7 @@ from longarm_comp.devices.servo_bus.state import (
 )
 from longarm_comp.devices.servo_check import check_memory, check_placed, check_reach
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import (
-    Accepted,
-    FollowerState,
-    Step,
-    TrajectoryFollower,
-)
+from longarm_comp.devices.servo_follower import Accepted, FollowerState, Step, TrajectoryFollower
 from longarm_comp.devices.servo_watch import stands_in_its_droop
 from longarm_comp.devices.setup_journal import SetupJournal
 
@@ -143,9 +138,10 @@ class ServoArm:
                     f"servo {joint.servo_id} of {name} was set for other turns meanwhile: "
                     "configure the driver again"
                 )
-        for servo_id, speed in self.config.speed_limits_ticks_s.items():
-            most = kept[servo_id].speed_ticks_s
-            self._speeds[servo_id] = speed if most is None else min(speed, most)
+        for joint in self.config.joints.values():
+            speed = 1.5 * joint.max_speed_ticks_s  # kept by the servo itself, so that none lags
+            most = kept[joint.servo_id].speed_ticks_s
+            self._speeds[joint.servo_id] = speed if most is None else min(speed, most)
 
     def _set_turns(self, bus: SerialServoBus) -> None:
         """Set one or many turns as declared. They stay: without them the servos lose count."""

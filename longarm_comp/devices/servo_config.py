@@ -137,11 +137,6 @@ class ServoConfig(ServoSettings):
         """Servo id of each joint, in order."""
         return {name: joint.servo_id for name, joint in self.joints.items()}
 
-    @property
-    def speed_limits_ticks_s(self) -> dict[int, float]:
-        """Speed limit kept by the servos themselves: 1.5 times ``max_velocity``, so none lags."""
-        return {j.servo_id: 1.5 * j.max_speed_ticks_s for j in self.joints.values()}
-
     def open_bus(self) -> SerialServoBus:
         """Open the port. Raises BusUnplugged."""
         bus = self.bus

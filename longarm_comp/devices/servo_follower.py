@@ -139,7 +139,7 @@ class TrajectoryFollower:
         return {} if self._set is None else dict(zip(self._names, self._set.tolist(), strict=True))
 
     @property
-    def trimmed(self) -> dict[str, float]:
+    def trim_by_joint(self) -> dict[str, float]:
         """Correction of each joint's goal by trim, ticks."""
         return dict(zip(self._names, self._trim.offset.tolist(), strict=True))
 
@@ -167,7 +167,10 @@ class TrajectoryFollower:
             times, positions, velocities = check_trajectory(trajectory, self._config, start)
             path = plan_path(start, times, positions, velocities, self._max_velocity)
             accepted = Accepted(start, positions, path.times[-len(times) :], replaces)
-            self._check_inside(path)
+            low, high = path.extremes()
+            for k, (name, joint) in enumerate(self._config.joints.items()):
+                for value in (low[k], high[k]):
+                    joint.check_inside(float(value), "joint trajectory", f"{name} on the way")
         else:
             path = self._plan_braking(start)
             accepted = Accepted(start, path.end[None], np.zeros(1), replaces)
@@ -385,12 +388,6 @@ class TrajectoryFollower:
                 value = joint.to_si(goal)
             values.append(min(max(value, joint.lower), joint.upper))
         return np.array(values)
-
-    def _check_inside(self, path: CubicPath) -> None:
-        low, high = path.extremes()
-        for k, (name, joint) in enumerate(self._config.joints.items()):
-            for value in (low[k], high[k]):
-                joint.check_inside(float(value), "joint trajectory", f"{name} on the way")
 
     def _check_health(self, now: float) -> None:
         standing = self._watch.find_standing_faults(now)

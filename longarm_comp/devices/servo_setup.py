@@ -131,7 +131,7 @@ class ServoSetup:
             if max(ticks) - min(ticks) > _STILL_TICKS:
                 raise JobError(f"{name} moves: hold the arm still", ticks=max(ticks) - min(ticks))
             at[name] = float(median(ticks))
-            if why := self.memory[name].beyond(at[name]):
+            if why := self.memory[name].describe_jump(at[name]):
                 raise JobError(f"servo {joint.servo_id} of {name} {why}")
         return at
 

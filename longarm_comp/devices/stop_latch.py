@@ -46,7 +46,10 @@ class StopLatch:
     """
 
     def __init__(self, folder: Path, namespace: str, arm: str, port: str) -> None:
-        known_by = _of_port(port) | ({_of_arm(namespace, arm)} if arm else set())
+        # The number of a pseudo-terminal is another's tomorrow
+        ports = (port, os.path.realpath(port))
+        known_by = [f"port {name}" for name in ports if name == port or "/pts/" not in name]
+        known_by += [_of_arm(namespace, arm)] if arm else []
         self._folder, self.names = folder, {_file_name(text): text for text in known_by}
         self.standing: dict[Stop, str] = {}
         self.trouble, self._owing = "", False
@@ -182,12 +185,6 @@ def refuse_under_stop(folder: Path, ports: Collection[str], arm: Path | None = N
                 f"nothing is moved: {kept}. To go on: `longarm reset`; where no driver runs, "
                 "`longarm reset --kept`"
             )
-
-
-def _of_port(port: str) -> set[str]:
-    """Return names of a port; the number of a pseudo-terminal is another's tomorrow."""
-    leads = os.path.realpath(port)
-    return {f"port {name}" for name in (port, leads) if name == port or "/pts/" not in name}
 
 
 def _of_arm(namespace: str, arm: str) -> str:

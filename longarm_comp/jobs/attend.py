@@ -17,13 +17,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import kept_stops
 from longarm_comp.jobs.client import STOPPED
-from longarm_comp.jobs.graph_client import (
-    ANNOUNCED_S,
-    FOUND_S,
-    GraphClient,
-    Interrupted,
-    Reports,
-)
+from longarm_comp.jobs.graph_client import ANNOUNCED_S, FOUND_S, GraphClient, Interrupted, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import UNACKNOWLEDGED
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
@@ -31,7 +25,7 @@ from longarm_comp.nodes.interfaces import Service
 from longarm_comp.nodes.messages import driver_words
 from longarm_interfaces.msg import DriverState
 
-DRIVER = "servo_driver"
+DRIVER, KINEMATICS = "servo_driver", "kinematics"
 _LEVELS = ("ok", "warning", "error", "stale")
 
 _NONE = f"no {DRIVER} is on the graph"
@@ -74,19 +68,24 @@ class Attendant:
         begun, reports = time.monotonic(), self._reports
 
         def heard() -> bool:
-            named = there()
-            other = reports.last_message("kinematics", "driver") == UNACKNOWLEDGED
-            none = DRIVER not in named and (other or time.monotonic() - begun > ANNOUNCED_S)
-            return (self._driver is not None or none) and named <= set(reports.nodes)
+            named, announced = there(), time.monotonic() - begun > ANNOUNCED_S
+            other = reports.last_message(KINEMATICS, "driver") == UNACKNOWLEDGED
+            driver = self._driver is not None or (DRIVER not in named and (other or announced))
+            known = named if announced else named | {KINEMATICS}
+            return driver and known <= set(reports.nodes)
 
         if not client.wait(heard, FOUND_S):
             said = f"does not report within {FOUND_S:g} s"
             silent = DiagnosticStatus(level=DiagnosticStatus.STALE, message=said)
             for name in there() - set(reports.nodes):
                 reports.nodes[name] = {"process": silent}
+        if KINEMATICS not in reports.nodes:
+            gone = "is not on the graph: no target is followed until it is started"
+            lost = DiagnosticStatus(level=DiagnosticStatus.ERROR, message=gone)
+            reports.nodes[KINEMATICS] = {"process": lost}
         driver = self._driver
         words = driver_words(driver.state) if driver else ""
-        other = reports.last_message("kinematics", "driver") == UNACKNOWLEDGED
+        other = reports.last_message(KINEMATICS, "driver") == UNACKNOWLEDGED
         step = _NEXT.get(driver.state, "") if driver else "" if other else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
@@ -106,8 +105,8 @@ class Attendant:
                 if ord(said.level)
             ],
             "next": step,
-            "tip": reports.last_message("kinematics", TIP_SAID),
-            "learned": reports.last_message("kinematics", LEARNED_SAID),
+            "tip": reports.last_message(KINEMATICS, TIP_SAID),
+            "learned": reports.last_message(KINEMATICS, LEARNED_SAID),
         }
 
     def hold(self) -> str:
@@ -129,9 +128,8 @@ class Attendant:
         state: DriverState = self._client.until(lambda: self._driver, FOUND_S, missing)
         return state
 
-    @property
-    def stopped(self) -> str:
-        """The stop that stands, in the driver's words; empty where none does."""
+    def hear_stop(self) -> str:
+        """Return the stop that stands, in the driver's words; empty where none does."""
         driver = self._hear_driver()
         asked = driver.state in (DriverState.ESTOP, DriverState.HOLDING)
         return str(driver.message).partition(";")[0] if asked else ""
@@ -142,12 +140,10 @@ class Attendant:
         Raises:
             JobError: somebody has stopped the arm, or it was not stopped.
         """
-        if others := self.stopped:
+        if others := self.hear_stop():
             raise JobError(f"nothing is done: {others}; to go on: longarm reset")
         said = self.stop()
-        own = self._client.until(
-            lambda: self.stopped, FOUND_S, "the driver does not say it stopped"
-        )
+        own = self._client.until(self.hear_stop, FOUND_S, "the driver does not say it stopped")
         return said, own
 
     def take_back(self, own: str) -> str:
@@ -157,7 +153,7 @@ class Attendant:
             JobError: it was, and stays.
         """
         self._client.spin(1.2)  # the driver tells its state twice a second
-        if (now := self.stopped) != own:
+        if (now := self.hear_stop()) != own:
             raise JobError(f"the stop stays: {now}; to go on: longarm reset")
         return self._ask_service(graph.ESTOP, SetBool.Request(data=False))
 
@@ -178,7 +174,7 @@ class Attendant:
         return str(answer.message)
 
 
-KNOWN = {"kinematics", "error_predictor", "stereo_bridge", DRIVER, "simulated_arm"}
+KNOWN = {KINEMATICS, "error_predictor", "stereo_bridge", DRIVER, "simulated_arm"}
 """Nodes of an arm."""
 
 

@@ -19,7 +19,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduced_speed
 from longarm_comp.jobs.graph_client import GraphClient, count_drivers
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import stamp_ns
+from longarm_comp.nodes.clock import stamp_ns, told_ns
 from longarm_comp.nodes.messages import driver_words, joints_of, sighting_of, trajectory_message
 from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_interfaces.msg import DriverState, Motion
@@ -81,7 +81,7 @@ class ArmClient(GraphClient):
         self.arm = arm
         self.joints: np.ndarray | None = None
         self.sightings: list[tuple[int, np.ndarray]] = []
-        """(stamp ns, tip (3,) m or NaN), newest last."""
+        """(time ns when it was taken, tip (3,) m or NaN), newest last."""
         self.seen_in = ""  # the frame of the last one
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
@@ -102,7 +102,8 @@ class ArmClient(GraphClient):
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         tip, _ = sighting_of(message)
-        self.sightings.append((stamp_ns(message.header.stamp), tip))
+        now_ns = int(self.node.get_clock().now().nanoseconds)
+        self.sightings.append((told_ns(message.header.stamp, now_ns), tip))
         self.seen_in = message.header.frame_id
         del self.sightings[:-200]
 

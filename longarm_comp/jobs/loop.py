@@ -344,7 +344,7 @@ class Loop:
         gains = [trial.against(trials[0]) for trial in trials[1:]]
         intervals = [[None, None], *([1e3 * g for g in gain.gain_ci95_m] for gain in gains)]
         rows = [
-            {**error_row(t.name, t.error), "gain_ci95_mm": interval, "refused": t.refused}
+            {**error_row(t.name, t.error), "gain_ci95_mm": interval, "refused": t.refused_count}
             for t, interval in zip(trials, intervals, strict=True)
         ]
         data = {

@@ -76,7 +76,7 @@ class Trial:
         return off[np.isfinite(off).all(axis=1)]
 
     @property
-    def refused(self) -> int:
+    def refused_count(self) -> int:
         return sum(not Status(int(status)).success for status in self.status)
 
     def against(self, before: Trial, seed: int = 0) -> Verification:

@@ -19,13 +19,7 @@ from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.errors import LongarmError
-from longarm_comp.nodes.messages import (
-    FARTHEST,
-    fill,
-    joints_message,
-    pose_message,
-    vector_message,
-)
+from longarm_comp.nodes.messages import FARTHEST, fill, joints_message, pose_message, vector_message
 from longarm_interfaces.msg import Compensation
 from longarm_interfaces.srv import Compensate
 

@@ -18,7 +18,7 @@ from longarm_comp.core.compensation.online import JointTrust, Readings, StaleCon
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import stamp_ns
+from longarm_comp.nodes.clock import stamp_ns, told_ns
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import (
@@ -83,7 +83,7 @@ class ArmState:
         self.worker.hear(graph.SERVED, self.predictor.on_served)
         self.driver = DriverLink(self)
         node.health.parts["messages"] = node.tally.report
-        self.joint_listeners: list[Callable[[np.ndarray, float], object]] = []
+        self.joint_listeners: list[Callable[[np.ndarray, float], object]] = [self.driver.on_joints]
         self._max_age_s = p["joints_max_age_s"]
         self._trust = JointTrust(self.arm, p["joints_max_rate"])
         self.readings = Readings()
@@ -195,13 +195,15 @@ class ArmState:
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints, self.effort = (q, now), efforts_of(message, self.arm)
-            at_s = 1e-9 * stamp if stamp else self.now_s
+            at_s = 1e-9 * told_ns(message.header.stamp, round(1e9 * self.now_s))
             for listen in self.joint_listeners:
                 listen(q, at_s)
             return
         self.node.tally.count("doubtful joint_states", self._trust.doubt)
 
 
+_MOVED = 2e-2
+"""A joint so far (rad, m) from where it had come was moved: no encoder's noise is as large."""
 _SILENT_S = 3.0
 """A driver that has not told its state for so long is gone. It tells it twice a second."""
 
@@ -227,6 +229,7 @@ class DriverLink:
         self.motion_listeners: list[Callable[[Motion], object]] = []
         self.history = History.unknown(state.arm.n)
         self._end: np.ndarray | None = None
+        self._arrived = self._left = False
         self._state: DriverState | None = None
         self._heard_s = self._rival_s = -_SILENT_S
         self._known: set[str] = set()
@@ -301,13 +304,32 @@ class DriverLink:
     def note_motion(self, path: np.ndarray, start: np.ndarray | None) -> None:
         """Note that the joints are moving from a start (n,) along (k, n)."""
         self.history = self.history.after(path, start)
-        self._end = path[-1]
+        self._end, self._arrived, self._left = path[-1], False, False
         for listen in self.command_listeners:
             listen(path[-1], self.history)
 
     def forget_history(self) -> None:
         """Forget the history of the joints, which is not known from here on."""
         self.history, self._end = History.unknown(self._arm.n), None
+        self._arrived = self._left = False
+
+    def on_joints(self, q: np.ndarray, at_s: float) -> None:
+        """Note that the joints (n,) are at the end of the last command, or have left it again.
+
+        A driver that gives no acknowledgements does not say that somebody else moves the arm.
+        """
+        end = self._end
+        if self.acknowledged or end is None:
+            return
+        there = bool(np.abs(q - end).max() <= _MOVED)
+        self._left = self._left or (self._arrived and not there)
+        self._arrived = self._arrived or there
+        if self._left:  # by a command, if one was heard before
+            self._arm_state.worker.submit_once(self._forget_if_moved)
+
+    def _forget_if_moved(self) -> None:
+        if self._left:
+            self.forget_history()
 
     def _on_state(self, message: DriverState, sent: float) -> None:
         now, instance = time.monotonic(), message.instance

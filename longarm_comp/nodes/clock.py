@@ -16,6 +16,14 @@ def stamp_ns(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
+def told_ns(stamp: Time, now_ns: int) -> int:
+    """Return the time (ns) of what a message tells that came now; without a stamp it is now.
+
+    It was before it came: a later stamp is of a clock that is ahead.
+    """
+    return min(stamp_ns(stamp) or now_ns, now_ns)
+
+
 def sent_s(source_ns: int) -> float:
     """Return the monotonic time (s) at which the middleware sent a message."""
     return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)

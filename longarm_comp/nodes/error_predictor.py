@@ -67,7 +67,20 @@ class _ErrorPredictor(ArmNode):
                 response.message = self._fault or "no predictor file is configured"
                 self.tally.count("refused", "")
             else:
-                self._fill_response(loaded, request, response)
+                q = joints_of(request.joints, self._arm, "predict_error")
+                names = request.joints.name
+                side = sides_of(request.approach, names, self._arm, "predict_error")
+                sides = tuple(side.tolist())
+                found = loaded.expand(q, sides, request.temperature_c, request.payload_kg)
+                response.success = response.in_domain = found.in_domain
+                response.error = vector_message(found.error)
+                response.sigma = float(found.sigma[0])
+                response.message = loaded.file_hash if found.in_domain else found.reason
+                response.jacobian = found.jacobian.ravel()
+                response.reach = found.reach
+                response.beside_deflection = loaded.beside_deflection
+                self.tally.count("answered" if found.in_domain else _OUTSIDE, "")
+                self.tally.last = found.reason or self.tally.last
         except LongarmError as error:
             self.tally.count("refused", str(error))
             response.message = str(error)
@@ -79,26 +92,6 @@ class _ErrorPredictor(ArmNode):
         if response.success:
             stamp = self.get_clock().now().to_msg()
             self._errors.publish(error_message(response.error, stamp, self._base_frame))
-
-    def _fill_response(
-        self,
-        loaded: ServedPredictor,
-        request: PredictError.Request,
-        response: PredictError.Response,
-    ) -> None:
-        q = joints_of(request.joints, self._arm, "predict_error")
-        side = sides_of(request.approach, request.joints.name, self._arm, "predict_error")
-        sides = tuple(side.tolist())
-        found = loaded.expand(q, sides, request.temperature_c, request.payload_kg)
-        response.success = response.in_domain = found.in_domain
-        response.error = vector_message(found.error)
-        response.sigma = float(found.sigma[0])
-        response.message = loaded.file_hash if found.in_domain else found.reason
-        response.jacobian = found.jacobian.ravel()
-        response.reach = found.reach
-        response.beside_deflection = loaded.beside_deflection
-        self.tally.count("answered" if found.in_domain else _OUTSIDE, "")
-        self.tally.last = found.reason or self.tally.last
 
     def _reload_files(self) -> tuple[bool, str]:
         """Read the file again.

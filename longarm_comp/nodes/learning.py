@@ -16,6 +16,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import lock_beside
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.params import Param
 
@@ -47,6 +48,7 @@ class Learning:
         )
         self._lock: IO[bytes] | None = None
         self._told = graph.LEARNED.publisher(state.node)
+        steady_timer(state.node, _AGAIN_S, self._queue_keeping)
         self.begin()
 
     def begin(self) -> None:
@@ -89,14 +91,19 @@ class Learning:
         if self.learner is None:
             return False, _OFF
         self._take_over(self.learner.freeze() if frozen else self.learner.thaw())
-        return True, "frozen" if frozen else "learning"
+        return True, self._with_fault("frozen" if frozen else "learning")
 
     def undo(self) -> tuple[bool, str]:
         """Serve the version before the last change, and stop learning."""
         if self.learner is None:
             return False, _OFF
         self._take_over(self.learner.undo())
-        return True, f"version {len(self.learner.versions)} is in use, and nothing is learned"
+        done = f"version {len(self.learner.versions)} is in use, and nothing is learned"
+        return True, self._with_fault(done)
+
+    def _with_fault(self, done: str) -> str:
+        """Say what was done, and that it ends with this process where it could not be written."""
+        return f"{done}; until this node ends: {self._fault}" if self._fault else done
 
     def _take_over(self, after: Learner) -> None:
         before, self.learner, self._asked = self.learner, after, None
@@ -114,6 +121,15 @@ class Learning:
         except LongarmError as error:
             self._fault = f"not kept: {error}"
         self._told.publish(String(data=str(self._path.absolute())))
+
+    def _queue_keeping(self) -> None:
+        if self.learner is not None and self._fault:
+            self._state.worker.submit_once(self._keep_again)
+
+    def _keep_again(self) -> None:
+        """Write what could not be written: a frozen learner has no next change to write."""
+        if self.learner is not None and self._fault:
+            self._tell(self.learner)
 
     def report(self) -> Report:
         learner = self.learner
@@ -148,6 +164,8 @@ class Learning:
         return Report(OK, f"{state}: {found or 'nothing changed'}", facts)
 
 
+_AGAIN_S = 5.0
+"""Time between two attempts to write what could not be written, s."""
 _MANY = 5
 """Of the last twenty sightings: so many seem wrong by chance once in 700,000 times (`DOUBT`)."""
 _OFF = "nothing is learned at work: its parameter `learning` is false"

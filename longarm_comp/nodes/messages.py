@@ -24,6 +24,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import name_tilt
 from longarm_comp.core.arm.frame_tree import carry_place, turned_covariance
 from longarm_comp.core.compensation.online import check_inside
 from longarm_comp.core.errors import InputError
@@ -195,7 +196,7 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
 
 
 def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
-    """Return the row that the sensor is mounted on, and the session's columns of its tilt (rad)."""
+    """Return the frame that the sensor is mounted on, and a session's columns of its tilt (rad)."""
     if message.orientation_covariance[0] < 0:
         where = "orientation_covariance[0]"
         raise InputError("inclination", where, "-1: no orientation", "a sensor that gives one")
@@ -203,9 +204,8 @@ def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
     turn = np.array([o.x, o.y, o.z, o.w])
     if not quaternion.is_unit(turn):
         raise InputError("inclination", "orientation", turn.tolist(), "a unit quaternion")
-    row = message.header.frame_id or "0"
-    x, y = quaternion.compute_tilt(turn)
-    return row, {f"incl_{row}_x": x, f"incl_{row}_y": y}
+    frame = message.header.frame_id
+    return frame or "0", name_tilt(frame, *quaternion.compute_tilt(turn))
 
 
 def wrench_of(message: WrenchStamped, arm: Arm) -> tuple[int, np.ndarray]:

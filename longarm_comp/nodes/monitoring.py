@@ -22,7 +22,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.ring import MoveRing, ring_after
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
-from longarm_comp.nodes.clock import stamp_ns
+from longarm_comp.nodes.clock import told_ns
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import check_sighting, motion_of, seconds, sighting_of, tip_message
 from longarm_comp.nodes.params import Param
@@ -170,7 +170,7 @@ class TipMonitor:
         """Take in a sighting; return the rest pose that it completes, if any.
 
         It counts for the time of its images, which may come late: a picture of the arm on its way
-        is no rest pose. Without a stamp it counts for now.
+        is no rest pose. Without a stamp, or with one of a clock that is ahead, it counts for now.
         """
         tip, variance = sighting_of(message)
         try:
@@ -178,11 +178,9 @@ class TipMonitor:
         except InputError as error:
             self._state.node.tally.count_dropped("tip_measured", str(error))
             return None
-        stamp = stamp_ns(message.header.stamp)
+        taken_s = 1e-9 * told_ns(message.header.stamp, round(1e9 * self._state.now_s))
         with self._feeding:
-            return self._watch.on_sighting(
-                tip, variance, 1e-9 * stamp if stamp else self._state.now_s
-            )
+            return self._watch.on_sighting(tip, variance, taken_s)
 
     def judge(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """Add a rest pose to the sequential tests.

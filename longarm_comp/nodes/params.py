@@ -52,7 +52,7 @@ class Param:
             whole = IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=1)
             described.integer_range = [whole]
         elif self.is_bounded:
-            described.additional_constraints = self.allowed
+            described.additional_constraints = self.allowed_values
         return described
 
     @property
@@ -61,7 +61,7 @@ class Param:
         return bool(self.choices) or self.lower > -1e9 or self.upper < 1e9
 
     @property
-    def allowed(self) -> str:
+    def allowed_values(self) -> str:
         kind = "numbers" if isinstance(self.default, list) else type(self.default).__name__
         if self.choices:
             return "one of " + ", ".join(self.choices)
@@ -71,7 +71,7 @@ class Param:
     def comment(self) -> str:
         """The comment on this parameter in the parameter file."""
         live = "; may be set while running" if self.live else ""
-        return self.description + (f" ({self.allowed})" if self.is_bounded else "") + live
+        return self.description + (f" ({self.allowed_values})" if self.is_bounded else "") + live
 
     def check(self, value: Any) -> Any:
         """Return the value in the parameter's own type. Raises ValueError."""
@@ -109,7 +109,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
             value = param.check(value)
             _declare_again(node, name, value, param.descriptor())
         except (TypeError, ValueError, ParameterException):
-            raise InputError(where(node), name, value, param.allowed) from None
+            raise InputError(where(node), name, value, param.allowed_values) from None
         values[name] = value
 
     def check_set(asked: Sequence[Parameter]) -> SetParametersResult:
@@ -120,7 +120,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
                 try:
                     param.check(given.value)
                 except (TypeError, ValueError):
-                    why = f"{given.name}: {given.value!r}; allowed: {param.allowed}"
+                    why = f"{given.name}: {given.value!r}; allowed: {param.allowed_values}"
                     return SetParametersResult(successful=False, reason=why)
         return SetParametersResult(successful=True)
 

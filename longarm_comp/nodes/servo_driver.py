@@ -149,8 +149,15 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def close(self) -> bool:
-        if self.abandoned and self.arm is not None:
-            self._leave_standing(self.arm)
+        if self.abandoned and (arm := self.arm) is not None:
+            # The torque stays as it is: a heavy arm must not fall by itself
+            arm.follower.break_off(EventKind.HELD, "its supervisor is gone: it stays where it is")
+            end = time.monotonic() + 2.0 * self._config.follower.blend_s + 1.0
+            while self.following and time.monotonic() < end:
+                self._drive_arm(arm)
+                time.sleep(self._period_s)
+            arm.leave()
+            self.arm = None
         self._release_arm()
         self._ended = True
         self._tell_state()
@@ -250,16 +257,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.arm.close()
         self.arm = self._last = None
         self._stops.let_go()
-
-    def _leave_standing(self, arm: ServoArm) -> None:
-        """Stop smoothly and leave the torque as it is: a heavy arm must not fall by itself."""
-        arm.follower.break_off(EventKind.HELD, "its supervisor is gone: it stays where it is")
-        end = time.monotonic() + 2.0 * self._config.follower.blend_s + 1.0
-        while self.following and time.monotonic() < end:
-            self._drive_arm(arm)
-            time.sleep(self._period_s)
-        arm.leave()
-        self.arm = None
 
     def _run_cycle(self) -> None:
         if self.arm is not None:

@@ -215,7 +215,7 @@ class TargetInlet:
             "waiting": self._worker.waiting + (self._latest is not None),
             "superseded, not told yet": len(self._superseded),
             "superseded; its fate was not recorded": self._unrecorded,
-            "lost on the way": self._worker.lost,
+            "lost on the way": self._worker.lost_messages,
         }
         if self._state.doubt:
             return Report(WARN, self._state.doubt, facts)

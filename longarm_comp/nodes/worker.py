@@ -145,7 +145,7 @@ class Worker:
         return ServiceCaller(service.client(self._node, self._group), self._node)
 
     @property
-    def lost(self) -> int:
+    def lost_messages(self) -> int:
         """Number of messages that were lost, by the numbers of those that came."""
         return sum(watch.lost for _, watch, _ in self._topics)
 
@@ -163,9 +163,7 @@ class Worker:
         """Start the thread.
 
         Args:
-            idle: called while no job waits; does a piece of work that can wait, and returns whether
-                it
-                did.
+            idle: called while no job waits; does work that can wait, and returns whether it did.
         """
         with self._node.context.handle:
             self._wait_set = rclpy_implementation.WaitSet(
@@ -243,8 +241,10 @@ class Worker:
             try:
                 self._take_all()
                 if self._jobs:
-                    job = self._jobs.popleft()
-                    doing = _name_of(job)
+                    named: Any = (job := self._jobs.popleft())
+                    while isinstance(named, partial):
+                        named = named.func
+                    doing = str(getattr(named, "__qualname__", named))  # one for all of its kind
                     job()
                     if doing in self._failed:  # replaced whole: other threads read it
                         self._failed = {k: v for k, v in self._failed.items() if k != doing}
@@ -277,13 +277,6 @@ class Worker:
                 numbers.append(taken[1]["publication_sequence_number"] or 0)
                 callback(taken[0], sent_s(taken[1]["source_timestamp"]))
             watch.count(numbers, full=len(numbers) >= depth > 1)
-
-
-def _name_of(job: Any) -> str:
-    """Return the name of a job, the same for all of its kind."""
-    while isinstance(job, partial):
-        job = job.func
-    return str(getattr(job, "__qualname__", job))
 
 
 class ServiceCaller:

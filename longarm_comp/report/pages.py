@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,7 @@ from longarm_comp.report.plots import MOST, draw_errors_at_tip, scene_json, stag
 from longarm_comp.report.style import BLUE, GREEN, ORANGE, VERMILLION, rc, svg
 
 if TYPE_CHECKING:
-    from longarm_comp.sessions.day import Day, Notice
+    from longarm_comp.sessions.day import Day
 
 
 @cache
@@ -44,12 +44,6 @@ def template(name: str) -> jinja2.Template:
 
 def data_uri(svg: bytes) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
-
-
-def _render_page(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
-    with rc():
-        picture = data_uri(svg(draw()))
-    return template(f"{page}.html.j2").render(picture=picture, **told)
 
 
 def write_report(
@@ -146,7 +140,9 @@ def against(name: str) -> str:
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
     """Write the page of a loop (loop.json) with errors (N, 3) tip - target, m, by run."""
-    return _render_page("loop", lambda: draw_errors_at_tip(errors), loop=data)
+    with rc():
+        picture = data_uri(svg(draw_errors_at_tip(errors)))
+    return template("loop.html.j2").render(picture=picture, loop=data)
 
 
 _MODELS = {
@@ -159,9 +155,22 @@ _ROW_IN = 0.22
 
 def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
     """Write the page of a folder, with links to the diagnosis of each arm (row of fleet.json)."""
-    return _render_page(
-        "fleet",
-        lambda: _errors_of_arms(arms),
+    with rc():
+        figure = Figure(figsize=(7.6, 1.2 + _ROW_IN * len(arms)), layout="constrained")
+        axes = figure.subplots()
+        place = np.arange(len(arms))
+        for key, (label, color, marker) in _MODELS.items():
+            known = [np.nan if arm[key] is None else arm[key] for arm in arms]
+            if not np.isnan(known).all():
+                axes.plot(known, place, color=color, marker=marker, linestyle="", label=label)
+                axes.legend(loc="best")
+        axes.set_yticks(place, [arm["name"] for arm in arms])
+        axes.set_ylim(len(arms) - 0.5, -0.5)
+        axes.set_xlim(left=0.0)
+        axes.set_xlabel("mean error, mm")
+        picture = data_uri(svg(figure))
+    return template("fleet.html.j2").render(
+        picture=picture,
         name=name,
         arms=arms,
         kinds=_list_kinds(arms),
@@ -190,29 +199,26 @@ def _list_kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return made
 
 
-def _errors_of_arms(arms: Sequence[Mapping[str, Any]]) -> Figure:
-    figure = Figure(figsize=(7.6, 1.2 + _ROW_IN * len(arms)), layout="constrained")
-    axes = figure.subplots()
-    place = np.arange(len(arms))
-    for key, (label, color, marker) in _MODELS.items():
-        known = [np.nan if arm[key] is None else arm[key] for arm in arms]
-        if not np.isnan(known).all():
-            axes.plot(known, place, color=color, marker=marker, linestyle="", label=label)
-            axes.legend(loc="best")
-    axes.set_yticks(place, [arm["name"] for arm in arms])
-    axes.set_ylim(len(arms) - 0.5, -0.5)
-    axes.set_xlim(left=0.0)
-    axes.set_xlabel("mean error, mm")
-    return figure
-
-
 def day_page(arm: str, bag: str, day: Day) -> str:
     """Write the page of a day; ``arm``, ``bag``: what they are called."""
     changes = [s for s in day.said if s.level == 0]
     troubles = [s for s in day.said if s.level > 0]
-    return _render_page(
-        "day",
-        lambda: _errors_of_day(day, changes),
+    with rc():
+        figure = Figure(figsize=(9, 3.4), layout="constrained")
+        axes = figure.subplots()
+        dots: Any = {"color": BLUE, "marker": "o", "markersize": 3, "linestyle": ""}
+        axes.plot(day.t_s / 3600.0, day.error_mm, label="a target", **dots)
+        for k, said in enumerate(changes[1:]):
+            label = None if k else "something learned"
+            line: Any = {"color": VERMILLION, "linestyle": "--", "linewidth": 0.9, "label": label}
+            axes.axvline(said.first_s / 3600.0, **line)
+        axes.set_xlabel("hours since the recording began")
+        axes.set_ylabel("tip − target, mm")
+        axes.set_ylim(bottom=0.0)
+        axes.legend(loc="upper left")
+        picture = data_uri(svg(figure))
+    return template("day.html.j2").render(
+        picture=picture,
         arm=arm,
         bag=bag,
         hours=day.hours,
@@ -221,22 +227,6 @@ def day_page(arm: str, bag: str, day: Day) -> str:
         changes=[(_clock_of(s.first_s), s.message) for s in changes],
         troubles=[(_clock_of(s.first_s), _clock_of(s.last_s), s.part, s.message) for s in troubles],
     )
-
-
-def _errors_of_day(day: Day, changes: list[Notice]) -> Figure:
-    drawn = Figure(figsize=(9, 3.4), layout="constrained")
-    axes = drawn.subplots()
-    dots: Any = {"color": BLUE, "marker": "o", "markersize": 3, "linestyle": ""}
-    axes.plot(day.t_s / 3600.0, day.error_mm, label="a target", **dots)
-    for k, said in enumerate(changes[1:]):
-        label = None if k else "something learned"
-        line: Any = {"color": VERMILLION, "linestyle": "--", "linewidth": 0.9, "label": label}
-        axes.axvline(said.first_s / 3600.0, **line)
-    axes.set_xlabel("hours since the recording began")
-    axes.set_ylabel("tip − target, mm")
-    axes.set_ylim(bottom=0.0)
-    axes.legend(loc="upper left")
-    return drawn
 
 
 def _clock_of(t_s: float) -> str:

@@ -79,18 +79,26 @@ def draw_places(found: Marked) -> Figure:
     aside = np.linalg.svd(flat)[2][0]
     aside *= np.sign(flat[-1] @ aside) or 1.0
 
-    def seen(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return (at[..., :2] - found.arm_m[0, :2]) @ aside, at[..., 2]
 
-    axes.plot(*seen(found.arm_m), color="#8a8a8a", linewidth=5, solid_capstyle="round")
-    axes.plot(*seen(found.arm_m[:1]), marker="s", markersize=9, color=INK)
-    axes.plot(*seen(found.arm_m[-1:]), marker="x", markersize=7, color=INK)
-    low, high = np.min(seen(points), axis=1), np.max(seen(points), axis=1)
+    axes.plot(*project(found.arm_m), color="#8a8a8a", linewidth=5, solid_capstyle="round")
+    axes.plot(*project(found.arm_m[:1]), marker="s", markersize=9, color=INK)
+    axes.plot(*project(found.arm_m[-1:]), marker="x", markersize=7, color=INK)
+    low, high = np.min(project(points), axis=1), np.max(project(points), axis=1)
     # Places nearer to each other than this share of the picture get one ring
-    for near in _group_places(found.places_m, 0.06 * float((high - low).max())):
-        x, z = seen(np.mean([found.places_m[where] for where in near], axis=0))
+    close, groups = 0.06 * float((high - low).max()), list[list[str]]()
+    for where, point in found.places_m.items():
+        near = (g for g in groups if np.linalg.norm(found.places_m[g[0]] - point) < close)
+        group = next(near, None)
+        if group is None:
+            groups.append([where])
+        else:
+            group.append(where)
+    for names in groups:
+        x, z = project(np.mean([found.places_m[where] for where in names], axis=0))
         axes.plot(x, z, color=VERMILLION, **_RING)
-        label = ", ".join(where.split(",")[0].rsplit(" ", 1)[-1].strip("()") for where in near)
+        label = ", ".join(where.split(",")[0].rsplit(" ", 1)[-1].strip("()") for where in names)
         aside_px, align = (8, "left") if x < (low[0] + high[0]) / 2 else (-8, "right")
         axes.annotate(label, (x, z), (aside_px, 9), color=INK, ha=align, **_LABEL)
     room = 0.14 * max(float((high - low).max()), 1e-3)
@@ -100,19 +108,6 @@ def draw_places(found: Marked) -> Figure:
     axes.axis("off")
     drawn.subplots_adjust(left=0, right=1, bottom=0, top=1)
     return drawn
-
-
-def _group_places(places: Mapping[str, np.ndarray], close: float) -> list[list[str]]:
-    """Group places: those nearer to each other than `close` are together."""
-    groups: list[list[str]] = []
-    for where, point in places.items():
-        near = (g for g in groups if np.linalg.norm(places[g[0]] - point) < close)
-        group = next(near, None)
-        if group is None:
-            groups.append([where])
-        else:
-            group.append(where)
-    return groups
 
 
 _BOXES: Any = {

@@ -8,6 +8,7 @@ recording that fails before its first message leaves no folder.
 from __future__ import annotations
 
 import shutil
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from longarm_comp.core.errors import InputError, LongarmError
-from longarm_comp.core.files import write_text
+from longarm_comp.core.files import alone_in, write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.message_types import message_types, publisher_quality
 
@@ -29,6 +30,9 @@ class SegmentedBag:
 
     Args:
         resume: continue an existing bag.
+
+    Raises:
+        InputError: the folder is there and may not be continued; another process writes there.
     """
 
     def __init__(self, path: str | Path, *, resume: bool = False) -> None:
@@ -41,7 +45,9 @@ class SegmentedBag:
             empty = False
         self._new = empty or not self._path.exists()
         self._discarded = False
-        self._information = self._begin_folder(resume)
+        with ExitStack() as held:
+            self._information = self._begin_folder(resume, held)
+            self._held = held.pop_all()  # until the end: two recorders remove each other's segments
         self._writer: Writer | None = None
         self._connections: dict[tuple[str, str], Connection] = {}
         self.messages = 0
@@ -49,7 +55,7 @@ class SegmentedBag:
         self.offers: dict[str, Qos] = {}
         """Quality of service of topics by name, where it is not the usual one."""
 
-    def _begin_folder(self, resume: bool) -> dict[str, Any] | None:
+    def _begin_folder(self, resume: bool, held: ExitStack) -> dict[str, Any] | None:
         if not resume and not self._new:
             allowed = "a folder that does not exist yet, or --resume"
             raise InputError(self._path, "bag", "exists", allowed)
@@ -59,6 +65,7 @@ class SegmentedBag:
                 raise InputError(self._path, "bag", strangers[0], "a bag, to resume it")
         try:
             self._path.mkdir(parents=True, exist_ok=True)
+            held.enter_context(alone_in(self._path))
             shutil.rmtree(self._partial, ignore_errors=True)
         except OSError as error:
             said = error.strerror or str(error)
@@ -80,11 +87,12 @@ class SegmentedBag:
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
-        self.finish_segment()
-        known = self._information
-        empty = self._discarded or not (known and known["message_count"])
-        if error is not None and self._new and empty:
-            shutil.rmtree(self._path, ignore_errors=True)
+        with self._held:
+            self.finish_segment()
+            known = self._information
+            empty = self._discarded or not (known and known["message_count"])
+            if error is not None and self._new and empty:
+                shutil.rmtree(self._path, ignore_errors=True)
 
     def discard(self) -> None:
         """Leave no folder where an error ends the recording, unless it was there before."""

@@ -7,7 +7,6 @@ memory.
 from __future__ import annotations
 
 import math
-import re
 from array import array
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
@@ -20,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import name_tilt
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import Sighting
 from longarm_comp.core.errors import InputError
@@ -190,12 +190,15 @@ class MessageBuffer:
 
     def _take_inclination(self, t: float, message: Any) -> None:
         """Take the tilt about x and y of the named frame, from its orientation."""
+        if message.orientation_covariance[0] < 0:  # it measures none
+            return
         o = message.orientation
-        frame = re.sub(r"\W+", "_", message.header.frame_id)
-        frame = "0" if frame in ("", "base") else frame
-        roll, pitch = quaternion.compute_tilt(np.array([o.x, o.y, o.z, o.w]))
-        self._set_column(f"incl_{frame}_x", t, roll)
-        self._set_column(f"incl_{frame}_y", t, pitch)
+        turn = np.array([o.x, o.y, o.z, o.w])
+        if not quaternion.is_unit(turn):
+            raise self._error_at("inclination orientation", t, turn, "a quaternion of length 1")
+        tilt = name_tilt(message.header.frame_id, *quaternion.compute_tilt(turn))
+        for name, value in tilt.items():
+            self._set_column(name, t, value)
 
     def _take_session_row(self, t: float, message: Any) -> None:
         try:

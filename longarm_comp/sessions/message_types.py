@@ -75,8 +75,11 @@ CLOCKS_APART = 60.0
 
 
 def moment(stamp_ns: int, received_ns: int) -> int:
-    """Return the time (ns) of a message, stamped and received then; a stamp of 0 is none."""
-    return stamp_ns if abs(stamp_ns - received_ns) < CLOCKS_APART * 1e9 else received_ns
+    """Return the time (ns) of a message, stamped and received then; a stamp of 0 is none.
+
+    What a message tells was before it came: a later stamp is of a clock that is ahead.
+    """
+    return stamp_ns if 0 <= received_ns - stamp_ns < CLOCKS_APART * 1e9 else received_ns
 
 
 def stamp_of_raw(raw: bytes) -> int:

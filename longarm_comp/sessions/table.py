@@ -93,11 +93,9 @@ class Table:
 
     def integers(self, column: str, blank: int | None = None) -> np.ndarray:
         """Return (N,) whole numbers; an empty cell becomes `blank` where that is given."""
-
-        def is_whole(value: float) -> bool:
-            return value.is_integer() and abs(value) < 2**53
-
-        values = self.numbers(column, "whole", blank is not None, is_whole)
+        values = self.numbers(
+            column, "whole", blank is not None, lambda v: v.is_integer() and abs(v) < 2**53
+        )
         return np.where(np.isnan(values), -1 if blank is None else blank, values).astype(np.int64)
 
     def is_numeric(self, column: str) -> bool:

@@ -29,7 +29,7 @@ class Walk:
 
     Attributes:
         gravity: (3,) m/s^2. base: (6,) m and rad. rows: (4, R, N) alpha, a, theta, d.
-        masses: of each frame: kg and position, m.
+        masses: kg and position, m, of every mass at each frame.
     """
 
     def __init__(self, true: TrueArm, state: State, held: Array | float = 0.0) -> None:
@@ -53,24 +53,20 @@ class Walk:
             if joint.type != "fixed":
                 rows[THETA if joint.type == "revolute" else D, k] += value[k]
         self.rows = rows
-        self.masses = self._all_masses()
+        masses: list[list[tuple[Array | float, tuple[float, float, float]]]]
+        self.masses = masses = [[] for _ in range(len(arm.joints) + 1)]
+        for m in arm.point_masses:
+            masses[m.frame].append((m.mass_kg, m.position_m))
+        if arm.payload is not None:
+            masses[arm.payload.frame].append((state.payload_kg, arm.payload.position_m))
+        for effect in self._hidden:
+            for frame, mass, at in effect.masses(state):
+                masses[frame].append((mass, at))
         self.gravity = np.asarray(arm.gravity_mps2, float)
         base = np.array([*arm.base.xyz_m, *np.radians(arm.base.rpy_deg)])
         for effect in self._hidden:
             self.gravity, base = effect.gravity(self.gravity), effect.base(base)
         self.base = base
-
-    def _all_masses(self) -> list[list[tuple[Array | float, tuple[float, float, float]]]]:
-        masses: list[list] = [[] for _ in range(len(self._arm.joints) + 1)]
-        for m in self._arm.point_masses:
-            masses[m.frame].append((m.mass_kg, m.position_m))
-        if self._arm.payload is not None:
-            load = self._arm.payload
-            masses[load.frame].append((self._state.payload_kg, load.position_m))
-        for effect in self._hidden:
-            for frame, mass, at in effect.masses(self._state):
-                masses[frame].append((mass, at))
-        return masses
 
     def rigid(self) -> Array:
         """Return the gravity in the last frame's axes of the arm without weight, (3, N)."""
@@ -88,7 +84,7 @@ class Walk:
         pose = np.zeros((gamma.shape[1], 4, 4))
         pose[:, 3, 3] = 1.0
         for column, mark in enumerate(marks):
-            pose[:, :3, column] = end.seen(mark)[:, 0].T
+            pose[:, :3, column] = end.get_mark(mark)[:, 0].T
         return Settled(pose, torques)
 
     def _walk_back(self, gamma: Array, *, tip: bool = False) -> tuple[Walker, list[int], Array]:
@@ -245,21 +241,21 @@ class TrueArm:
 
     def pose(self, q: Array, context: TrueContext | None = None) -> Array:
         """Return the true tip frame in the base frame, (N, 4, 4), or (4, 4) for one posture."""
-        pose = self.settled(q, context).pose
+        pose = self.settle(q, context).pose
         return pose if np.ndim(q) == 2 else pose[0]
 
     def shafts(self, q: Array, context: TrueContext | None = None) -> Array:
         """Return where motors' encoders stand, (N, n), rad or m: effects behind them left out."""
-        state, torques = State.of(self.arm, q, context), self.settled(q, context).torques
+        state, torques = State.of(self.arm, q, context), self.settle(q, context).torques
         return state.q + sum((e.before(torques, state) for e in self.hidden), np.zeros(1))
 
-    def settled(self, q: Array, context: TrueContext | None = None) -> Settled:
+    def settle(self, q: Array, context: TrueContext | None = None) -> Settled:
         state = State.of(self.arm, q, context)
         walk = Walk(self, state)
         gamma = walk.solve(walk.rigid())
         if any(effect.gated for effect in self.hidden):
             torques = walk.finish(gamma).torques
-            held = sum((e.held(torques, state) for e in self.hidden), np.zeros_like(state.q))
+            held = sum((e.find_rest(torques, state) for e in self.hidden), np.zeros_like(state.q))
             walk = Walk(self, state, held)
             gamma = walk.solve(gamma)
         return walk.finish(gamma)

@@ -284,18 +284,14 @@ def _blur_plate(fine: Light, conditions: Conditions) -> Light:
     if conditions.blur_px > 0.0:
         fine = cv2.GaussianBlur(fine, (0, 0), conditions.blur_px * _FINE)
     if any(conditions.motion_px):
-        fine = cv2.filter2D(fine, -1, _path_kernel(conditions.motion_px))
+        path = np.linspace(-0.5, 0.5, 201)[:, None] * np.asarray(conditions.motion_px) * _FINE
+        half = int(np.ceil(np.abs(path).max())) + 1
+        kernel = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.float32)
+        at = np.rint(path).astype(int) + half
+        np.add.at(kernel, (at[:, 1], at[:, 0]), 1.0)
+        fine = cv2.filter2D(fine, -1, kernel / kernel.sum())
     size = (fine.shape[1] // _FINE, fine.shape[0] // _FINE)
     return cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
-
-
-def _path_kernel(motion_px: tuple[float, float]) -> NDArray[np.float32]:
-    path = np.linspace(-0.5, 0.5, 201)[:, None] * np.asarray(motion_px) * _FINE
-    half = int(np.ceil(np.abs(path).max())) + 1
-    kernel = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.float32)
-    at = np.rint(path).astype(int) + half
-    np.add.at(kernel, (at[:, 1], at[:, 0]), 1.0)
-    return kernel / kernel.sum()
 
 
 @lru_cache(maxsize=8)

@@ -161,9 +161,14 @@ class Plant:
             context = TrueContext(
                 side, self.temperature_c(t_s), self.config.payload_kg, t_s, wound=wound, way=way
             )
-            found = self._true.settled(q, context)
+            found = self._true.settle(q, context)
             self._last = known, found.pose[0]
-            self._loads = self._servo_loads(found.torques[0])
+            # Shared out to the servos, by id, in the sense of their ticks
+            self._loads = {
+                j.servo_id: math.copysign(1.0, j.travel) * torque / j.full_effort
+                for j, torque in zip(self._servos, found.torques[0].tolist(), strict=True)
+                if j in self._loaded
+            }
         pose = self._last[1].copy()
         pose[:3, 3] += self._swing
         return pose
@@ -187,18 +192,10 @@ class Plant:
         """Let the joints give way so that the tip moves by (3,) m."""
         q, step = self.joints(), 1e-5
         turned = q + step * np.eye(len(q))
-        tips = self._true.settled(np.vstack([q, turned])).pose[:, :3, 3]
+        tips = self._true.settle(np.vstack([q, turned])).pose[:, :3, 3]
         given = np.linalg.pinv((tips[1:] - tips[0]).T / step) @ away
         for joint, value in zip(self._servos, (q + given).tolist(), strict=True):
             self.emulator.push(joint.servo_id, joint.ticks(value))
-
-    def _servo_loads(self, torques: Array) -> Mapping[int, float]:
-        """Share the joints' loads (n,) out to the servos, by id, in the sense of their ticks."""
-        return {
-            j.servo_id: math.copysign(1.0, j.travel) * torque / j.full_effort
-            for j, torque in zip(self._servos, torques.tolist(), strict=True)
-            if j in self._loaded
-        }
 
     def look(self, t_s: float) -> tuple[Grey, Grey]:
         """Take a left and a right image (H, W) now; of an arm at rest only the noise differs."""

@@ -68,7 +68,7 @@ class Walker:
         weight = mass * v[:, _GRAVITY]
         return weight if self._pushed is None else weight + v[:, 2 + self._pushed]
 
-    def seen(self, index: int) -> Array:
+    def get_mark(self, index: int) -> Array:
         """Return marked point or direction number `index` from here, (3, B, N)."""
         return self._v[:, 2 + index]
 

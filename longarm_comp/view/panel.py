@@ -138,12 +138,12 @@ class Panel:
     def show(
         self, state: PageState, now: float, lines: Mapping[str, Sequence[str]], *, well: bool
     ) -> None:
-        """Show what `words.sections` says; ``well``: how the last press of a button went."""
+        """Show what `words.list_lines` says; ``well``: how the last press of a button went."""
         colours = {"state": _BAD if state.unread_s(now) else "", "said": "" if well else _BAD}
         # A line of a node's health is a sign, a blank, its name and how it is
         nodes = [line for line in lines["health"] if line[2:].partition(": ")[0] in state.nodes]
         heads = {*lines["state"][:1], *nodes}
-        scale = [words.exaggeration(*self.exaggeration), words.LEGEND]
+        scale = [words.describe_scale(*self.exaggeration), words.LEGEND]
         for place, texts in {**lines, "scale": scale}.items():
             html = "".join(_line_of(text, colours.get(place, ""), text in heads) for text in texts)
             _set_new(self._places[place], "content", html and f"<div style='{_STYLE}'>{html}</div>")

@@ -122,13 +122,13 @@ def _to_number(text: str) -> float:
 
 
 def view(
-    namespace: str, port: int, stop: threading.Event, opened: Callable[[Callable[[], str]], None]
+    namespace: str, port: int, stop: threading.Event, open_link: Callable[[Callable[[], str]], None]
 ) -> None:
     """Show the graph of a namespace until ``stop`` is set.
 
     Args:
         port: of the page, on the loopback address; the next free one where it is taken; 0: any.
-        opened: gets what draws a link to the page; each opens it once.
+        open_link: gets what draws a link to the page; each opens it once.
     """
     with GraphClient(namespace, stop, "view") as client, ExitStack() as open_page:
         listener, commands = Listener(client), Buttons(client.node)
@@ -137,7 +137,7 @@ def view(
         server = open_page.enter_context(serve_page(port, gate))
         panel = Panel(server, commands.press, client.node.get_namespace())
         scene = Scene(server)
-        opened(partial(gate.link, server.get_port()))
+        open_link(partial(gate.link, server.get_port()))
         drawn = 0.0
         while not stop.is_set():
             client.executor.spin_once(timeout_sec=0.02)
@@ -146,7 +146,7 @@ def view(
             if now - drawn >= 0.2:  # s between two pictures
                 drawn = now
                 said, well = commands.said
-                lines = words.sections(listener.state, now, namespace, said)
+                lines = words.list_lines(listener.state, now, namespace, said)
                 panel.show(listener.state, now, lines, well=well)
                 plain.lines = [line for place in lines.values() for line in place]
                 scene.show(listener.state, now, panel.exaggeration)

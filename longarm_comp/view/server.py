@@ -96,20 +96,26 @@ class Gate:
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
             port = connection.local_address[1]
-            hosts = [f"{name}:{port}" for name in _NAMES]
+            hosts = [f"{host}:{port}" for host in _NAMES]
+            name = f"longarm_view_{port}"  # cookies are shared by all ports of a host
             why = self._find_stranger(request.headers, hosts)
             if why:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             where = urlsplit(request.path)
             if where.path == "/" and self._redeem_code(*parse_qs(where.query).get("code", [])):
-                cookie = f"{_cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+                cookie = f"{name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
                 return _make_redirect(_START, {"Set-Cookie": cookie})
-            if not self._is_token(*_read_cookies(request.headers, _cookie_name(port))):
+            given, own = _read_cookies(request.headers, name), self.token.encode()
+            if len(given) != 1 or not secrets.compare_digest(given[0].encode(), own):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             page = START if where.path == _START else self.plain(where.path)
             if page is not None and not where.query:
-                return _html_page(page, hosts)
+                if not page:  # a button was pressed
+                    return _make_redirect(PATH, _policy_headers(hosts))
+                body, kind = page.encode(), {"Content-Type": "text/html; charset=utf-8"}
+                kind |= {"Content-Length": str(len(body))} | _policy_headers(hosts)
+                return Response(HTTPStatus.OK, "OK", Headers(kind), body)
             if where.query:  # the viewer would connect to the server that ?websocket= names
                 return connection.respond(HTTPStatus.NOT_FOUND, "longarm view: no such page\n")
             response = serve(connection, request)
@@ -138,29 +144,12 @@ class Gate:
             return False
         return True
 
-    def _is_token(self, *given: str) -> bool:
-        return len(given) == 1 and secrets.compare_digest(given[0].encode(), self.token.encode())
-
-
-def _html_page(page: str, hosts: list[str]) -> Response:
-    """Make the response with a page, or after the press of a button the way back to it."""
-    if not page:
-        return _make_redirect(PATH, _policy_headers(hosts))
-    body = page.encode()
-    kind = {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))}
-    return Response(HTTPStatus.OK, "OK", Headers(_policy_headers(hosts) | kind), body)
-
 
 def _make_redirect(to: str, headers: dict[str, str]) -> Response:
     """Make the response that leads a browser on, which it must not keep or tell others."""
     private = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
     made = Headers(headers | private | {"Location": to, "Content-Length": "0"})
     return Response(HTTPStatus.SEE_OTHER, "See Other", made)
-
-
-def _cookie_name(port: int) -> str:
-    """Name of the cookie. Cookies are shared by all ports of a host."""
-    return f"longarm_view_{port}"
 
 
 def _read_cookies(headers: Headers, name: str) -> list[str]:

@@ -177,7 +177,7 @@ LEVELS = ((WELL, "well"), (WARNING, "warning"), (BAD, "error"), (SILENT, "stale"
 """Signs and words of the levels on /diagnostics, so that colour is not needed."""
 
 
-def headline(state: PageState, now: float, namespace: str) -> str:
+def say_headline(state: PageState, now: float, namespace: str) -> str:
     """Say whether the graph speaks, and what the arm does."""
     silent = state.silent_s(now)
     if math.isinf(silent):
@@ -188,8 +188,7 @@ def headline(state: PageState, now: float, namespace: str) -> str:
         )
     if silent:
         return f"The graph is silent for {_format_ago(silent)}. The page shows its last state."
-    unread = state.unread_s(now)
-    if unread:
+    if unread := state.unread_s(now):
         return f"No joint_states{'' if math.isinf(unread) else f' for {_format_ago(unread)}'}."
     words, why = state.driver
     if not words:
@@ -197,25 +196,25 @@ def headline(state: PageState, now: float, namespace: str) -> str:
     return f"The driver is {words}{f' ({why})' if why else ''}."
 
 
-def sections(state: PageState, now: float, namespace: str, said: str) -> dict[str, list[str]]:
+def list_lines(state: PageState, now: float, namespace: str, said: str) -> dict[str, list[str]]:
     """Write all that the page says, by place; ``said``: what came of the last press of a button."""
     lines = {
-        "state": [headline(state, now, namespace), target(state)],
+        "state": [say_headline(state, now, namespace), describe_target(state)],
         "said": [said],
-        "job": [progress(state, now)],
+        "job": [describe_progress(state, now)],
         "tip": [
-            f"tip − target: {millimetres(state.miss_at_target(now))}",
-            f"tip − predicted: {millimetres(state.miss_of_prediction(now))}",
-            drift(state),
+            f"tip − target: {format_mm(state.miss_at_target(now))}",
+            f"tip − predicted: {format_mm(state.miss_of_prediction(now))}",
+            describe_drift(state),
             *(f"{what}: {told}." for what, told in state.told.items()),
         ],
-        "health": [line for name in sorted(state.nodes) for line in health(state.nodes[name], now)]
+        "health": [line for _, n in sorted(state.nodes.items()) for line in describe_health(n, now)]
         or ["no node has reported yet"],
     }
     return {place: [line for line in found if line] for place, found in lines.items()}
 
 
-def target(state: PageState) -> str:
+def describe_target(state: PageState) -> str:
     if state.answer is None:
         return "No target since this page was opened."
     why = f": {state.answer.message}" if state.answer.message else ""
@@ -223,7 +222,7 @@ def target(state: PageState) -> str:
     return f"Last target: {state.answer.status}{sent}{why}."
 
 
-def millimetres(vector: np.ndarray | str) -> str:
+def format_mm(vector: np.ndarray | str) -> str:
     """Write the length and components of a vector (3,), m, in mm; a text stays as it is."""
     if isinstance(vector, str):
         return vector
@@ -239,7 +238,7 @@ LEGEND = (
 )
 
 
-def exaggeration(deflection: float, error: float) -> str:
+def describe_scale(deflection: float, error: float) -> str:
     """Say what is drawn larger than it is."""
     bent = "to scale" if deflection == 1.0 else f"{deflection:g} times larger than it is"
     arrows = "to scale" if error == 1.0 else f"{error:g} times longer than they are"
@@ -247,7 +246,7 @@ def exaggeration(deflection: float, error: float) -> str:
     return f"{drawn} Everything else is to scale."
 
 
-def drift(state: PageState) -> str:
+def describe_drift(state: PageState) -> str:
     """Say how near the test of drift is to a warning."""
     if math.isnan(state.evidence):
         return "Drift: nothing judged yet."
@@ -255,7 +254,7 @@ def drift(state: PageState) -> str:
     return f"Drift: evidence {state.evidence:.2f} of 1; the test {warns}."
 
 
-def progress(state: PageState, now: float) -> str:
+def describe_progress(state: PageState, now: float) -> str:
     """Say how far a collection is; empty where none was heard of."""
     job = state.progress
     if job is None:
@@ -264,10 +263,9 @@ def progress(state: PageState, now: float) -> str:
     return f"collect: {job.message}{heard}"
 
 
-def health(node: NodeHealth, now: float) -> list[str]:
+def describe_health(node: NodeHealth, now: float) -> list[str]:
     """Write a line on a node, and one on each of its parts that is not well; a sign first."""
-    silent = node.silent_s(now)
-    if silent:
+    if silent := node.silent_s(now):
         return [f"{SILENT} {node.name}: silent for {_format_ago(silent)}"]
     sign, word = LEVELS[max(part.level for part in node.parts)]
     ill = [part for part in node.parts if part.level]

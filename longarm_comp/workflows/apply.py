@@ -21,7 +21,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.files import follow_link, write_bytes
+from longarm_comp.core.files import alone_in, follow_link, write_bytes
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.model import file_versions, model_file
 from longarm_comp.core.model.declared_model import declared_model
@@ -117,43 +117,52 @@ def apply(
         seed, note, progress: as in `train`.
 
     Raises:
-        InputError: there is no diagnosis; it is of another arm, or was not made with the model at
-            work; the session is missing or another one.
+        InputError: there is no diagnosis, or half of one; it is of another arm, or was not made
+            with the model at work; the session is missing or another one; another process changes
+            the model.
         JobError: the diagnosis adds nothing.
     """
-    report, made = read_report(diagnosis), diagnosis / inputs.MODEL
-    nothing = nothing_to_apply(diagnosis, report)
-    if nothing:
-        raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
-    stored = read_stored(made)
-    after = restore(stored, arm, str(made))
-    target = follow_link(predictor or model.parent / inputs.PREDICTOR)
-    finish(model, target)
-    before = _read_before(stored.provenance, made, model, arm)
-    named = str(stored.provenance.get(inputs.SESSION, ""))
-    path = session or Path(os.path.normpath(diagnosis / named))
-    if (session is None and not named) or not path.exists():
-        allowed = "--session, the session diagnosed"
-        raise InputError(diagnosis, "session", named or "none named", allowed)
-    known = before if stored.provenance[inputs.MODEL_BEFORE] else None
-    rows = inputs.admit_session(path, arm, known, note=note)
-    if rows.hash != stored.provenance.get("session_hash"):
-        wanted = f"the session diagnosed, {str(stored.provenance.get('session_hash'))[:12]}"
-        raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
-    trained: TrainedPredictor | None = None
-    refused = ""
-    if network:
-        trained = train(arm, rows, model=made, seed=seed, note=note, progress=progress)
-    if trained is not None and not trained.gain.helps:
-        refused, trained = str(trained.gain), None
-        note(f"physics only: {refused}")
-    seen = rows.take(rows.seen)
-    changed = list_changes(before, after, seen.q, seen.context())
-    if not model.is_file():
-        save_model(model, store(declared_model(arm), version=AS_DECLARED))
-    aside = put_to_work(model, made.read_bytes(), target, trained)
-    at_work, errors = None if trained is None else target, _mean_errors(report)
-    return Applied(model, stored.version, tuple(changed), at_work, refused, aside, *errors)
+    with alone_in(follow_link(model).parent):  # also while a network is trained
+        report, made = read_report(diagnosis), diagnosis / inputs.MODEL
+        nothing = nothing_to_apply(diagnosis, report)
+        if nothing:
+            raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
+        stored = read_stored(made)
+        diagnosed = stored.provenance.get("session_hash")
+        if report.provenance.data_sha256 != diagnosed:
+            found = f"sessions {report.provenance.data_sha256[:12]} and {str(diagnosed)[:12]}"
+            allowed = (
+                "files of one diagnosis: one was broken off, or two wrote here; diagnose again"
+            )
+            raise InputError(diagnosis, "report.json and model.yaml", found, allowed)
+        after = restore(stored, arm, str(made))
+        target = follow_link(predictor or model.parent / inputs.PREDICTOR)
+        finish(model, target)
+        before = _read_before(stored.provenance, made, model, arm)
+        named = str(stored.provenance.get(inputs.SESSION, ""))
+        path = session or Path(os.path.normpath(diagnosis / named))
+        if (session is None and not named) or not path.exists():
+            allowed = "--session, the session diagnosed"
+            raise InputError(diagnosis, "session", named or "none named", allowed)
+        known = before if stored.provenance[inputs.MODEL_BEFORE] else None
+        rows = inputs.admit_session(path, arm, known, note=note)
+        if rows.hash != diagnosed:
+            wanted = f"the session diagnosed, {str(diagnosed)[:12]}"
+            raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
+        trained: TrainedPredictor | None = None
+        refused = ""
+        if network:
+            trained = train(arm, rows, model=made, seed=seed, note=note, progress=progress)
+        if trained is not None and not trained.gain.helps:
+            refused, trained = str(trained.gain), None
+            note(f"physics only: {refused}")
+        seen = rows.take(rows.seen)
+        changed = list_changes(before, after, seen.q, seen.context())
+        if not model.is_file():
+            save_model(model, store(declared_model(arm), version=AS_DECLARED))
+        aside = put_to_work(model, made.read_bytes(), target, trained)
+        at_work, errors = None if trained is None else target, _mean_errors(report)
+        return Applied(model, stored.version, tuple(changed), at_work, refused, aside, *errors)
 
 
 def take_back(diagnosis: Path, model: Path) -> None:
@@ -309,22 +318,26 @@ def undo(model: Path) -> Path | None:
 
     Returns:
         The file of the predictor that came back, if any.
+
+    Raises:
+        InputError: there is no previous version; another process changes the model.
     """
-    beside = [
-        follow_link(p)
-        for p in model.parent.glob("[!.]*.npz")
-        if p.is_symlink() or _trained_with(p) is not None
-    ]
-    names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in beside})
-    discarded = inputs.file_hash(model) if model.is_file() else ""
-    back = [name for name in names if finish(model, name)]
-    if not (back and not file_versions.previous(model).is_file()):
-        model_file.undo(model)
+    with alone_in(follow_link(model).parent):
+        beside = [
+            follow_link(p)
+            for p in model.parent.glob("[!.]*.npz")
+            if p.is_symlink() or _trained_with(p) is not None
+        ]
+        names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in beside})
+        discarded = inputs.file_hash(model) if model.is_file() else ""
         back = [name for name in names if finish(model, name)]
-        for name in names:
-            if name.is_file() and _trained_with(name) == discarded:
-                os.replace(name, _kept_as(name, discarded))
-    return back[0] if back else None
+        if not (back and not file_versions.previous(model).is_file()):
+            model_file.undo(model)
+            back = [name for name in names if finish(model, name)]
+            for name in names:
+                if name.is_file() and _trained_with(name) == discarded:
+                    os.replace(name, _kept_as(name, discarded))
+        return back[0] if back else None
 
 
 def finish(model: Path, predictor: Path) -> bool:

@@ -238,10 +238,7 @@ def compensate(
 
 
 def placements_of(
-    model: Model,
-    targets: ArrayLike | Targets,
-    contexts: list[Context],
-    frame: str,
+    model: Model, targets: ArrayLike | Targets, contexts: list[Context], frame: str
 ) -> tuple[Placement, ...]:
     """Find the placement of every target, in the frame that it states or that the call states."""
     own = targets.frame if isinstance(targets, Targets) else ()

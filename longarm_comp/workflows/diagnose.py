@@ -19,7 +19,7 @@ from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import check_writable, write_bytes
+from longarm_comp.core.files import alone_in, check_writable, write_bytes
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -262,25 +262,30 @@ def diagnose_files(
     progress: inputs.Telling = False,
     **how: Any,
 ) -> DiagnosisResult:
-    """Diagnose files and write everything to a folder; arguments as in `diagnose`."""
+    """Diagnose files and write everything to a folder; arguments as in `diagnose`.
+
+    Raises:
+        InputError: as `diagnose`; another process writes to the folder.
+    """
     for path in (session, test, model, *kind_of):
         if path is not None and not path.exists():
             raise InputError(path, "file", "missing", "a file or a bag that exists")
     check_writable(folder)  # before the work
-    if model is not None:
-        inputs.choose_physics(arm, model)
-    try:
-        found = diagnose(
-            arm, session, test=test, model=model, kind_of=kind_of, progress=progress, **how
-        )
-    except InputError as error:
-        seed = how.get("seed", 0)
-        report = refused_report(error, seed, inputs.file_hash(session))
-        write_report(report, Detail(title=session.name), folder)
-        raise
-    inputs.make_teller(progress)("report")
-    found.save(folder)
-    return found
+    with alone_in(folder):  # two would leave the report of one beside the model of the other
+        if model is not None:
+            inputs.choose_physics(arm, model)
+        try:
+            found = diagnose(
+                arm, session, test=test, model=model, kind_of=kind_of, progress=progress, **how
+            )
+        except InputError as error:
+            seed = how.get("seed", 0)
+            report = refused_report(error, seed, inputs.file_hash(session))
+            write_report(report, Detail(title=session.name), folder)
+            raise
+        inputs.make_teller(progress)("report")
+        found.save(folder)
+        return found
 
 
 def _path_of(given: inputs.SessionLike) -> Path:

@@ -90,7 +90,7 @@ class Diagnosed:
     made_of: str = ""
 
     @property
-    def drifted(self) -> bool:
+    def has_drifted(self) -> bool:
         """True where the model in use errs by more than twice as much as a new calibration."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
@@ -101,7 +101,7 @@ class Diagnosed:
     @property
     def row(self) -> dict[str, object]:
         """The arm's row in fleet.json."""
-        return {**asdict(self), "drifted": self.drifted}
+        return {**asdict(self), "drifted": self.has_drifted}
 
 
 _ROWS = TypeAdapter(tuple[Diagnosed, ...])

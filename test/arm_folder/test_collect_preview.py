@@ -99,7 +99,7 @@ def hobby(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def asked(checks: list[PlanCheck]) -> dict[str, int]:
-    return {check.question: check.passed for check in checks}
+    return {check.question: check.passed_count for check in checks}
 
 
 def test_every_question_is_asked_of_every_pose(hobby: Path) -> None:
@@ -140,7 +140,7 @@ def test_poses_outside_are_counted_with_the_joint(hobby: Path) -> None:
     servos = ServoConfig.load(hobby / "servo_driver.yaml")
     todo = list_visits(Plan(q, np.zeros(3)), arm, shuffle=False)
     found = plan_checks(arm, todo, servos=servos)
-    assert [len(c.faults) - c.passed for c in found] == [1, 1]
+    assert [len(c.faults) - c.passed_count for c in found] == [1, 1]
     assert "joint3 outside" in blocked_visits(found, todo)[1]
 
 

@@ -186,7 +186,7 @@ def test_a_droop_of_millimetres_is_trimmed_to_a_tenth(sagging_arm: SaggingArm) -
         off.append(sagging_arm.miss(q))
     assert max(off) < 2e-4
     assert np.mean(off) < 1e-4
-    assert any(abs(v) > 40 for v in sagging_arm.driver.follower.trimmed.values())
+    assert any(abs(v) > 40 for v in sagging_arm.driver.follower.trim_by_joint.values())
 
 
 def test_a_trimmed_joint_stands_where_its_encoder_says(tmp_path: Path) -> None:
@@ -233,4 +233,4 @@ def test_a_wrong_encoder_on_the_bus_moves_the_joint_no_farther_than_the_bound(
         assert "joint4 by" in said.message and "of trim" in said.message
         for _ in range(50):
             rig.cycle()
-        assert rig.driver.follower.trimmed["joint4"] == 0.0
+        assert rig.driver.follower.trim_by_joint["joint4"] == 0.0

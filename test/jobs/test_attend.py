@@ -47,8 +47,16 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
     return Shell(tmp_path, capsys)
 
 
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rig has no other node than the driver: who is missing is known at once."""
+    monkeypatch.setattr(attend, "ANNOUNCED_S", 0.5)
+
+
+@pytest.mark.usefixtures("soon")
 def test_an_arm_is_held_stopped_and_goes_on(rig: Rig, shell: Shell) -> None:
     found = shell.json("status")
+    assert "no target is followed" in str(found["troubles"])  # kinematics died
     assert (found["driver"], found["next"]) == ("ready", "") and "servo_driver" in found["nodes"]
     rig.goes(shoulder=0.3)
     assert shell("hold") == 0 and "torque on" in shell.err
@@ -69,6 +77,7 @@ def test_an_arm_is_held_stopped_and_goes_on(rig: Rig, shell: Shell) -> None:
     assert shell("reset") == 0 and "nothing to reset" in shell.err
 
 
+@pytest.mark.usefixtures("soon")
 def test_a_fault_is_told_with_its_cause_and_stays_until_it_is_cured(rig: Rig, shell: Shell) -> None:
     with rig.emulator.motor(1) as motor:
         motor.blocked = True
@@ -180,4 +189,4 @@ def test_a_driver_that_is_heard_of_last_is_on_the_graph(tmp_path: Path, shell: S
         done.set()
         driver.join()
     assert (found["driver"], found["next"]) == ("ready", "")
-    assert "kinematics" in found["nodes"]
+    assert "kinematics" in found["nodes"] and "no target is followed" not in str(found)

@@ -156,6 +156,20 @@ def test_a_growing_bag_is_readable_after_every_segment(tmp_path: Path) -> None:
     assert {t["topic"]: t["count"] for t in bag_info(path)["topics"]} == {"/word": 31, "/other": 1}
 
 
+def test_two_recorders_of_one_bag_are_refused(tmp_path: Path) -> None:
+    """The second one would remove what the first one writes, and take the place of its segments."""
+    path = tmp_path / "bag"
+    with SegmentedBag(path) as bag:
+        bag.write("/word", TEXT, 10**18, word("one"))
+        for resume in (True, False):
+            with pytest.raises(InputError, match=r"in use by another process|--resume"):
+                SegmentedBag(path, resume=resume)
+        bag.finish_segment()
+    with SegmentedBag(path, resume=True) as bag:
+        bag.write("/word", TEXT, 10**18 + 1, word("two"))
+    assert bag_info(path)["messages"] == 2
+
+
 def test_a_bag_of_nothing_is_a_bag_and_rubbish_is_not_resumed(tmp_path: Path) -> None:
     with SegmentedBag(tmp_path / "empty"):
         pass

@@ -228,3 +228,24 @@ def test_a_full_disk_ends_it_with_cause_what_is_kept_and_the_next_command(
     lines = shell.err.splitlines()
     assert "File too large" in lines[-1]
     assert "of 6 visits" in shell.err and "--resume adds the others" in shell.err
+
+
+@pytest.mark.parametrize("ahead_s", [5.0, 20.0])
+def test_cameras_whose_clock_is_ahead_show_the_arm_at_rest(
+    ahead_s: float, stage: QuickArm, tmp_path: Path
+) -> None:
+    """By their stamps they would have seen the poses before this one after it was reached."""
+    stage.ahead_s = ahead_s
+    plan = sobol(ARM, 4)
+    with ArmClient(ARM) as client:
+        client.ready()
+        for q in plan.q:
+            start = client.joints
+            client.send(q[None])
+            _, looks = client.look(q[None], QUICK, start)
+            np.testing.assert_allclose(looks, [stage.true] * len(looks), atol=1e-6)
+    run(tmp_path / "bag", plan)
+    session = read_session(tmp_path / "bag", ARM)
+    assert session.has_position.all()
+    tips = declared_model(ARM).tip(session.q, session.context())
+    np.testing.assert_allclose(session.xyz, tips, atol=1e-6)

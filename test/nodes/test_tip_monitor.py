@@ -131,6 +131,18 @@ def test_images_of_the_way_that_come_late_are_no_rest_pose() -> None:
     assert monitor.on_tip(PoseWithCovarianceStamped()) is not None
 
 
+def test_images_of_a_clock_that_is_ahead_are_of_now_at_most() -> None:
+    """Else the arm on its way would count as settled."""
+    monitor = monitor_of(0.5)
+    monitor.on_command(ARM.mid, History.unknown(ARM.n))
+    monitor.on_joints(ARM.mid, 10.0)
+    for now, rests in ((10.1, False), (10.4, False), (10.6, True)):
+        seen = PoseWithCovarianceStamped()
+        seen.header.stamp = stamp_of(int(1e9 * (now + 3.0)))
+        monitor._state.now_s = now
+        assert (monitor.on_tip(seen) is not None) == rests
+
+
 @pytest.mark.parametrize(
     ("said", "rests"),
     [

@@ -137,7 +137,7 @@ class Stage:
 
     def clear_of_the_gates(self, q: np.ndarray) -> bool:
         """Whether every load is so far from each gate that its side is beyond doubt."""
-        loads = np.abs(TrueArm(self.arm, self.hidden, steps=2).settled(q[None]).torques[0])
+        loads = np.abs(TrueArm(self.arm, self.hidden, steps=2).settle(q[None]).torques[0])
         gates = [getattr(e, "gate", 0.0) for e in self.hidden]
         return all((np.abs(loads[self.turning] / gate - 1.0) > 0.2).all() for gate in gates if gate)
 

@@ -100,7 +100,7 @@ def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:
         stage.connected(good)
         good.publish(PoseStamped())
         stage.spin(lambda: heard)
-        assert server.lost == 0 and len(heard) == 1
+        assert server.lost_messages == 0 and len(heard) == 1
     finally:
         for worker in (server, asker):
             worker.close()
@@ -121,16 +121,16 @@ def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(stage: Bench
             stage.spin(lambda one=one: one.get_subscription_count())
             one.publish(PoseStamped())
             stage.spin(lambda count=count: len(heard) == count)
-        assert worker.lost == 0
+        assert worker.lost_messages == 0
         worker.submit(go_on.wait)
         stage.spin(lambda: worker.waiting == 0)
         sent = graph.TARGET_POSE.depth + 600
         for number in range(sent):
             both[number % 2].publish(PoseStamped())
         go_on.set()
-        stage.spin(lambda: len(heard) - 2 + worker.lost >= sent)
-        assert len(heard) - 2 + worker.lost == sent
-        assert worker.lost > 0
+        stage.spin(lambda: len(heard) - 2 + worker.lost_messages >= sent)
+        assert len(heard) - 2 + worker.lost_messages == sent
+        assert worker.lost_messages > 0
     finally:
         go_on.set()
         worker.close()

@@ -93,7 +93,7 @@ def test_dose(twin: Arm, name: str) -> None:
     sound = TrueArm(twin, steps=2).tip(poses, context)  # as sizes are drawn
 
     def rms_mm(dose: float) -> float:
-        moved = seen_tip(effect.scaled(dose), twin, poses, context, sound) - sound
+        moved = seen_tip(effect.scale_by(dose), twin, poses, context, sound) - sound
         return 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
     assert rms_mm(0.0) < 1e-9
@@ -130,7 +130,7 @@ def test_joint_compliance_yields_under_the_true_torque() -> None:
         theta = -c * 2.0 * G * 0.5 * np.cos(theta)
     found = angle(lever(), loads.JointCompliance(np.array([c])))
     assert found == pytest.approx(theta, abs=1e-9)
-    assert TrueArm(lever()).settled(np.zeros(1)).torques[0, 0] == pytest.approx(-2.0 * G * 0.5)
+    assert TrueArm(lever()).settle(np.zeros(1)).torques[0, 0] == pytest.approx(-2.0 * G * 0.5)
 
 
 def test_base_compliance_tilts_the_same_lever() -> None:

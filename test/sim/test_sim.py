@@ -138,7 +138,7 @@ def test_body_behind_the_bearing_keeps_its_weight() -> None:
     arm = one_beam(joints=[lift, joint], links=[rod], tip={"frame": 2}, point_masses=[])
     q = np.array([np.pi / 2, 0.1])
     assert abs(TrueArm(arm).tip(q)[0]) == pytest.approx(0.3)
-    torque = TrueArm(arm).settled(q).torques[0, 0]
+    torque = TrueArm(arm).settle(q).torques[0, 0]
     assert abs(torque) == pytest.approx(2.0 * G * 0.2, rel=1e-6)
     rise = TrueArm(arm).tip(q + np.array([1e-3, 0.0]))[2] - TrueArm(arm).tip(q)[2]
     assert torque * rise > 0  # the weight behind the bearing lifts the tip
@@ -164,7 +164,7 @@ def test_torques_are_the_slope_of_potential_energy(twin: Arm, rng: np.random.Gen
     stiff = stiffened(twin, 4e4)  # as stiff as arm.yaml can say
     q = rng.uniform(twin.lower, twin.upper, (1, twin.n))[0]
     true = TrueArm(stiff)
-    heavy, light = (true.settled(q, TrueContext(payload_kg=m)).torques[0] for m in (0.35, 0.25))
+    heavy, light = (true.settle(q, TrueContext(payload_kg=m)).torques[0] for m in (0.35, 0.25))
     step = 1e-5
     for k in range(twin.n):
         dq = step * np.eye(twin.n)[k]

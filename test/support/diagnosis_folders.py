@@ -46,6 +46,7 @@ def writer(work: Path, tmp_path: Path) -> Callable[..., Path]:
         version = 1 if before is None else read_stored(before).version + 1
         save_model(folder / "model.yaml", store(model, version=version, provenance=provenance))
         made, _ = getattr(report_samples, verdict)(np.random.default_rng(1))
+        made["provenance"]["data_sha256"] = provenance["session_hash"]
         (folder / "report.json").write_text(record.text(record.parse_report(made)))
         return folder
 

@@ -21,6 +21,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns, stamp_of
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
@@ -36,6 +37,9 @@ class QuickArm:
         sees: whether the cameras see the marker at joints (n,).
         tip: (3,) m at joints (n,) that arrived from sides (n,); as declared where not given.
         frame: of the sightings; stands: (4, 4) of the arm's base in it.
+
+    Attributes:
+        ahead_s: by how much the clock of the cameras is ahead.
     """
 
     def __init__(
@@ -48,6 +52,7 @@ class QuickArm:
     ) -> None:
         self.arm, self.sees = arm, sees
         self._frame, self._stands = frame, np.eye(4) if stands is None else stands
+        self.ahead_s = 0.0
         self.visited: list[np.ndarray] = []
         self.heard: list[Any] = []
         model = declared_model(arm)
@@ -122,7 +127,8 @@ class QuickArm:
         warm.header.stamp = now
         self._temperature.publish(warm)
         seen = PoseWithCovarianceStamped()
-        seen.header.stamp, seen.header.frame_id = now, self._frame
+        seen.header.stamp = stamp_of(stamp_ns(now) + round(1e9 * self.ahead_s))
+        seen.header.frame_id = self._frame
         x, y, z = self._tip.tolist()
         seen.pose.pose.position = Point(x=x, y=y, z=z)
         no_turn = [1e-8] * 3 + [0.0] * 3  # it measures no orientation

@@ -45,7 +45,7 @@ def test_errors_of_an_arm_at_rest() -> None:
     state = at_rest()
     np.testing.assert_allclose(state.miss_at_target(20.0), [0.0, 0.003, -0.004])
     np.testing.assert_allclose(state.miss_of_prediction(20.0), [0.0, 0.003, -0.006])
-    at_target, as_predicted, *_ = words.sections(state, 20.0, "/", "")["tip"]
+    at_target, as_predicted, *_ = words.list_lines(state, 20.0, "/", "")["tip"]
     assert at_target == "tip − target: 5.00 mm (x +0.00, y +3.00, z -4.00)"
     assert as_predicted.startswith("tip − predicted: 6.71 mm (x ")
 
@@ -57,7 +57,7 @@ def test_there_is_no_error_without_a_sighting_of_now() -> None:
         assert (
             blind.miss_at_target(now) == blind.miss_of_prediction(now) == "no camera sees the tip"
         )
-        assert words.sections(blind, now, "/", "")["tip"][0].endswith(": no camera sees the tip")
+        assert words.list_lines(blind, now, "/", "")["tip"][0].endswith(": no camera sees the tip")
 
 
 @pytest.mark.parametrize("old", ["picture", "tip"])
@@ -92,21 +92,21 @@ def test_the_miss_is_of_the_target_that_the_joints_were_sent_to() -> None:
         assert isinstance(other.miss_at_target(20.0), str)
         assert not isinstance(other.miss_of_prediction(20.0), str)
     assert elsewhere.miss_at_target(20.0) == "the arm is not at the last target"
-    assert words.target(unsent) == "Last target: UNREACHABLE, nothing sent: 3 mm missing."
+    assert words.describe_target(unsent) == "Last target: UNREACHABLE, nothing sent: 3 mm missing."
 
 
 def test_silence_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    assert "Nothing received yet in namespace /left of ROS domain 7" in words.headline(
+    assert "Nothing received yet in namespace /left of ROS domain 7" in words.say_headline(
         PageState(), 5.0, "/left"
     )
     state = replace(at_rest(), driver=("in fault", "joint2 stalled"))
     assert not state.is_old(22.0) and state.is_old(23.0)
-    assert words.headline(replace(state, heard=25.0), 25.0, "/") == "No joint_states for 5 s."
-    assert words.headline(PageState(heard=25.0), 25.0, "/") == "No joint_states."
-    assert words.headline(state, 22.0, "/") == "The driver is in fault (joint2 stalled)."
-    assert words.headline(state, 30.0, "/").startswith("The graph is silent for 10 s.")
-    assert words.headline(state, 500.0, "/").startswith("The graph is silent for 8 min.")
+    assert words.say_headline(replace(state, heard=25.0), 25.0, "/") == "No joint_states for 5 s."
+    assert words.say_headline(PageState(heard=25.0), 25.0, "/") == "No joint_states."
+    assert words.say_headline(state, 22.0, "/") == "The driver is in fault (joint2 stalled)."
+    assert words.say_headline(state, 30.0, "/").startswith("The graph is silent for 10 s.")
+    assert words.say_headline(state, 500.0, "/").startswith("The graph is silent for 8 min.")
 
 
 def test_a_node_is_as_well_as_its_worst_part_and_silent_by_its_own_pace() -> None:
@@ -114,21 +114,21 @@ def test_a_node_is_as_well_as_its_worst_part_and_silent_by_its_own_pace() -> Non
     state = PageState().with_report("driver", parts, 1.0).with_report("driver", parts, 2.0)
     node = state.nodes["driver"]
     said = ["✖ driver: error", "▲ heat: 60 degrees", "✖ load: stalled"]
-    assert words.health(node, 6.0) == said
-    assert words.health(node, 9.0) == ["■ driver: silent for 7 s"]
+    assert words.describe_health(node, 6.0) == said
+    assert words.describe_health(node, 9.0) == ["■ driver: silent for 7 s"]
     slow = state.with_report("driver", parts, 12.0).nodes["driver"]
-    assert words.health(slow, 40.0) == said
-    assert words.health(slow, 43.0) == ["■ driver: silent for 31 s"]
-    assert words.health(NodeHealth("n", (Part("p", 3, "?"),), 1.0), 1.0)[0] == "■ n: stale"
+    assert words.describe_health(slow, 40.0) == said
+    assert words.describe_health(slow, 43.0) == ["■ driver: silent for 31 s"]
+    assert words.describe_health(NodeHealth("n", (Part("p", 3, "?"),), 1.0), 1.0)[0] == "■ n: stale"
 
 
 def test_exaggeration_drift_and_progress_in_words() -> None:
-    assert "10 times larger than it is, error arrows to scale" in words.exaggeration(10.0, 1.0)
-    assert "drawn to scale, error arrows 50 times longer" in words.exaggeration(1.0, 50.0)
-    assert words.drift(PageState()) == "Drift: nothing judged yet."
-    assert words.drift(PageState(evidence=0.5)).endswith("does not warn.")
-    assert words.drift(PageState(evidence=1.0)).endswith("warns.")
+    assert "10 times larger than it is, error arrows to scale" in words.describe_scale(10.0, 1.0)
+    assert "drawn to scale, error arrows 50 times longer" in words.describe_scale(1.0, 50.0)
+    assert words.describe_drift(PageState()) == "Drift: nothing judged yet."
+    assert words.describe_drift(PageState(evidence=0.5)).endswith("does not warn.")
+    assert words.describe_drift(PageState(evidence=1.0)).endswith("warns.")
     job = PageState(progress=CollectProgress(0.3, "7 of 24 poses driven", 10.0))
-    assert words.progress(job, 12.0) == "collect: 7 of 24 poses driven"
-    assert words.progress(job, 22.0) == "collect: 7 of 24 poses driven; heard 12 s ago"
-    assert words.sections(PageState(), 5.0, "/", "")["job"] == []
+    assert words.describe_progress(job, 12.0) == "collect: 7 of 24 poses driven"
+    assert words.describe_progress(job, 22.0) == "collect: 7 of 24 poses driven; heard 12 s ago"
+    assert words.list_lines(PageState(), 5.0, "/", "")["job"] == []

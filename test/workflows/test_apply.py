@@ -238,3 +238,39 @@ def test_files_that_are_no_predictors_are_left_alone_by_undo(
     assert {"other.npz", "broken.of_0123456789ab.npz"} <= set(bytes_of(model.parent))
     with pytest.raises(InputError):
         predictor_file.load(model.parent / "other.npz")
+
+
+def test_two_changes_at_once_are_refused(
+    diagnosed: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The slower one would replace what the quicker one put to work, and its model before."""
+    model = at_work(tmp_path)
+    first = apply(diagnosed("first"), ARM, model, network=False)
+    kept = model.read_bytes()
+    wider = FOUND.with_values(1.5 * FOUND.values)
+    second, rival = (diagnosed(n, before=model, model=wider, seed=n) for n in ("second", "rival"))
+
+    def meanwhile(*given: Any, **named: Any) -> TrainedPredictor:
+        for change in (lambda: apply(rival, ARM, model, network=False), lambda: undo(model)):
+            with pytest.raises(InputError, match="in use by another process"):
+                change()
+        return small_networks()(*given, **named)
+
+    monkeypatch.setattr("longarm_comp.workflows.apply.train", meanwhile)
+    apply(second, ARM, model)
+    assert model.read_bytes() == (second / "model.yaml").read_bytes()
+    undo(model)
+    assert model.read_bytes() == kept
+    assert first.model == model
+
+
+def test_files_of_two_diagnoses_are_refused(diagnosed: Callable[..., Path], tmp_path: Path) -> None:
+    """A diagnosis that is broken off while it writes leaves the model of the one before it."""
+    folder = diagnosed()
+    report = folder / "report.json"
+    text = report.read_text()
+    written = record.read_report(folder).provenance.data_sha256
+    report.write_text(text.replace(written, 64 * "0"))
+    with pytest.raises(InputError, match="files of one diagnosis"):
+        apply(folder, ARM, at_work(tmp_path))
+    assert not at_work(tmp_path).exists()

@@ -72,7 +72,7 @@ def test_refused_targets_are_counted(rng: np.random.Generator) -> None:
     target = rng.normal(size=(4, 3))
     run = trial(target, np.zeros((4, 3)))
     mixed = dataclasses.replace(run, status=np.array([0, 1, 3, 9]))
-    assert (run.refused, mixed.refused) == (0, 2)
+    assert (run.refused_count, mixed.refused_count) == (0, 2)
 
 
 def test_a_run_that_comes_nearer_gains_against_the_one_before(rng: np.random.Generator) -> None:

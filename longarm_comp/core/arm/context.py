@@ -36,6 +36,13 @@ def is_told(name: str) -> bool:
     return name in _TOLD or INCLINATION.match(name) is not None
 
 
+def name_tilt(frame_id: str, about_x: float, about_y: float) -> dict[str, float]:
+    """Name the tilt (rad) that a sensor on a frame tells as columns; the base is row 0."""
+    frame = re.sub(r"\W+", "_", frame_id)
+    frame = "0" if frame in ("", "base") else frame
+    return {f"incl_{frame}_x": about_x, f"incl_{frame}_y": about_y}
+
+
 LEGS = 7
 """Places for the legs of a joint's way; the last stays free for what may have been before."""
 WIDTH: Mapping[str, int] = {"approach": 1, "legs": LEGS, "last_way": 1}

@@ -12,6 +12,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.at_work.learner import STEP_M, Learner, Named, Version
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import check_regular, write_text
@@ -77,15 +78,23 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
     versions = (
         begun.versions[0],
         *(
-            Version(v.at_s or 0.0, restore(v.model, arm, where), v.named)
+            Version(v.at_s or 0.0, _restore_known(v.model, arm, where), v.named)
             for v in stored.versions[1:]
         ),
     )
     return Learner(
-        restore(stored.served, arm, where),
+        _restore_known(stored.served, arm, where),
         versions=versions,
         frozen=stored.frozen,
         step_m=step_m,
         sightings=stored.sightings,
         doubtful=stored.doubtful,
     )
+
+
+def _restore_known(stored: StoredModel, arm: Arm, where: str) -> Model:
+    """Restore a model with the record of how good it is, from which learning goes on."""
+    model = restore(stored, arm, where)
+    if model.uncertainty is None:
+        raise InputError(where, "uncertainty", "missing", "a model that kinematics wrote")
+    return model

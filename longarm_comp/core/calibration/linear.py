@@ -166,12 +166,20 @@ def marginalise_first(
     return evidence, gram[rest, rest] - cross.T @ cross, along[rest] - cross.T @ data
 
 
+_WIDE = 18.0
+"""Width of an interval, in standard deviations, at which the farther of its tails holds less than
+rounding."""
+
+
 def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return the log of the unit normal's mass between bounds."""
     flip = lower > -upper  # the smaller tail, where differences keep their digits
     low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
-    mass = log_ndtr(high)
-    return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
+    mass = np.asarray(log_ndtr(high))
+    near = high - low < _WIDE
+    outside = np.exp(np.minimum(log_ndtr(low[near]) - mass[near], -1e-300))
+    mass[near] += np.log1p(-outside)
+    return mass
 
 
 def prior_root(like: np.ndarray) -> np.ndarray:
@@ -182,9 +190,8 @@ def prior_root(like: np.ndarray) -> np.ndarray:
     Args:
         like: (..., k) group numbers; coefficients of one group are like each other.
     """
-    return np.linalg.cholesky(
-        np.where(np.eye(like.shape[-1]) > 0, 1.0, ALIKE * _in_same_group(like))
-    )
+    one, same = np.eye(like.shape[-1]), _in_same_group(like)
+    return np.linalg.cholesky(np.where(one > 0, 1.0, ALIKE * same)) if (same > one).any() else one
 
 
 def log_prior_mass(lower: np.ndarray, upper: np.ndarray, like: np.ndarray) -> np.ndarray:

@@ -171,7 +171,7 @@ class SerialServoBus:
         if on:
             goals = {i: s.position_ticks for i, s in self.read(ids).items()}
             for servo_id, memory in self.memory(ids).items():
-                if why := memory.beyond(goals[servo_id]):
+                if why := memory.describe_jump(goals[servo_id]):
                     raise ServoFault(f"servo {servo_id} {why}")
             self.hold({i: goal for i, goal in goals.items() if i not in kept})
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)

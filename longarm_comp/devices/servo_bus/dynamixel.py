@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply, limit_units
-from longarm_comp.devices.servo_bus.memory import Register, one_bit, signed
+from longarm_comp.devices.servo_bus.memory import Register, decode_signed, one_bit
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 _HEADER = b"\xff\xff\xfd\x00"
@@ -86,12 +86,12 @@ class DynamixelX(Dialect):
             allowed=(3, 4),
             otherwise="it does not go to positions, or not with its full current",
         ),
-        Register("homing_offset", 20, 4, signed, factory=0, places=True),
+        Register("homing_offset", 20, 4, decode_signed, factory=0, places=True),
         Register("pwm_limit", 36, 2, factory=885),
         Register("current_limit", 38, 2),
         Register("velocity_limit", 44, 4),
-        Register("max_position_limit", 48, 4, signed, factory=4095),
-        Register("min_position_limit", 52, 4, signed, factory=0),
+        Register("max_position_limit", 48, 4, decode_signed, factory=4095),
+        Register("min_position_limit", 52, 4, decode_signed, factory=0),
     )
     goal_limits = ("min_position_limit", "max_position_limit")
     speed_limit = ("velocity_limit", _VELOCITY_TICKS_S)
@@ -130,7 +130,7 @@ class DynamixelX(Dialect):
         return bytes(4) + speed.to_bytes(4, "little") + ticks.to_bytes(4, "little", signed=True)
 
     def ticks_of(self, position: bytes) -> int:
-        return signed(position)
+        return decode_signed(position)
 
     def turns_bytes(self, many: bool) -> bytes:
         return b"\x04" if many else b"\x03"
@@ -138,9 +138,9 @@ class DynamixelX(Dialect):
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         return ServoState(
             position_ticks=self.ticks_of(data[10:14]),
-            velocity_ticks_s=signed(data[6:10]) * _VELOCITY_TICKS_S,
-            load=signed(data[4:6]) / model.full_load,
-            voltage_v=signed(data[22:24]) / 10.0,
+            velocity_ticks_s=decode_signed(data[6:10]) * _VELOCITY_TICKS_S,
+            load=decode_signed(data[4:6]) / model.full_load,
+            voltage_v=decode_signed(data[22:24]) / 10.0,
             temperature_c=float(data[24]),
             error_flags=alarms,
         )

@@ -94,7 +94,8 @@ class FeetechSts(Dialect):
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         speed = limit_units(speed_ticks_s, 1.0, 0x7FFF)
         # acceleration 0 (the servo's maximum), position, time (unused), speed
-        return b"\0" + _encode_signed(ticks) + b"\0\0" + speed.to_bytes(2, "little")
+        goal = abs(ticks) | (ticks < 0) << 15
+        return b"\0" + goal.to_bytes(2, "little") + b"\0\0" + speed.to_bytes(2, "little")
 
     def ticks_of(self, position: bytes) -> int:
         return _position(position)
@@ -119,7 +120,3 @@ class FeetechSts(Dialect):
 
 def _compute_checksum(body: bytes) -> int:
     return ~sum(body) & 0xFF
-
-
-def _encode_signed(value: int) -> bytes:
-    return (abs(value) | (value < 0) << 15).to_bytes(2, "little")

@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 
-def unsigned(data: bytes) -> int:
+def decode_unsigned(data: bytes) -> int:
     return int.from_bytes(data, "little")
 
 
-def signed(data: bytes) -> int:
+def decode_signed(data: bytes) -> int:
     return int.from_bytes(data, "little", signed=True)
 
 
@@ -18,7 +18,7 @@ def sign_magnitude(bit: int) -> Callable[[bytes], int]:
     """Return a decoder of numbers with their sign in a bit and their size in the bits below."""
 
     def value(data: bytes) -> int:
-        raw = unsigned(data)
+        raw = decode_unsigned(data)
         size = raw & ((1 << bit) - 1)
         return -size if raw >> bit & 1 else size
 
@@ -26,7 +26,7 @@ def sign_magnitude(bit: int) -> Callable[[bytes], int]:
 
 
 def one_bit(bit: int) -> Callable[[bytes], int]:
-    return lambda data: unsigned(data) >> bit & 1
+    return lambda data: decode_unsigned(data) >> bit & 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Register:
     name: str  # the maker's; of a part of a register with the part behind it
     address: int
     length: int = 1
-    value: Callable[[bytes], int] = unsigned
+    value: Callable[[bytes], int] = decode_unsigned
     factory: int | None = None  # value from the factory; None: not the same in all models
     places: bool = False
     """Whether it decides what a position means. Then it must be as it was at the setup."""
@@ -60,7 +60,7 @@ class ServoMemory:
     goals: tuple[int, int] | None
     speed_ticks_s: float | None
 
-    def beyond(self, ticks: float) -> str:
+    def describe_jump(self, ticks: float) -> str:
         """Say why a servo at ``ticks`` would jump when it is driven; empty where it would not."""
         if self.goals is None or self.goals[0] <= ticks <= self.goals[1]:
             return ""
@@ -86,7 +86,7 @@ class ServoMemory:
 
     @property
     def notable(self) -> str:
-        """Those, and the registers that differ among models."""
+        """The registers that are not as from the factory or differ among models, with addresses."""
         own = [r for r in self.registers if self.values[r.name] != r.factory]
         return ", ".join(map(self.describe, own))
 

@@ -25,7 +25,13 @@ def check_mounting(views: Sequence[BoardView]) -> None:
     """
     if len(views) < _TOLD_FROM:
         return
-    quarters = round(np.degrees(_find_turn(views)) / 90) % 4
+    turned = 0j  # the mean turn of the corners in the right picture against the left
+    for view in views:
+        _, left, right = view.left.shared_corners(view.right)
+        here, there = ((px - px.mean(axis=0)) @ (1, 1j) for px in (left, right))
+        turn = np.vdot(here, there)
+        turned += turn / abs(turn)
+    quarters = round(np.angle(turned, deg=True) / 90) % 4
     if quarters:
         how, by = ("upside down", 180) if quarters == 2 else ("on its side", 90)
         raise JobError(
@@ -44,17 +50,6 @@ def check_mounting(views: Sequence[BoardView]) -> None:
             f"the pairs look shifted: a left picture belongs to the right one {abs(best)} {where}",
             epipolar_px=f"{as_paired:.3g} -> {tried[best]:.3g}",
         )
-
-
-def _find_turn(views: Sequence[BoardView]) -> float:
-    """Return the angle (rad) by which corners in the right pictures are turned against the left."""
-    whole = 0j
-    for view in views:
-        _, left, right = view.left.shared_corners(view.right)
-        here, there = ((px - px.mean(axis=0)) @ (1, 1j) for px in (left, right))
-        turned = np.vdot(here, there)
-        whole += turned / abs(turned)
-    return float(np.angle(whole))
 
 
 def _off_px(views: Sequence[BoardView], shift: int) -> float:

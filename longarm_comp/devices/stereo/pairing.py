@@ -68,9 +68,6 @@ class StereoPairer(Generic[Image]):
         if len(mine) == self.queue:
             self._drop_older(side.value, Drop.OVERFLOW)
         mine.append((stamp_ns, image))
-        return self._match_images()
-
-    def _match_images(self) -> list[Pair[Image]]:
         left, right = self._waiting
         found: list[Pair[Image]] = []
         while left and right:

@@ -154,16 +154,13 @@ class CharucoTarget:
         ids = np.asarray(ids).ravel()[order].astype(np.int64)
         pixels = np.asarray(found, dtype=float).reshape(-1, 2)[order]
         white = (self.square_m - self.tag_m) / 2  # between a corner and the tags beside it
-        half = int(white * self._px_per_m(ids, pixels))
-        return Corners(ids, refine_saddles(grey, pixels, half) if half >= 3 else pixels)
-
-    def _px_per_m(self, ids: NDArray[np.int64], pixels: Array) -> float:
-        """Return the scale of the image, px/m: the smallest distance between two seen neighbouring
-        corners over the side of a square; 0 without neighbours."""
+        # The scale of the image: smallest distance of two seen neighbours over a square's side
         apart = np.linalg.norm(pixels[:, None] - pixels, axis=2)
         neighbours = np.linalg.norm(self.points(ids)[:, None] - self.points(ids), axis=2)
         near = np.abs(neighbours - self.square_m) < 1e-6 * self.square_m
-        return float(apart[near].min() / self.square_m) if np.any(near) else 0.0
+        px_per_m = float(apart[near].min() / self.square_m) if np.any(near) else 0.0
+        half = int(white * px_per_m)
+        return Corners(ids, refine_saddles(grey, pixels, half) if half >= 3 else pixels)
 
     @cached_property
     def _detector(self) -> cv2.aruco.CharucoDetector:

@@ -46,7 +46,14 @@ def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> tuple[Array,
     Raises:
         StereoRefusal: BEHIND_CAMERA, if a point does not lie in front of both cameras.
     """
-    points = _triangulate_linearly(rig, left_px, right_px)
+    cameras = rig.left, rig.right
+    poses = [np.column_stack([camera.rotation, camera.translation]) for camera in cameras]
+    rays = [c.rays(pixels)[:, :2].T for c, pixels in zip(cameras, (left_px, right_px), strict=True)]
+    null = cv2.triangulatePoints(*poses, *rays).T
+    weight = null[:, 3]
+    if np.any(np.abs(weight) < 1e-9 * np.linalg.norm(null[:, :3], axis=1)):
+        raise StereoRefusal(RefusalReason.BEHIND_CAMERA, depth_m="infinite")
+    points = null[:, :3] / weight[:, None]
     # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
     for _ in range(2):
         in_front(rig, points)
@@ -83,17 +90,6 @@ def epipolar_px(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
     slopes = np.hypot(*lines_right[:, :2].T) ** 2 + np.hypot(*lines_left[:, :2].T) ** 2
     focal = float(np.sqrt(rig.left.k[0, 0] * rig.right.k[0, 0]))
     return focal * np.abs(off) / np.sqrt(slopes)
-
-
-def _triangulate_linearly(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
-    cameras = rig.left, rig.right
-    poses = [np.column_stack([camera.rotation, camera.translation]) for camera in cameras]
-    rays = [c.rays(pixels)[:, :2].T for c, pixels in zip(cameras, (left_px, right_px), strict=True)]
-    null = cv2.triangulatePoints(*poses, *rays).T
-    weight = null[:, 3]
-    if np.any(np.abs(weight) < 1e-9 * np.linalg.norm(null[:, :3], axis=1)):
-        raise StereoRefusal(RefusalReason.BEHIND_CAMERA, depth_m="infinite")
-    return null[:, :3] / weight[:, None]
 
 
 def in_front(rig: StereoRig, points: Array) -> None:

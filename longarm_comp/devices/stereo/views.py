@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from longarm_comp.devices.stereo.camera import Array
 from longarm_comp.devices.stereo.found import Limits, find_corners
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
@@ -36,16 +35,14 @@ class BoardView:
 
     def is_new(self, others: Sequence[BoardView], width: int) -> bool:
         """Return whether it shows the board elsewhere, or at another distance or tilt."""
-        return all(self._differs_from(other, width) for other in others)
-
-    def _differs_from(self, other: BoardView, width: int) -> bool:
-        shift = self.left.pixels.mean(axis=0) - other.left.pixels.mean(axis=0)
-        turn = np.subtract(self.tilt_deg, other.tilt_deg)
-        return bool(
-            np.linalg.norm(shift) > _NEW_PLACE * width
-            or abs(np.log(self.distance_m / other.distance_m)) > _NEW_SIZE
-            or np.abs(turn).max() > _NEW_TILT_DEG
-        )
+        for other in others:
+            shift = self.left.pixels.mean(axis=0) - other.left.pixels.mean(axis=0)
+            moved = np.linalg.norm(shift) > _NEW_PLACE * width
+            nearer = abs(np.log(self.distance_m / other.distance_m)) > _NEW_SIZE
+            tilted = np.abs(np.subtract(self.tilt_deg, other.tilt_deg)).max() > _NEW_TILT_DEG
+            if not (moved or nearer or tilted):
+                return False
+        return True
 
     def is_still(self, before: BoardView | None) -> bool:
         """Return whether the common corners have moved by less than 1 px since the pair before."""
@@ -70,8 +67,14 @@ def find_view(board: Target, left: Grey, right: Grey) -> BoardView:
     if len(ids) < FEWEST_CORNERS:
         raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
     shift = np.median(left_px[:, 0] - right_px[:, 0])
-    distance, tilt = _rough_pose(board.points(ids), left_px, left.shape[1], left.shape[0])
-    return BoardView(in_left, in_right, float(shift), distance, tilt)
+    # Distance and tilt for a focal length that is guessed as a share of the image's width
+    height, width = left.shape
+    k = np.array([[1.2 * width, 0.0, width / 2], [0.0, 1.2 * width, height / 2], [0.0, 0.0, 1.0]])
+    points = board.points(ids)
+    _, turn, move = cv2.solvePnP(points, left_px, k, None, flags=cv2.SOLVEPNP_IPPE)
+    x, y, z = -cv2.Rodrigues(turn)[0][:, 2]  # towards the scene: z of the board is to the viewer
+    tilt = (float(np.degrees(np.arctan2(y, z))), float(np.degrees(np.arctan2(x, z))))
+    return BoardView(in_left, in_right, float(shift), float(move[2, 0]), tilt)
 
 
 def list_gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
@@ -115,15 +118,3 @@ def _ninths_with_corners(
     cells = np.zeros((3, 3), dtype=bool)
     cells[down, across] = True
     return cells
-
-
-def _rough_pose(
-    points: Array, pixels: Array, width: int, height: int
-) -> tuple[float, tuple[float, float]]:
-    """Estimate distance, m, and tilt about the image's horizontal and vertical axis, deg."""
-    focal = 1.2 * width  # As a share of the image's width
-    k = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    _, turn, move = cv2.solvePnP(points, pixels, k, None, flags=cv2.SOLVEPNP_IPPE)
-    normal = -cv2.Rodrigues(turn)[0][:, 2]  # towards the scene: z of the board is to the viewer
-    tilt = np.degrees([np.arctan2(normal[1], normal[2]), np.arctan2(normal[0], normal[2])])
-    return float(move[2, 0]), (float(tilt[0]), float(tilt[1]))

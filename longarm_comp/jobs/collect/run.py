@@ -76,13 +76,13 @@ _HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early
 
 def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
     """Name ``collect``; what is not known yet has no value (docs/ros.md)."""
-    losing = WARN if now.lost else OK
+    losing = WARN if now.lost_visits else OK
     values: dict[str, object] = {
         "state": now.state,
         "done": now.done,
         "total": now.total,
-        "seen": now.seen,
-        "lost": len(now.lost),
+        "seen": now.seen_count,
+        "lost": len(now.lost_visits),
         "pose": now.visit,
     }
     if math.isfinite(now.seconds_left):
@@ -119,22 +119,22 @@ class Progress:
         return self.done / max(1, self.total)
 
     @property
-    def lost(self) -> dict[int, str]:
+    def lost_visits(self) -> dict[int, str]:
         """Visits of this run at which the marker was lost, and why."""
         return {index: why for index, why in self.made.items() if why}
 
     @property
-    def seen(self) -> int:
+    def seen_count(self) -> int:
         """Visits of this run at which the marker was seen."""
-        return len(self.made) - len(self.lost)
+        return len(self.made) - len(self.lost_visits)
 
     @property
     def losses(self) -> str:
         """A count of the poses at which the marker was lost, and why; empty if there is none."""
-        if not self.lost:
+        if not self.lost_visits:
             return ""
-        why = in_words(self.lost.values())
-        return f"marker lost at {len(self.lost)} of {len(self.made)} poses: {why}"
+        why = in_words(self.lost_visits.values())
+        return f"marker lost at {len(self.lost_visits)} of {len(self.made)} poses: {why}"
 
     def __str__(self) -> str:
         if self.state != "running":
@@ -187,12 +187,12 @@ def collect(
         try:
             run.drive([visit for visit in todo if visit.index not in done], give_up)
         except JobError as error:
-            if run.now().lost == run.made and not done:
+            if run.now().lost_visits == run.made and not done:
                 bag.discard()  # nothing in it is worth going on with
             with client.putting_back():
                 run.end("ended", str(error))
             raise
-    return Collected(len(run.made), len(done), len(todo), run.now().lost, run.blocked)
+    return Collected(len(run.made), len(done), len(todo), run.now().lost_visits, run.blocked)
 
 
 class _Run:
@@ -233,9 +233,9 @@ class _Run:
             self._tell_progress()
             self._make_visit(visit)
             now = self.now()
-            if now.lost == self.made and not self._before and 0 < give_up <= len(self.made):
+            if now.lost_visits == self.made and not self._before and 0 < give_up <= len(self.made):
                 raise JobError(f"{now.losses}. {_HINT}")
-            if len(now.lost) > half:
+            if len(now.lost_visits) > half:
                 raise JobError(f"the marker is not seen at most poses. {now.losses}")
         self._visit = None
         self.end("done")

@@ -17,7 +17,6 @@ from longarm_comp.core.data.plan import FLOOR, Plan, with_room
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import boxes_entered, describe_entry
-from longarm_comp.core.model.model import Model
 from longarm_comp.devices.servo_config import ServoConfig
 
 
@@ -89,11 +88,11 @@ class PlanCheck:
     blocks: bool
 
     @property
-    def passed(self) -> int:
+    def passed_count(self) -> int:
         return sum(not fault for fault in self.faults)
 
     @property
-    def mostly(self) -> str:
+    def common_faults(self) -> str:
         """The faults in words, the most frequent kinds first."""
         return in_words(fault for fault in self.faults if fault)
 
@@ -118,7 +117,17 @@ def plan_checks(
         faults = tuple(_why_outside(arm.joint_names, row[None], lower, upper) for row in q)
         checks.append(PlanCheck("inside the servos' limits", faults, True))
     if arm.keep_out:
-        checks += _keep_out_boxes(model, visits)
+        # A fault of the floor and one of other boxes, at the pose and where its run-up begins
+        owner = np.repeat(np.arange(len(visits)), [len(visit.path) for visit in visits])
+        found = {True: [""] * len(visits), False: [""] * len(visits)}
+        stops = np.concatenate([visit.path for visit in visits])
+        for k, text in zip(owner, boxes_entered(model, stops), strict=True):
+            side = found[text.startswith(f"{FLOOR}:")]
+            side[k] = side[k] or text
+        if FLOOR in arm.keep_out:
+            checks.append(PlanCheck("over the floor", tuple(found[True]), True))
+        if set(arm.keep_out) - {FLOOR}:
+            checks.append(PlanCheck("outside the keep-out boxes", tuple(found[False]), True))
         # The way from the visit before, and the run-up
         starts = [visits[0].path[0], *q[:-1]]
         ways = (np.vstack([start, v.path]) for start, v in zip(starts, visits, strict=True))
@@ -174,16 +183,3 @@ def _why_outside(
         return ""
     row, j = np.argwhere(off)[0]
     return f"{names[j]} outside: {path[row, j]:.4g}, allowed {lower[j]:.4g} to {upper[j]:.4g}"
-
-
-def _keep_out_boxes(model: Model, visits: Sequence[Visit]) -> list[PlanCheck]:
-    """Make a check of the floor and one of other boxes, at pose and begin of its run-up."""
-    stops = np.concatenate([visit.path for visit in visits])
-    owner = np.repeat(np.arange(len(visits)), [len(visit.path) for visit in visits])
-    found = {True: [""] * len(visits), False: [""] * len(visits)}
-    for k, text in zip(owner, boxes_entered(model, stops), strict=True):
-        side = found[text.startswith(f"{FLOOR}:")]
-        side[k] = side[k] or text
-    asked = {"over the floor": True, "outside the keep-out boxes": False}
-    names = {True: FLOOR in model.arm.keep_out, False: set(model.arm.keep_out) - {FLOOR}}
-    return [PlanCheck(text, tuple(found[low]), True) for text, low in asked.items() if names[low]]

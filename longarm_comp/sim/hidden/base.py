@@ -40,7 +40,7 @@ class Dosed:
         if "name" not in vars(cls):
             cls.name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
-    def scaled(self: Scaled, dose: float) -> Scaled:
+    def scale_by(self: Scaled, dose: float) -> Scaled:
         """Return the same effect `dose` times as large."""
         return replace(self, **{f: dose * getattr(self, f) for f in self.sizes})  # type: ignore
 
@@ -64,7 +64,7 @@ class HiddenEffect(Dosed):
         """Return true joint values (N, n) from those after the effects before it (`TrueArm`)."""
         return q
 
-    def held(self, torques: Array, state: State) -> Array | float:
+    def find_rest(self, torques: Array, state: State) -> Array | float:
         """Return joint offsets (N, n) by the settled torques (N, n), N m or N; see `gated`."""
         return 0.0
 

@@ -27,11 +27,6 @@ def _draw_signs(rng: np.random.Generator, size: int) -> Array:
     return rng.choice([-1.0, 1.0], size)
 
 
-def _draw_joint_zero(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    sd = np.where(arm.slides, 1e-3, 4e-3)
-    return geometry.JointZero(sd * rng.standard_normal(arm.n))
-
-
 def _draw_dh_error(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     sd = np.array([[3e-3], [1e-3], [0.0], [1e-3]])  # theta is the joint zero
     delta = sd * rng.standard_normal((4, len(arm.joints)))
@@ -47,21 +42,11 @@ def _draw_loose_screw(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return geometry.LooseScrew(arm.commanded[joint], joint, threshold, jump)
 
 
-def _draw_eccentricity(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    amplitude = np.stack([_draw_turning(arm, rng, 4e-3, 1e-2), _draw_turning(arm, rng, 1e-3, 4e-3)])
-    return drives.GearEccentricity(amplitude, rng.uniform(-np.pi, np.pi, (2, arm.n)))
-
-
 def _draw_cogging(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint = int(rng.choice(np.flatnonzero(~arm.slides)))
     span = arm.upper[joint] - arm.lower[joint]
     centre = arm.lower[joint] + rng.uniform(0.3, 0.7) * span
     return drives.CoggingBump(joint, centre, 0.12 * span, float(rng.choice([-1e-2, 1e-2])))
-
-
-def _draw_coupling(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    pairs = ~arm.slides & np.r_[False, ~arm.slides[:-1]]
-    return drives.JointCoupling(pairs * rng.uniform(0.005, 0.02, arm.n) * _draw_signs(rng, arm.n))
 
 
 def _draw_cable(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
@@ -74,13 +59,10 @@ def _draw_link_stiffness(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return loads.LinkStiffness({b.name: common * rng.uniform(0.7, 1.3) for b in arm.links})
 
 
-def _draw_link_mass(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    middle = [row.id for row in arm.joints][2:-1]
-    return loads.LinkMass(int(rng.choice(middle)), rng.uniform(0.1, 0.3))
-
-
 HIDDEN: dict[str, _Maker] = {
-    "joint_zero": _draw_joint_zero,
+    "joint_zero": lambda arm, rng: geometry.JointZero(
+        np.where(arm.slides, 1e-3, 4e-3) * rng.standard_normal(arm.n)
+    ),
     "dh_error": _draw_dh_error,
     "base_pose": lambda arm, rng: geometry.BasePose(
         rng.standard_normal(6) * ([2e-3] * 3 + [4e-3] * 3)
@@ -91,11 +73,18 @@ HIDDEN: dict[str, _Maker] = {
     "joint_gain": lambda arm, rng: drives.JointGain(
         _draw_turning(arm, rng, 0.01, 0.03) * _draw_signs(rng, arm.n)
     ),
-    "joint_coupling": _draw_coupling,
+    "joint_coupling": lambda arm, rng: drives.JointCoupling(
+        (~arm.slides & np.r_[False, ~arm.slides[:-1]])
+        * rng.uniform(0.005, 0.02, arm.n)
+        * _draw_signs(rng, arm.n)
+    ),
     "prismatic_pitch": lambda arm, rng: drives.PrismaticPitch(
         arm.slides * rng.uniform(0.02, 0.05, arm.n) * _draw_signs(rng, arm.n)
     ),
-    "gear_eccentricity": _draw_eccentricity,
+    "gear_eccentricity": lambda arm, rng: drives.GearEccentricity(
+        np.stack([_draw_turning(arm, rng, 4e-3, 1e-2), _draw_turning(arm, rng, 1e-3, 4e-3)]),
+        rng.uniform(-np.pi, np.pi, (2, arm.n)),
+    ),
     "servo_quantisation": lambda arm, rng: drives.ServoQuantisation(2 * np.pi / 1000 * ~arm.slides),
     "servo_droop": lambda arm, rng: drives.ServoDroop(_draw_turning(arm, rng, 1e-3, 4e-3)),
     "servo_deadband": lambda arm, rng: drives.ServoDeadband(
@@ -121,7 +110,9 @@ HIDDEN: dict[str, _Maker] = {
     "link_stiffness": _draw_link_stiffness,
     "creep": lambda arm, rng: loads.Creep(rng.uniform(0.1, 0.3), rng.uniform(1500, 6000)),
     "tip_payload": lambda arm, rng: loads.TipPayload(rng.uniform(0.05, 0.15)),
-    "link_mass": _draw_link_mass,
+    "link_mass": lambda arm, rng: loads.LinkMass(
+        int(rng.choice([row.id for row in arm.joints][2:-1])), rng.uniform(0.1, 0.3)
+    ),
     "measured_tilt": lambda arm, rng: loads.MeasuredTilt(
         0, rng.uniform(1e-3, 3e-3, 2), rng.uniform(1500, 4000), rng.uniform(-3e-3, 3e-3, 2)
     ),
@@ -136,7 +127,7 @@ def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden
     """Return an effect by name, `dose` times its typical size, at a random place."""
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
-    return HIDDEN[name](arm, rng).scaled(dose)
+    return HIDDEN[name](arm, rng).scale_by(dose)
 
 
 def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> HiddenEffect:
@@ -173,14 +164,14 @@ def scale_to_size(
     sound = TrueArm(arm, steps=QUICK_STEPS).tip(poses, context)
     dose = 1.0
     for _ in range(8):
-        moved = seen(effect.scaled(dose), arm, poses, context, sound) - sound
+        moved = seen(effect.scale_by(dose), arm, poses, context, sound) - sound
         size = 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
         if size == 0.0:
             raise InputError("hidden effect", "name", effect.name, "an effect that moves this arm")
         if abs(size - size_mm) < 0.02 * size_mm:
             break
         dose *= size_mm / size
-    return effect.scaled(dose)
+    return effect.scale_by(dose)
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> TrueContext:

@@ -61,7 +61,7 @@ class ServoQuantisation(HiddenEffect):
     of_command = True
     step: Array
 
-    def scaled(self, dose: float) -> ServoQuantisation:
+    def scale_by(self, dose: float) -> ServoQuantisation:
         """Return steps about `dose` times as large, of servos that exist (`STEPS_PER_TURN`)."""
         if dose == 0.0:
             return ServoQuantisation(0 * self.step)
@@ -127,7 +127,7 @@ class _Resting(HiddenEffect):
     half: Array  # half of the way from side to side, (n,), rad or m
     gate: float  # torque or force above which the weight decides, N m or N
 
-    def held(self, torques: Array, state: State) -> Array | float:
+    def find_rest(self, torques: Array, state: State) -> Array | float:
         loaded = np.abs(torques) > self.gate
         return self.half * np.where(loaded, np.sign(torques), -state.approach)
 
@@ -142,7 +142,7 @@ class ServoDeadband(_Resting):
     """A servo rests at the edge of its deadband, which its encoder sees."""
 
     def before(self, torques: Array, state: State) -> Array | float:
-        return self.held(torques, state)
+        return self.find_rest(torques, state)
 
 
 @dataclass(frozen=True)

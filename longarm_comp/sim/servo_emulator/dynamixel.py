@@ -120,17 +120,14 @@ class DynamixelWire(RegisterWire):
                 _sign_of(device) * (_signed_at(device, _At.GOAL) - _signed_at(device, _At.OFFSET))
             )
         if address <= _At.PROFILE_VELOCITY < end:
-            motor.speed_limit = _profile_speed(device)
+            profile = device.get(_At.PROFILE_VELOCITY, 4)
+            if device.get(_At.DRIVE_MODE, 1) & _TIME_BASED:  # the way takes so many ms
+                way = abs(motor.goal - motor.position)
+                motor.speed_limit = way / (profile / 1000.0) if profile else 0.0
+            else:
+                top = device.get(_At.VELOCITY_LIMIT, 4)
+                motor.speed_limit = min(profile, top) * _SPEED_UNIT
         return 0
-
-
-def _profile_speed(device: Device) -> float:
-    """Return the profile's speed limit, ticks/s; 0: none. Time-based: the way in so many ms."""
-    profile = device.get(_At.PROFILE_VELOCITY, 4)
-    if not device.get(_At.DRIVE_MODE, 1) & _TIME_BASED:
-        return min(profile, device.get(_At.VELOCITY_LIMIT, 4)) * _SPEED_UNIT
-    motor = device.motor
-    return abs(motor.goal - motor.position) / (profile / 1000.0) if profile else 0.0
 
 
 def _sign_of(device: Device) -> int:

@@ -89,7 +89,7 @@ class FeetechWire(RegisterWire):
                 motor.switch(True)  # a goal wakes an STS servo up
             low, high = device.get(_At.MIN_ANGLE, 2), device.get(_At.MAX_ANGLE, 2)
             low, high = (low, high) if high else (-30719, 30719)
-            asked = _signed(device.get(_At.GOAL, 2))
+            asked = _decode_signed(device.get(_At.GOAL, 2))
             goal = float(max(low, min(high, asked)))
             if device.get(_At.MODE, 1) == _STEPS:
                 motor.goal = motor.position + goal
@@ -123,9 +123,9 @@ def _sign_magnitude(value: int, bit: int) -> int:
 
 
 def _offset(device: Device) -> int:
-    return _signed(device.get(_At.OFFSET, 2), 11)
+    return _decode_signed(device.get(_At.OFFSET, 2), 11)
 
 
-def _signed(raw: int, bit: int = 15) -> int:
+def _decode_signed(raw: int, bit: int = 15) -> int:
     size = raw & ((1 << bit) - 1)
     return -size if raw >> bit & 1 else size

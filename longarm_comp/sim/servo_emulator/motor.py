@@ -139,12 +139,12 @@ class Motor:
         """Return the ends of where the horn may rest: the controller against load and friction."""
         spec = self.spec
 
-        def balanced(share: float, edge: float) -> float:
+        def balance_at(share: float, edge: float) -> float:
             side = math.copysign(1.0, share) if share else edge
             return self.goal + spec.droop_ticks * share + spec.dead_band_ticks * side
 
         load, held = self.external_load, spec.hold_share
-        return balanced(load - held, -1.0), balanced(load + held, 1.0)
+        return balance_at(load - held, -1.0), balance_at(load + held, 1.0)
 
     def _update_effort(self, dt_s: float) -> None:
         """Update effort, temperature and the servo's own protection."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -253,9 +254,12 @@ def test_a_restart_goes_on_from_the_file(tmp_path: Path) -> None:
     on = work.learned(back, 5, 2e-3)
     assert work.missed(on.model, 2e-3) < 1e-4 and on.named == grown.named
     assert file.load(path, fitted(), "another model").sightings == 0
-    path.write_text("{")
-    with pytest.raises(InputError, match=r"at_work\.json"):
-        file.load(path, fitted(), "hash")
+    stored = json.loads(path.read_text())
+    stored["served"]["uncertainty"] = None
+    for text, wrong in (("{", "file"), (json.dumps(stored), "uncertainty: 'missing'")):
+        path.write_text(text)
+        with pytest.raises(InputError, match=rf"at_work\.json: {wrong}"):
+            file.load(path, fitted(), "hash")
 
 
 def test_a_model_that_does_not_say_how_good_it_is_cannot_learn() -> None:

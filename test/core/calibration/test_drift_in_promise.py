@@ -10,11 +10,14 @@ from hidden_arm import SIGMA, at, calibrated, session, tip
 from small_arm import ARM
 
 from longarm_comp.core.arm.context import ORDER, Context
+from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.commanded import moved_with_time
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden.geometry import JointZero
 
@@ -65,6 +68,13 @@ def test_in_a_quick_session_little_can_drift() -> None:
         for s in (3600.0, 60.0)
     )
     assert minute[1] < 0.9 * hour[1]
+
+
+def test_a_drift_that_the_model_holds_counts_once() -> None:
+    rows = drifted(0, t_s=np.linspace(0.0, 3600.0, 100))
+    *_, (_, fit) = fit_stages(declared_model(ARM).plus(CameraDrift()), rows)
+    held = judged(with_uncertainty(fit))
+    assert held[0] >= 0.9 and held[1] < judged(with_uncertainty(calibrated(rows)))[1]
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ class OfferTable:
         places = self._column_numbers[group, :count]
         s = of.gram[places[:, :, None], places[:, None, :]]
         root = prior_root(of.like[places])
-        turned = np.swapaxes(root, 1, 2) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
+        turned = np.swapaxes(root, -2, -1) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
         values, turn = np.linalg.eigh(turned)
         self._turn[group, :count, :count] = root @ turn
         square = sizes[group][:, None, :] ** 2

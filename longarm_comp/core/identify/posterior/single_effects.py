@@ -219,22 +219,28 @@ class OfferBank:
             s = self.gram[places[:, :, None], places[:, None, :]]
             t = np.take_along_axis(along[ns], places, axis=1)
             lower, upper, like = self.lower[places], self.upper[places], self.like[places]
-            root, found = prior_root(like), []
+            root = prior_root(like)
             # Sizes are chosen at the coefficients that the smallest, or the largest, would give:
             # where the data hardly tell two apart, the largest lets them grow against each other.
-            for begun in (sizes.min(-1), sizes.max(-1)):
-                first = _solve_coefficients(s, t, begun[..., None] * root)[0]
-                scale, chance = choose_sizes(first, sizes, chances, like)
-                mean, sd, factor = _solve_coefficients(s, t, scale[..., None] * root)
-                inside = log_mass((lower - mean) / sd, (upper - mean) / sd).sum(-1)
-                inside = inside - log_prior_mass(lower / scale, upper / scale, like)
-                found.append((factor + chance + inside, mean))
-            (small, by_small), (large, by_large) = found
+            begun = np.stack([sizes.min(-1), sizes.max(-1)])
+            first = _find_mode(s, t, begun[..., None] * root)
+            scale, chance = choose_sizes(first, sizes[None], chances[None], like)
+            mean, sd, factor = _solve_coefficients(s, t, scale[..., None] * root)
+            inside = log_mass((lower - mean) / sd, (upper - mean) / sd).sum(-1)
+            inside = inside - log_prior_mass(lower / scale, upper / scale, like)
+            (small, large), (by_small, by_large) = factor + chance + inside, mean
             totals[ns] += np.where(small >= large, small, large)
             mode = np.where((small >= large)[:, None], by_small, by_large)
             for n, mean in zip(ns, np.clip(mode, lower, upper), strict=True):
                 means[n] = mean
         return totals, means
+
+
+def _find_mode(s: np.ndarray, t: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Return the mean of coefficients ``root w``, w unit normal."""
+    turned = np.swapaxes(root, -1, -2)
+    precision = np.eye(t.shape[-1]) + turned @ s @ root
+    return np.asarray((root @ np.linalg.solve(precision, turned @ t[..., None]))[..., 0])
 
 
 def _solve_coefficients(
