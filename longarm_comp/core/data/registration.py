@@ -82,7 +82,7 @@ def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where G bases stand and K markers sit, and what is left of N sightings."""
+    """The places of G bases and K markers, and what they leave of N sightings."""
 
     rotation: np.ndarray  # (G, 3, 3) of each base in the frame of the measurements
     offset: np.ndarray  # (G, 3) m

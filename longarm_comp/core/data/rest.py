@@ -107,8 +107,6 @@ NO_REST = f"the joints did not rest for {REST_S} s"
 """Why there is no position, where that is not the cameras' matter."""
 _LAST = 5
 """Sightings whose median is the final position: two of them may be wrong."""
-
-
 _LEAP, _LEAPS, _RETURNS = 10 * JOINT_REST, 4, 2 / 3
 """Two arms tell their joints in turn: at least so many steps between readings are as large (rad, m)
 as none of encoders' noise is, and more than this share of them is taken back by the next; of an arm

@@ -16,8 +16,6 @@ from longarm_comp.core.model.model import Model
 _Key = tuple[Layout | None, int, float, float]
 # joints (n,); position (m) and angle (rad) residuals, iterations, fault
 _Found = tuple[np.ndarray, list[float]]
-
-
 _BOX = ("lower", "upper")
 
 
