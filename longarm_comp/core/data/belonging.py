@@ -16,7 +16,6 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import compute_rotations
@@ -159,6 +158,8 @@ def _find_mistake_in_part(
         made = np.full(len(rows), np.nan)
         made[rows.has_position] = at.distance
         return made
+
+    from scipy.stats import chi2  # takes a quarter of a second
 
     far = (own := distance(session)) > least
     tried = []

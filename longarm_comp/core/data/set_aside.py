@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import betaln
 
 from longarm_comp.core.data.session import Session
 
@@ -132,11 +131,13 @@ def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> 
     names = np.unique(texts)
     if len(names) < 2 or spoilt.sum() < FEW:
         return None
+    from scipy.stats import hypergeom  # takes a quarter of a second
+
     chances = []
     for name in names:
         mine = texts == name
         both = int((mine & spoilt).sum())
-        p = float(_chance_to_share(both, len(texts), int(spoilt.sum()), mine.sum()))
+        p = float(hypergeom.sf(both - 1, len(texts), spoilt.sum(), mine.sum()))
         chances.append((p * len(names), str(name), int(rows[mine].sum())))
     p, value, count = min(chances)
     return value, count, p
@@ -150,34 +151,14 @@ def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -
     k, n = len(at), len(values)
     if k < FEW or values[0] == values[-1]:
         return None
+    from scipy.stats import hypergeom  # takes a quarter of a second
+
     low, high = np.searchsorted(values, at, "left"), np.searchsorted(values, at, "right")
     begin, end = np.triu_indices(k, FEW - 1)
     span = high[end] - low[begin]
     inside = np.searchsorted(at, at[end], "right") - np.searchsorted(at, at[begin], "left")
-    chance = _chance_to_share(inside - 2, n - 2, k - 2, span - 2) * len(begin)
+    chance = hypergeom.sf(inside - 3, n - 2, k - 2, span - 2) * len(begin)
     best = int(np.argmin(chance))
     a, b = at[begin[best]], at[end[best]]
     count = int(rows[(values >= a) & (values <= b)].sum())
     return f"{a:.4g} to {b:.4g}", count, float(chance[best])
-
-
-def _chance_to_share(
-    shared: np.ndarray | int, whole: int, marked: int, drawn: np.ndarray
-) -> np.ndarray:
-    """Return the chance that of `drawn` things (...) at least `shared` (...) are marked.
-
-    `marked` of `whole` things are, and any are as likely drawn as others (hypergeometric).
-    """
-    of_marked = np.arange(marked + 1)
-    drawn, shared = np.asarray(drawn)[..., None], np.asarray(shared)[..., None]
-    others = drawn - of_marked
-    possible = (others >= 0) & (others <= whole - marked)
-    log_ways = _log_choices(marked, of_marked) - _log_choices(whole, drawn)
-    log_ways = log_ways + _log_choices(whole - marked, np.where(possible, others, 0))
-    ways = np.where(possible & (of_marked >= shared), np.exp(log_ways), 0.0)
-    return np.asarray(np.minimum(ways.sum(axis=-1), 1.0))
-
-
-def _log_choices(whole: int, drawn: np.ndarray) -> np.ndarray:
-    """Return the log of the number of ways to draw (...) of `whole` things."""
-    return np.asarray(-betaln(whole - drawn + 1, drawn + 1) - np.log(whole + 1))
