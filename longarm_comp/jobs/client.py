@@ -89,7 +89,7 @@ class ArmClient(GraphClient):
         tips.subscription(self.node, self._on_tip)
         self._driver: DriverState | None = None
         self._stamps = Stamps(self.node.get_clock())
-        self._sent, self._refused, self._reached = "", "", False
+        self._sent, self._refused, self._reached, self._replaced = "", "", False, False
         self._patience_s = 0.0  # how long the last command takes
         self._way: tuple[str, dict[str, float]] = "", {}
         self._at: dict[str, float] = {}
@@ -145,6 +145,7 @@ class ArmClient(GraphClient):
             self._at = self._way[1]
         if message.id == self._sent:
             self._reached |= message.event == Motion.REACHED
+            self._replaced |= message.event == Motion.REPLACED
             self._refused = message.message if message.event == Motion.REFUSED else ""
 
     @property
@@ -189,6 +190,7 @@ class ArmClient(GraphClient):
         stamp = self._stamps.next()
         sent = trajectory_message(self.arm, path, times, stamp, np.zeros_like(path))
         self._sent, self._refused, self._reached = order_id(sent), "", False
+        self._replaced = False
         self._trajectory.publish(sent)
         return stamp_ns(sent.header.stamp)
 
@@ -201,6 +203,10 @@ class ArmClient(GraphClient):
         Args:
             start: (n,) where the joints stood before the command; a move may be over before this
                 is called.
+
+        Raises:
+            JobError: the driver stopped, refused the command or took another program's, or the
+                joints do not come.
         """
         q, tolerance = path[-1], pace.tolerance
         inside_since: list[tuple[float, np.ndarray]] = []
@@ -212,6 +218,8 @@ class ArmClient(GraphClient):
             self.driver_takes()
             if self._refused:
                 raise JobError(f"the driver refused the move: {self._refused}")
+            if self._replaced:
+                raise JobError("another program commanded the arm meanwhile: end one of the two")
             q_now = self.joints
             # The driver's last word may be that the arm rests where it was sent, and that is at q
             end = [self._at.get(name, np.nan) for name in self.arm.joint_names]

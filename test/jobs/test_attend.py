@@ -23,10 +23,11 @@ from small_arm import ARM
 import longarm_comp as la
 from longarm_comp.cli import collect
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import JobError
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.jobs import attend
-from longarm_comp.jobs.client import ArmClient, DriverStopped
+from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
 from longarm_comp.nodes import interfaces as graph
 from longarm_interfaces.msg import DriverState
 
@@ -121,6 +122,21 @@ def test_a_job_names_the_state_of_a_stopped_driver_at_once(rig: Rig, shell: Shel
         with pytest.raises(DriverStopped, match="longarm reset"):
             client.ready(600.0, tip=False)
     assert shell("reset") == 0
+
+
+def test_a_job_ends_where_another_program_commands_the_arm(rig: Rig) -> None:
+    """Two `collect` at once would each take the other's poses for its own."""
+    with ArmClient(TWO_JOINTS) as client:
+        client.until(lambda: client.joints is not None, 300.0, "joints")
+        client.ready(600.0, tip=False)
+        path = np.array([[0.9, 0.02]])
+        client.send(path)
+        client.until(lambda: client._way[0] == client._sent, 300.0, "accepted")
+        rig.send("another", shoulder=0.3)
+        pace = Pace(tolerance=np.array([0.01, 0.001]), arrive_s=300.0)
+        with pytest.raises(JobError, match="another program commanded the arm"):
+            client.arrive(path, pace)
+    rig.is_idle()
 
 
 def test_a_hand_guides_the_arm_while_touches_are_taken(

@@ -12,8 +12,7 @@ from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
-from scipy.special import gammaln
-from scipy.stats import f
+from scipy.special import fdtrc, gammaln
 
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -65,7 +64,7 @@ def refuse_moved_parts(fit: ModelFit) -> None:
         moved -= fitted @ (fitted.T @ moved)
         shift = linear.solve_posterior(moved, residual).u
         left = float(((residual - moved @ shift) ** 2).sum())
-        chance = f.sf((square - left) / len(mine) / (left / free), len(mine), free)
+        chance = fdtrc(len(mine), free, (square - left) / len(mine) / (left / free))
         worth = free * math.log(left / square) + len(mine) * math.log(equations)
         if worth < least and chance * tried < SIGNIFICANT:
             least = worth

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit, fdtri, logsumexp, softmax
-from scipy.stats import norm
+from scipy.special import expit, fdtri, log_ndtr, logsumexp, softmax
 
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.fit_columns import FitColumns
@@ -235,10 +234,11 @@ def _share_by_statement(fit: ModelFit) -> SensorShare:
     if not np.isfinite(ratios).any():
         return SensorShare(1.0, 1.0, sign)
     within, ratio = math.log(RIGHT_WITHIN), float(ratios[np.isfinite(ratios)].mean())
-    log_less = norm.logcdf(ratio / within)
-    log_all = norm.logpdf(ratio, 0.0, within) - log_less + math.log(math.log(EXCESS_WITHIN))
+    log_less = log_ndtr(ratio / within)
+    log_density = -0.5 * (ratio / within) ** 2 - math.log(within * math.sqrt(2.0 * math.pi))
+    log_all = log_density - log_less + math.log(math.log(EXCESS_WITHIN))
     whole = float(expit(log_all))
-    log_part = norm.logcdf(ratio / within - 2.0 * within) - log_less + 2.0 * (within**2 - ratio)
+    log_part = log_ndtr(ratio / within - 2.0 * within) - log_less + 2.0 * (within**2 - ratio)
     return SensorShare(whole + (1.0 - whole) * math.exp(min(log_part, 0.0)), whole, sign)
 
 

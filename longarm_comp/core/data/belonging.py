@@ -16,7 +16,6 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import compute_rotations
@@ -86,28 +85,31 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
     spread = median_spread(seen.xyz)
     least = max(_STRAY_RATIO * float(np.quantile(found.distance, 0.25)), _SUSPECT_SHARE * spread)
     belief = _Belief(found.misfit, spread, SetAside.of(seen, found.distance > least))
+    suspect, fall = _mean_distance(found, spread) >= _SUSPECT_SHARE * spread, ""
+    names: list[str] = []
+    if suspect:
+        names, undone = _find_mistakes(model, session, _split_at_shift(session, found), spread)
+        left = register(Sightings.of(model, undone)).distance.mean()
+        fall = f"{1e3 * found.distance.mean():.3g} -> {1e3 * left:.3g} mm"
+        if left > _SUSPECT_SHARE * spread:
+            fall += ", so more is wrong, or it is something else"
+        elif names:
+            return dataclasses.replace(belief, mistake=" and ".join(names), fall=fall)
+    part = None
     if len(belief.strays.rows) >= FEW:
         part = _find_mistake_in_part(model, session, found, least)
-        if part is not None:
-            return dataclasses.replace(belief, mistake=part[0], fall=part[1])
-    if _mean_distance(found, spread) < _SUSPECT_SHARE * spread:
-        axes = _find_mistake_of_axes(model, session)
-        if axes is not None:
-            return dataclasses.replace(belief, mistake=axes[0], fall=axes[1])
-        if (session.has_position & session.has_orientation).any():
-            return belief  # axes of the tip show every sign
-        some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
-        signs = _find_unknown_signs(model, seen.take(some), found.misfit)
-        return dataclasses.replace(belief, signs=signs)
-    parts = _split_at_shift(session, found)
-    names, undone = _find_mistakes(model, session, parts, spread)
-    if not names:
+    if part is not None:
+        return dataclasses.replace(belief, mistake=part[0], fall=part[1])
+    if suspect:
+        return dataclasses.replace(belief, mistake=" and ".join(names), fall=fall)
+    axes = _find_mistake_of_axes(model, session)
+    if axes is not None:
+        return dataclasses.replace(belief, mistake=axes[0], fall=axes[1])
+    if (session.has_position & session.has_orientation).any():  # axes of the tip show every sign
         return belief
-    left = register(Sightings.of(model, undone)).distance.mean()
-    fall = f"{1e3 * found.distance.mean():.3g} -> {1e3 * left:.3g} mm"
-    if left > _SUSPECT_SHARE * spread:
-        fall += ", so more is wrong, or it is something else"
-    return dataclasses.replace(belief, mistake=" and ".join(names), fall=fall)
+    some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
+    signs = _find_unknown_signs(model, seen.take(some), found.misfit)
+    return dataclasses.replace(belief, signs=signs)
 
 
 def _mean_distance(found: Registration, spread: float) -> float:
@@ -157,6 +159,8 @@ def _find_mistake_in_part(
         made = np.full(len(rows), np.nan)
         made[rows.has_position] = at.distance
         return made
+
+    from scipy.stats import chi2  # takes a quarter of a second
 
     far = (own := distance(session)) > least
     tried = []

@@ -14,7 +14,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import CLOCK, NEVER_TOLD, ORDER
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors
+from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors, tip_errors_at
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.model.model import Model
@@ -102,7 +102,8 @@ def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
     rows = own_way(session)
     placed = rows.take(rows.placed)
     at = compute_posture(less, placed)
-    return np.asarray(compute_tip_errors(less, placed, at) - compute_tip_errors(more, placed, at))
+    then = at if more.effects == less.effects else more.posture_near(at)
+    return np.asarray(tip_errors_at(less, placed, at) - tip_errors_at(more, placed, then))
 
 
 def as_commanded(model: Model) -> Model:

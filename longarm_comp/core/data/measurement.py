@@ -90,6 +90,11 @@ def compute_tip_errors(model: Model, session: Session, near: Posture | None = No
     if not len(placed):
         return np.zeros((0, 3))
     at = compute_posture(model, placed) if near is None else model.posture_near(near)
+    return tip_errors_at(model, placed, at)
+
+
+def tip_errors_at(model: Model, placed: Session, at: Posture) -> np.ndarray:
+    """Compute `compute_tip_errors` of rows that all say where the tip is, at the arm's posture."""
     positions = np.asarray(placed.xyz - model.measured_at(at))
     if placed.plain:
         return positions

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import hypergeom
 
 from longarm_comp.core.data.session import Session
 
@@ -132,6 +131,8 @@ def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> 
     names = np.unique(texts)
     if len(names) < 2 or spoilt.sum() < FEW:
         return None
+    from scipy.stats import hypergeom  # takes a quarter of a second
+
     chances = []
     for name in names:
         mine = texts == name
@@ -150,6 +151,8 @@ def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -
     k, n = len(at), len(values)
     if k < FEW or values[0] == values[-1]:
         return None
+    from scipy.stats import hypergeom  # takes a quarter of a second
+
     low, high = np.searchsorted(values, at, "left"), np.searchsorted(values, at, "right")
     begin, end = np.triu_indices(k, FEW - 1)
     span = high[end] - low[begin]

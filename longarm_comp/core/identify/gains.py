@@ -111,12 +111,11 @@ def _errors_without_each(
         before = after
         if not places.isdisjoint(held):
             # A first-order fit may overshoot; what is left without any fit is then nearer
-            less = min(
-                (refit_without(fitted, places), model.without(places)),
-                key=lambda left: float(np.linalg.norm(compute_tip_errors(left, rows, at[0]))),
-            )
-            less = with_frame_shift(less, fitted.session)
-            before = compute_tip_errors(less, rows, at[0]), commanded_errors(less, own, at[1])
+            tried = (refit_without(fitted, places), model.without(places))
+            seen = [compute_tip_errors(less, rows, at[0]) for less in tried]
+            nearest = int(np.argmin([np.linalg.norm(error) for error in seen]))
+            less = with_frame_shift(tried[nearest], fitted.session)
+            before = seen[nearest], commanded_errors(less, own, at[1])
         made.append(((before[0], after[0]), (before[1], after[1])))
     return made
 

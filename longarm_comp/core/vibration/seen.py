@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.vibration.modes import Modes
@@ -78,7 +78,7 @@ def fit_waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
         gain = ((left**2).sum() - (now**2).sum() - rounding) / more
         noise = ((now**2).sum() + rounding) / free
         # Chance at which noise alone would be taken for a wave
-        if gain <= 0.0 or f_distribution.sf(gain / noise, more, free) > 1e-6:
+        if gain <= 0.0 or fdtrc(more, free, gain / noise) > 1e-6:
             break
         found, left, last = fit.x.tolist(), now, fit
     if not found:

@@ -76,7 +76,9 @@ class OfferBank:
             for site in {offer.site for offer in offers if offer.site}
         }
         # What is left of the offers where others hold some places: which they take from, and how.
+        # Few of these places change what is left, so that most share their tables.
         self._beside: dict[frozenset[Hashable], _Beside] = {}
+        self._tables_of_left: dict[Hashable, list[OfferTable]] = {}
 
     @cached_property
     def _products(self) -> Products:
@@ -136,13 +138,25 @@ class OfferBank:
         )
         return SingleEffect(self.offers, q, np.asarray(mean), beside.left)
 
+    @cached_property
+    def _numbers_at(self) -> dict[Hashable, list[int]]:
+        """Numbers of the offers at every place."""
+        made: dict[Hashable, list[int]] = {}
+        for n, offer in enumerate(self.offers):
+            for key in offer.keys:
+                made.setdefault(key, []).append(n)
+        return made
+
     def _beside_places(self, held: frozenset[Hashable]) -> _Beside:
         """Return what is left of the offers where others hold some places."""
         if held not in self._beside:
-            taken = [n for n, o in enumerate(self.offers) if not held.isdisjoint(o.keys)]
+            taken = sorted({n for key in held for n in self._numbers_at.get(key, ())})
             rest = {n: self.offers[n].beside(held) for n in taken}
             left = {n: offer for n, offer in rest.items() if offer is not None}
-            self._beside[held] = _Beside(taken, left, OfferTable.of(self._products, left))
+            kept = tuple((n, offer.keys) for n, offer in left.items())
+            if kept not in self._tables_of_left:
+                self._tables_of_left[kept] = OfferTable.of(self._products, left)
+            self._beside[held] = _Beside(taken, left, self._tables_of_left[kept])
         return self._beside[held]
 
     @property
