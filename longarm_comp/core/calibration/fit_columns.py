@@ -10,7 +10,7 @@ from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.measurement import compute_shifts, make_equations
-from longarm_comp.core.model.model import slots_of
+from longarm_comp.core.model.model import Slot, slots_of
 
 
 class FitColumns:
@@ -33,7 +33,9 @@ class FitColumns:
             (N, d, k) change of the d channels at the N rows by one prior standard deviation of each
             parameter, m or rad.
         """
-        slots = slots_of(self.model.arm, terms)
+        return self._columns_of(slots_of(self.model.arm, terms))
+
+    def _columns_of(self, slots: tuple[Slot, ...]) -> np.ndarray:
         keys = [(*s.owner.variant, s.parameter.name) for s in slots]
         new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
         if new:
@@ -49,14 +51,15 @@ class FitColumns:
         """Return the (N, d) shift of the rows by terms at their values, m or rad."""
         slots = slots_of(self.model.arm, terms)
         values = np.array([s.value for s in slots]) / prior_widths(slots)
-        whole = [t for t in terms if not slots_of(self.model.arm, [t])]
+        free = {s.term for s in slots}
+        whole = [t for n, t in enumerate(terms) if n not in free]
         new = {t.variant: t for t in whole if t.variant not in self._shifts}
         if new:
             session, at = self._fitted.session, self._fitted.posture
             found = compute_shifts(self.model, session, at, list(new.values()))
             self._shifts.update(zip(new, np.moveaxis(found, -1, 0), strict=True))
         fixed = sum(self._shifts[t.variant] for t in whole)
-        return np.asarray(self.prior_columns(terms) @ values + fixed)
+        return np.asarray(self._columns_of(slots) @ values + fixed)
 
     def marginal_without(
         self,
