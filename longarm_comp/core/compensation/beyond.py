@@ -1,4 +1,4 @@
-"""Commands in circumstances that no row of the session had: how much the expected error grows.
+"""Commands that no row of the session was like: how much the expected error grows.
 
 A session at one payload determines only the product of a load and the compliance under it. What a
 heavier load does follows from the physics alone, so `sigma` grows outside the session's range.
@@ -61,6 +61,35 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
             text = f"{name} {values[row]:.4g} is beyond the session's {low:.4g} to {high:.4g}"
             said[row] = "; ".join(filter(None, (said[row], f"{text} (sigma {size:.2f} mm)")))
     return np.sqrt(variance), said
+
+
+def outside_data(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, list[str]]:
+    """Estimate how far the tip may be off, where functions without a name are outside their data.
+
+    There they count as at the end of the data. How they go on is not known.
+
+    Args:
+        q: (M, n) commanded joints, rad and m.
+
+    Returns:
+        Standard deviations (M, 3) in m, and in one sentence each which functions; zeros and ""
+        where all are within their data.
+    """
+    found = [effect for effect in model.effects if isinstance(effect, Discovered)]
+    if not found:
+        return np.zeros((len(q), 3)), [""] * len(q)
+    posture = model.posture(unstack(q), context)
+    named = zip(*(effect.outside(posture) for effect in found), strict=True)
+    parts = [sorted({part for each in row for part in each}) for row in named]
+    if not any(parts):
+        return np.zeros((len(q), 3)), [""] * len(q)
+    units = [dataclasses.replace(effect, function="1", domain="") for effect in found]
+    columns = model.columns(posture, slots_of(model.arm, units))[1].reshape(-1, 3, len(units))
+    more = [np.broadcast_to(effect.change_beyond(posture), len(q)) for effect in found]
+    sd = np.linalg.norm(columns * np.stack(more, axis=-1)[:, None], axis=-1)
+    text = "outside the data from which an effect was found"
+    said = [f"{text}: {', '.join(row)}" if row else "" for row in parts]
+    return sd, said
 
 
 def _sd_of_change(

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.beyond import outside_data
 from longarm_comp.core.compensation.expected import ExpectedMiss, expected_miss
 from longarm_comp.core.compensation.realisable import Lattice, Realisable, Search, choose
 from longarm_comp.core.compensation.result import (
@@ -32,7 +33,6 @@ from longarm_comp.core.compensation.result import (
 )
 from longarm_comp.core.compensation.unknown import (
     missing_column,
-    outside_data,
     unknown_circumstances,
 )
 from longarm_comp.core.ik import solver as ik
@@ -124,9 +124,10 @@ def judge(
     is_known = miss.sizes[0] <= largest
     rows = np.atleast_2d(command)
     spread, why = unknown_circumstances(physics, rows, context, doubtful)
-    if spread.any():
-        miss = miss.plus((spread**2).reshape(miss.mean.shape))
-    said = zip(why, outside_data(physics, rows, context), strict=True)
+    beyond, outside = outside_data(physics, rows, context)
+    if spread.any() or beyond.any():
+        miss = miss.plus((spread**2 + beyond**2).reshape(miss.mean.shape))
+    said = zip(why, outside, strict=True)
     return miss, is_known, ["; ".join(filter(None, each)) for each in said]
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.beyond import outside_data
 from longarm_comp.core.compensation.circle import check_no_turn, unwrap
 from longarm_comp.core.compensation.compensate import judge, physics_of
 from longarm_comp.core.compensation.planned_path import (
@@ -40,7 +41,6 @@ from longarm_comp.core.compensation.result import (
 from longarm_comp.core.compensation.take_up import PathLag, Reversal, slow_down, take_up_play
 from longarm_comp.core.compensation.unknown import (
     missing_column,
-    outside_data,
     unknown_circumstances,
 )
 from longarm_comp.core.errors import JobError
@@ -244,7 +244,7 @@ class _PathProblem:
         begins, rest = slice(first, first + 1), slice(first, None)
         notes = [
             *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
-            *outside_data(self.physics, command[rest], context.take(rest)),
+            *outside_data(self.physics, command[rest], context.take(rest))[1],
         ]
         if turn[worst := int(np.argmax(turn))] > REACHED:
             off = f"up to {np.degrees(turn[worst]):.2g} deg, at way-point {worst}"

@@ -13,9 +13,8 @@ import numpy as np
 from longarm_comp.core.arm.context import CLOCK, PER_JOINT, Context
 from longarm_comp.core.compensation.beyond import beyond_session
 from longarm_comp.core.compensation.weighing import SD
-from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik.engines import tip_poses
-from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.model.model import Model
 
 NO_END = "the model does not say when its session ended: calibrate again"
 """Why it gives no command, where it holds what went on while the session was measured."""
@@ -50,18 +49,6 @@ def unknown_circumstances(
     words = zip(*(why for _, why in each), strict=True)
     spread = np.sqrt(sum(sd**2 for sd, _ in each))
     return spread, ["; ".join(filter(None, why)) for why in words]
-
-
-def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
-    """Name the effects that are outside the data they were found in, at each of joints (M, n)."""
-    beyond: list[set[str]] = [set() for _ in q]
-    if bounded := [e for e in model.effects if type(e).outside is not Effect.outside]:
-        posture = model.posture(unstack(q), context)
-        for effect in bounded:
-            for row, parts in zip(beyond, effect.outside(posture), strict=True):
-                row.update(parts)
-    text = "outside the data from which an effect was found"
-    return [f"{text}: {', '.join(sorted(row))}" if row else "" for row in beyond]
 
 
 def history_joints(model: Model) -> dict[str, tuple[int, ...]]:

@@ -282,6 +282,10 @@ class Discovered(_OfFunction, Effect):
                     made[row] = (*made[row], text)
         return made
 
+    def change_beyond(self, posture: Posture) -> np.ndarray:
+        """Estimate, for N postures, how much more of its component may act outside the data."""
+        return abs(self.amount) * self.of.change_beyond(lambda q: q.read(posture))
+
     def twists(self, posture: Posture) -> Twists:
         amount = self.amount * self.of.value(lambda q: q.read(posture))
         return COMPONENTS[self.component].twists(posture, *_find_station(posture, self.at), amount)

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
 
+import numpy as np
+
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import Scalar
@@ -26,6 +28,8 @@ _MOST_ORDER = 8
 """Of a polynomial: one of a higher order is a function of its noise at a few hundred poses."""
 LARGEST = 1e9
 """Largest number that a function or a domain may hold."""
+_LOOKS = 33
+"""Places over its range at which a shape is looked at."""
 
 
 class FunctionError(ValueError):
@@ -68,6 +72,15 @@ class Shape(ABC):
     @abstractmethod
     def value(self, x: Scalar) -> Scalar:
         """Return the value at x, which lies within the range."""
+
+    def change_beyond(self, x: np.ndarray) -> np.ndarray:
+        """Estimate how far the value may be from that at the end of the range, at x outside it.
+
+        It may go on as it varies within: by its whole variation over the range, for as far again.
+        """
+        varies = np.ptp(self.value(np.linspace(self.low, self.high, _LOOKS)))
+        beyond = np.maximum(np.maximum(self.low - x, x - self.high), 0.0)
+        return np.asarray(varies * beyond / (self.high - self.low))
 
     @property
     def formula(self) -> str:
@@ -240,6 +253,15 @@ class Function:
     def value(self, read: Callable[[Quantity], Scalar]) -> Scalar:
         """Compute the product of its shapes, given a function that reads a quantity."""
         return math.prod((f.at(read(f.quantity)) for f in self.factors), start=1.0)
+
+    def change_beyond(self, read: Callable[[Quantity], Scalar]) -> np.ndarray:
+        """Estimate how far it may be from what `value` is, outside the ranges, to first order."""
+        values = [factor.at(read(factor.quantity)) for factor in self.factors]
+        changes = [
+            f.change_beyond(np.asarray(read(f.quantity))) * math.prod(values[:k] + values[k + 1 :])
+            for k, f in enumerate(self.factors)
+        ]
+        return np.asarray(np.sqrt(sum((change**2 for change in changes), start=np.zeros(1))))
 
     @property
     def text(self) -> str:

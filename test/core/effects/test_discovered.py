@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.beyond import outside_data
 from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.compensation.result import Method, Status
-from longarm_comp.core.compensation.unknown import outside_data
 from longarm_comp.core.effects.compliances import BearingTilt
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.discovered_words import reading
@@ -198,7 +200,24 @@ def test_outside_its_data_it_stands_still_and_the_command_says_so() -> None:
         found = compensate(model, None, model.tip(row), seed=row, method=Method.DEFLECTION)[0]
         assert found.status is Status.SUCCESS
         assert ("outside the data from which an effect was found: q2 0.9" in found.reason) == said
-    assert [bool(each) for each in outside_data(model, q, Context())] == [False, True]
+    sd, said = outside_data(model, q, Context())
+    assert [bool(each) for each in said] == [False, True] and not sd[0].any()
+
+
+@pytest.mark.parametrize("q2", [0.9, 0.2])
+def test_outside_its_data_a_function_may_go_on_and_the_promise_knows_it(q2: float) -> None:
+    """A straight line that goes on is as far off as one standard deviation."""
+    turned = Discovered("joint 2", "turn z", "linear(q2) * linear(q4)", "q2 0.3..0.6; q4 0.0..1.0")
+    stands = Model(SMALL, (dataclasses.replace(turned, amount=-0.05),))
+    goes_on = dataclasses.replace(turned, amount=-0.05, domain="q2 -1.0..1.0; q4 -1.0..1.0")
+    q = np.array([[0.1, q2, 0.05, 0.7]])
+    off = stands.tip(q) - Model(SMALL, (goes_on,)).tip(q)
+    sd, _ = outside_data(stands, q, Context())
+    np.testing.assert_allclose(sd, abs(off), rtol=0.05, atol=1e-6)
+    assert np.linalg.norm(off) > 1e-3
+    (found,) = compensate(stands, None, stands.tip(q[0]), seed=q[0], method=Method.DEFLECTION)
+    known = expected_miss(stands, q, Context(), stands.tip(q)).sigma[0]
+    np.testing.assert_allclose(found.sigma, np.hypot(known, sd[0]), rtol=1e-3)
 
 
 def test_a_command_without_the_column_that_drives_it_is_stale() -> None:
