@@ -58,7 +58,7 @@ _STRUCTURE: Measure = ("claims structure", lambda x: x["result"]["flag"])
 _DANGEROUS: Measure = ("dangerous verdict", lambda x: x["result"]["dangerous"])
 _WRONG: Measure = ("wrong single name", lambda x: x["result"]["wrong_single"])
 _TOLD: Measure = (
-    "wrong single name that these rows tell from the right one",
+    "wrong single name, told by the rows",
     lambda x: x["result"]["wrong_single"] and x["result"]["told_apart"],
 )
 _NAMING: tuple[Measure, ...] = (
