@@ -48,6 +48,7 @@ class ServoWatch:
         self._seen = {name: _Seen() for name in config.joints}
         self._started: float | None = None
         self._now = 0.0
+        self._goals_before: Mapping[int, int] | None = None
 
     def update(
         self, now: float, states: Mapping[int, ServoState], goals: Mapping[int, int] | None
@@ -56,6 +57,8 @@ class ServoWatch:
 
         An alarm or a temperature that is too high is believed when the next read-back says so
         too; until then the servo is doubtful: one damaged reply in 256 passes its checksum.
+
+        A servo is judged by the goal before the last: the last may have been sent just now.
 
         Args:
             now: s, monotonic.
@@ -67,6 +70,9 @@ class ServoWatch:
         if self._started is None:
             self._started = now
         self._now = now
+        judged_by, self._goals_before = self._goals_before, goals
+        if goals is None:
+            judged_by = None
         findings: list[JointFault] = []
         fresh = True
         for name, joint in self._config.joints.items():
@@ -81,7 +87,7 @@ class ServoWatch:
                 else:
                     seen.state, seen.at = state, now
                     findings += seen.ill
-            goal = None if goals is None else goals.get(joint.servo_id)
+            goal = None if judged_by is None else judged_by.get(joint.servo_id)
             findings += self._find_disobedience(name, joint, seen, goal, now)
             findings += self._find_silent(name, seen, now)
         return fresh, findings
