@@ -139,6 +139,7 @@ bench: $(STAMPS)/bench
 	$(BIN)/longarm bench -o build/bench
 
 # The tables of figures in docs/, printed anew: hours. A second call goes on where the first ended.
+# Some of them: FIGURES_ARGS='real day --data DIR'
 FIGURES_ARGS ?=
 figures: $(STAMPS)/bench
 	$(BIN)/python docs/made_by/figures.py $(FIGURES_ARGS)

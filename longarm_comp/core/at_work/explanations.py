@@ -26,6 +26,9 @@ MOST = 4
 """Explanations that are carried along: each costs as much time as the first."""
 DOUBT = 0.01
 """Probability that a sighting is wrong, and with which explanations may be forgotten."""
+VISITED, ALIKE = 16, 0.05
+"""Poses whose own errors are followed, the last ones; no joint differs by more than this share of
+its range where poses count as one."""
 SURPRISE = -math.log(DOUBT)
 """Surprise from which on a sighting may be wrong: it is as rare as a wrong one."""
 _PATIENCE = 10
@@ -71,14 +74,16 @@ class Branch:
 
         Each comes with the log of its weight times the likelihood of the sighting.
         """
-        known, weight = self.known.update(row), math.log(self.weight)
+        before = self.known.at_new_place(row.place, row.structure) if row.is_new else self.known
+        known, weight = before.update(row), math.log(self.weight)
         wrong = known.surprise > SURPRISE
         age = 0 if wrong else self.age + 1
         taken = dataclasses.replace(self, known=known, age=age)
         yield weight + math.log1p(-DOUBT) + known.log_likelihood, taken
         if wrong:
             doubt = weight + math.log(DOUBT) + row.log_doubt(self.known.expected)
-            yield doubt, dataclasses.replace(self, left_out=self.left_out + 1, age=age)
+            left_out = self.left_out + 1
+            yield doubt, dataclasses.replace(self, known=before, left_out=left_out, age=age)
 
     def split(self) -> Iterator[Branch]:
         """Yield one branch for each effect that may have changed, or only this one while the
@@ -122,6 +127,8 @@ class Explanations:
     """All explanations, with weights that sum to 1."""
 
     branches: tuple[Branch, ...]  # the most probable first
+    visited: tuple[tuple[int, np.ndarray], ...] = ()
+    """The poses whose own errors are followed, each with its place, the latest last."""
 
     @property
     def left_out(self) -> int:
@@ -135,6 +142,7 @@ class Explanations:
 
     def update(self, row: Row) -> Explanations:
         """Return the explanations weighed again with one more sighting."""
+        row, visited = self._visit(row)
         each = [judged for b in self.branches for judged in b.judge(row)]
         logs = np.array([log for log, _ in each])
         top = float(logs.max())
@@ -154,7 +162,21 @@ class Explanations:
             made = list(merged.values())
         kept = sorted(made, key=lambda b: -b.weight)[:MOST]
         whole = sum(b.weight for b in kept)
-        return Explanations(tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept))
+        branches = tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept)
+        return Explanations(branches, visited)
+
+    def _visit(self, row: Row) -> tuple[Row, tuple[tuple[int, np.ndarray], ...]]:
+        """Find the place of a sighting's pose, which may be that of the pose that is oldest."""
+        if row.pose is None:
+            return row, self.visited
+        for known in self.visited:
+            if np.abs(known[1] - row.pose).max() < ALIKE:
+                others = tuple(each for each in self.visited if each is not known)
+                return dataclasses.replace(row, place=known[0]), (*others, known)
+        full = len(self.visited) == VISITED
+        place = self.visited[0][0] if full else len(self.visited)
+        visited = (*self.visited[full:], (place, row.pose))
+        return dataclasses.replace(row, place=place, is_new=True), visited
 
     @cached_property
     def expected(self) -> np.ndarray:

@@ -58,6 +58,9 @@ STEP_M = 2e-3
 """Largest step of the tip where a sighting saw it, by that sighting's learning, m."""
 DRAWN = 32
 """Poses all over the ranges of the joints at which a step is judged."""
+SHARED = 0.5
+"""What is alike at each visit to a pose, as a share of what no parameter explains: all of that may
+differ besides, as friction does with the way."""
 WORTH = 0.1
 """Step, in standard deviations of a sighting, from which on another model is served: less is
 lost in what scatters."""
@@ -172,8 +175,16 @@ class Learner:
         # By how much the equation is not linear up to what is known
         bent = known.space.at(known.within_bounds).measured(q, context) - point
         bent = bent - columns @ (known.within_bounds - at)
-        noise = noise + self.given.structure + np.outer(bent, bent)
-        return Row(t_s, columns, tip - point + columns @ at, noise, float(np.linalg.norm(point)))
+        arm = self.model.arm
+        return Row(
+            t_s,
+            columns,
+            value=tip - point + columns @ at,
+            noise=noise + self.given.structure + np.outer(bent, bent),
+            reach=float(np.linalg.norm(point)),
+            pose=(q - arm.lower) / (arm.upper - arm.lower),
+            structure=SHARED * self.given.structure,
+        )
 
     def _take_in(self, before: Explanations, row: Row) -> Learner:
         """Return the learner that knows one more sighting, and serves the same model."""

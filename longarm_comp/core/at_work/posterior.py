@@ -4,6 +4,9 @@
 c changed before sighting t" differs from it by a known linear response to the unknown jump. A
 recursion carries that response along (Willsky and Jones 1976, IEEE Trans. Automatic Control 21), so
 that hundreds of such changes cost one filter.  Each has its evidence.  A drift is a row of jumps.
+
+What no parameter explains is alike whenever the arm comes to a pose.  Counted anew at each visit it
+would be learned as a fault of the arm, so the filter follows this error at the last poses too.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +47,11 @@ class Row:
     value: np.ndarray  # (3,) m, the sighting less what the numbers at 0 would give, to first order
     noise: np.ndarray  # (3, 3) m^2
     reach: float  # distance from the base, m
+    pose: np.ndarray | None = None  # (n,) joints, in shares of their ranges
+    structure: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) m^2, of the error that each visit to the pose shares."""
+    place: int = -1  # of this pose among those whose own error is followed
+    is_new: bool = False  # whether the arm comes to this pose for the first time
 
     def log_doubt(self, expected: np.ndarray) -> float:
         """Return the log density of a wrong sighting where parameters (q,) are expected.
@@ -73,14 +81,16 @@ class RecursivePosterior:
     space: Parameters  # the numbers
     mean: np.ndarray  # (q,) if nothing changed
     active: np.ndarray  # (p,) positions of what is not known exactly
-    covariance: np.ndarray  # (p, p) of these
+    covariance: np.ndarray  # (p + 3k, p + 3k) of these, and of the errors of k poses
     again: np.ndarray  # (C,) whether an effect has changed before
     since: np.ndarray  # (T,) first sighting's time of each onset
     count: np.ndarray  # (T,) sightings since
-    response: np.ndarray  # (T, p, q) of the mean's error to a unit jump
+    response: np.ndarray  # (T, p + 3k, q) of the mean's error to a unit jump
     gram: np.ndarray  # (T, C, k, k),
     along: np.ndarray  # (T, C, k), of a jump in ordinary sizes, against the noise
     growth: np.ndarray  # (T, G) log Bayes factors of grown errors
+    beside: np.ndarray  # (3k,) m, what no parameter explains, by pose
+    structure: np.ndarray  # (3, 3) m^2, how large that is
     log_likelihood: float = 0.0  # of the last sighting
     surprise: float = 0.0  # how much less that is than the most that was possible
 
@@ -105,16 +115,44 @@ class RecursivePosterior:
             gram=np.zeros((0, c, k, k)),
             along=np.zeros((0, c, k)),
             growth=np.zeros((0, len(_GROWN))),
+            beside=np.zeros(0),
+            structure=np.zeros((3, 3)),
+        )
+
+    def at_new_place(self, place: int, structure: np.ndarray) -> RecursivePosterior:
+        """Return it where nothing is known of a pose's own error but its size (3, 3), m^2.
+
+        Args:
+            place: at most k; what was known of the pose that had it is forgotten.
+        """
+        p, known = len(self.active), len(self.covariance)
+        own = slice(p + 3 * place, p + 3 * place + 3)
+        whole = max(known, own.stop)
+        covariance = np.zeros((whole, whole))
+        covariance[:known, :known] = self.covariance
+        covariance[own] = covariance[:, own] = 0.0
+        covariance[own, own] = structure
+        response = np.zeros((len(self.response), whole, len(self.space)))
+        response[:, :known] = self.response
+        response[:, own] = 0.0
+        beside = np.zeros(whole - p)
+        beside[: len(self.beside)] = self.beside
+        beside[3 * place : 3 * place + 3] = 0.0
+        return dataclasses.replace(
+            self, covariance=covariance, response=response, beside=beside, structure=structure
         )
 
     def update(self, row: Row) -> RecursivePosterior:
         """Update "nothing changed", and every change at every onset, with a sighting."""
-        a = row.columns[:, self.active]
+        own = np.zeros((3, len(self.beside)))
+        if row.place >= 0:
+            own[:, 3 * row.place : 3 * row.place + 3] = np.eye(3)
+        a = np.concatenate([row.columns[:, self.active], own], axis=1)
         carried = self.covariance @ a.T
         spread = a @ carried + row.noise
         inverse = np.linalg.inv(spread)
         gain = carried @ inverse
-        off = row.value - row.columns @ self.mean
+        off = row.value - row.columns @ self.mean - own @ self.beside
         response = _add_onset(self.response)
         seen = row.columns - a @ response
         response = response + gain @ seen
@@ -122,8 +160,8 @@ class RecursivePosterior:
         jump = np.moveaxis((seen * self.space.widths)[:, :, self.space.places], 1, -1)
         jump = np.where((self.space.places >= 0)[None, :, :, None], jump, 0.0)
         turned = jump @ inverse
-        mean = self.mean.copy()
-        mean[self.active] += gain @ off
+        mean, moved = self.mean.copy(), gain @ off
+        mean[self.active] += moved[: len(self.active)]
         square = float(off @ inverse @ off)
         log_det = float(np.linalg.slogdet(2.0 * math.pi * spread)[1])
         growth = 0.5 * square * (1.0 - _GROWN**-2) - 3.0 * np.log(_GROWN)
@@ -131,6 +169,7 @@ class RecursivePosterior:
         after = dataclasses.replace(
             self,
             mean=mean,
+            beside=self.beside + moved[len(self.active) :],
             covariance=(covariance + covariance.T) / 2.0,
             since=np.append(self.since, row.t_s),
             count=np.append(self.count, 0) + 1,
@@ -215,7 +254,7 @@ class RecursivePosterior:
         places = np.array(self.space.own(c))
         jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
         follows = np.zeros((len(self.space), len(places)))
-        follows[self.active] = -self.response[t][:, places]
+        follows[self.active] = -self.response[t][: len(self.active), places]
         follows[places, np.arange(len(places))] += 1.0
         return places, jump, follows
 
@@ -256,7 +295,8 @@ class RecursivePosterior:
         active = np.unique(np.concatenate([self.active, *changed])).astype(int)
         covariance = np.zeros((len(active), len(active)))
         before = np.isin(active, self.active)
-        covariance[np.ix_(before, before)] = self.covariance
+        known = len(self.active)
+        covariance[np.ix_(before, before)] = self.covariance[:known, :known]
         off = (self.mean - mean)[active]
         covariance += max(1.0 - sum(weights.values()), 0.0) * np.outer(off, off)
         for (t, c), weight in weights.items():
@@ -280,6 +320,8 @@ class RecursivePosterior:
         again = self.again.copy()
         again[c] = True
         begun = RecursivePosterior.begin(self.space, mean, active, covariance)
+        for place in range(len(self.beside) // 3):
+            begun = begun.at_new_place(place, self.structure)
         return dataclasses.replace(begun, again=again)
 
 

@@ -24,7 +24,7 @@ from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.model_file import restore, store
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden.drives import JointGain
+from longarm_comp.sim.hidden.drives import GearEccentricity, JointGain
 from longarm_comp.sim.hidden.geometry import JointZero
 from longarm_comp.sim.hidden.loads import JointCompliance
 
@@ -81,6 +81,32 @@ def test_the_promise_holds_after_any_number_of_sightings(truth: TrueArm, rows: s
     _, error, radius = judged(learner.model, truth)
     assert error < 1.1 * SIGMA and learner.named == ()  # the arm is learned, and has not changed
     assert rows == "wide" or radius < 2.0 * SIGMA  # all over, a misfit stays in the structure
+
+
+WAVES = ((1.5e-3, 1.5e-3), (1.0, 2.0))
+"""Amplitudes and phases of the second and third harmonic of every joint, rad."""
+
+
+def test_at_poses_that_return_what_the_model_lacks_is_not_learned() -> None:
+    """What is alike at each visit tells no more than one visit; 0.78 were inside, 1.13 mm off."""
+    amplitude, phase = (np.repeat([[0.0], [a], [b]], ARM.n, axis=1) for a, b in WAVES)
+    truth = TrueArm(ARM, [GearEccentricity(amplitude, phase)])
+    rng = np.random.default_rng(1)
+    job = ARM.lower + rng.random((4, ARM.n)) * (ARM.upper - ARM.lower)
+    learner = Learner.of(calibrated(truth, "wide"))
+    before = judged(learner.model, truth)
+    for k in range(150):
+        tip = truth.tip(job[k % 4][None])[0] + SIGMA * rng.standard_normal(3)
+        learner = learner.learn(job[k % 4], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
+    inside, error, radius = judged(learner.model, truth)
+    assert inside > 0.93 and error < 1.05 * before[1] and radius < 1.05 * before[2]
+    assert learner.named == ()
+    slipped = TrueArm(ARM, [GearEccentricity(amplitude, phase), JointZero(np.eye(ARM.n)[1] * 5e-3)])
+    for k in range(150, 200):
+        tip = slipped.tip(job[k % 4][None])[0] + SIGMA * rng.standard_normal(3)
+        learner = learner.learn(job[k % 4], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
+    assert [n.where for n in learner.now] == ["joint 2"]
+    assert judged(learner.model, slipped)[0] > 0.85
 
 
 def test_compliances_that_are_not_held_stay_in_the_record() -> None:
