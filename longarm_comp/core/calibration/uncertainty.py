@@ -90,6 +90,8 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     circumstances = {"temperature_c": (warmth, warmth)}
     if payload is not None:  # as declared where the rows do not say it
         circumstances["payload_kg"] = (payload.mass_kg, payload.mass_kg)
+    for j, joint in enumerate(rows.q.T, 1):
+        circumstances[f"q{j}"] = (float(joint.min()), float(joint.max()))
     for name, column in fit.session.columns.items():
         values = np.asarray(column, dtype=float)[kept]
         if is_told(name) and name not in (CLOCK, ORDER) and np.isfinite(values).any():

@@ -2,8 +2,8 @@
 
 The error of the tip has two parts.  The parameters are known to their covariance, which
 `Model.columns` carries to the tip at any joints: it grows away from the rows.  What no parameter
-explains is the same everywhere: structure of the arm, and noise of the measurement, which is no
-error of the tip.  `core/calibration/uncertainty.py` makes the record,
+explains is structure of the arm, the same wherever the rows were and growing outside, and noise of
+the measurement, which is no error of the tip.  `core/calibration/uncertainty.py` makes the record,
 `core/compensation/expected.py` reads it.
 """
 
@@ -42,7 +42,7 @@ class ModelUncertainty:
         largest_m: expected error of the tip, the largest over the fitted rows, m.
         rows: number of fitted rows.
         frame: (3, 3) m^2, of where the frame of targets lies: what measures moved meanwhile.
-        circumstances: lowest and highest payload, temperature and tilt of these, by column.
+        circumstances: lowest and highest joints, payload, temperature and tilt of these, by column.
         absent: effects that the arm may have and the model does not hold.
     """
 
@@ -66,6 +66,24 @@ class ModelUncertainty:
         kept = [k for k, identity in enumerate(self.slots) if identity not in slots]
         names = tuple(self.slots[k] for k in kept)
         return replace(self, slots=names, factor=triangular(self.factor[kept]))
+
+    def structure_at(self, q: np.ndarray, least: np.ndarray) -> np.ndarray:
+        """Return (N, 3, 3) m^2, the structure at joints (N, n), rad and m.
+
+        Outside the range of the rows it goes on as a parabola of each joint does that has its share
+        of it: the second Legendre polynomial u over the range rises from 1 to 1 + 6 (e + e^2) at e
+        ranges beyond, and has a mean square of 1/5 within.
+
+        Args:
+            least: (n,) range, rad or m; of a joint that moved by less the rows tell nothing.
+        """
+        n = q.shape[-1]
+        anywhere = (-np.inf, np.inf)
+        low, high = np.array([self.circumstances.get(f"q{j + 1}", anywhere) for j in range(n)]).T
+        told = high - low > least
+        e = np.maximum(np.maximum(low - q, q - high), 0.0) / np.where(told, high - low, np.inf)
+        grown = 1.0 + (180.0 * (e + e**2) ** 2).sum(axis=-1) / n
+        return np.asarray(grown[..., None, None] * self.structure)
 
     def carry_to_tip(self, columns: np.ndarray, slots: Sequence[_Identity]) -> np.ndarray:
         """(N, 3, 3) m^2 that the parameters bring to the tip.
