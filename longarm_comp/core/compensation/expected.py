@@ -25,7 +25,7 @@ from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import sizes
 
-STILL = 0.1
+LEAST_MOVED = 0.1
 """Share of its range by which a joint moves in rows that tell how an error varies with it."""
 BY_HAND = math.radians(1.0)
 """Zero of a joint, rad, as hands and servo horns set it.  A calibration expects less (`JointZero`):
@@ -98,7 +98,7 @@ def expected_miss(
     carried = carried.reshape(*mean.shape, 3)
     if learned is None:
         arm = model.arm
-        structure = known.structure_at(np.atleast_2d(q), STILL * (arm.upper - arm.lower))
+        structure = known.structure_at(np.atleast_2d(q), LEAST_MOVED * (arm.upper - arm.lower))
         return ExpectedMiss(mean, carried + structure.reshape(carried.shape) + known.frame)
     seen = learned**2 - np.diag(known.noise)
     least = np.diagonal(carried, axis1=-2, axis2=-1)

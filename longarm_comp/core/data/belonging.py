@@ -273,8 +273,9 @@ def undo_mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
     mirrored = dataclasses.replace(session, xyz=xyz * (1.0, 1.0, -1.0))
     yield "x, y, z look mirrored: two of them are swapped or one is negated", mirrored
     for k in range(3):
-        negated = dataclasses.replace(session, xyz=xyz * np.where(np.arange(3) == k, -1.0, 1.0))
-        yield f"{'xyz'[k]} looks negated", negated
+        if k < 2:  # z negated is mirrored
+            negated = xyz * np.where(np.arange(3) == k, -1.0, 1.0)
+            yield f"{'xy'[k]} looks negated", dataclasses.replace(session, xyz=negated)
         order = np.roll([0, 2, 1], k)
         swapped = dataclasses.replace(session, xyz=xyz[:, order])
         yield f"{' and '.join(np.array(list('xyz'))[order != np.arange(3)])} look swapped", swapped
