@@ -1,6 +1,7 @@
 """The possible changes of an arm at work: every effect at every place, and its parameters.
 
-Of the geometry a joint's zero may slip, and the base or the tip may be knocked.
+Of the geometry a joint's zero may slip, alone or with all others, as where the arm is referenced
+anew; and the base or the tip may be knocked.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.model import Model, Slot, slots_of
 
 Key = tuple[str, str]
+TOGETHER = "all joints"
+"""Where the zeros of all joints have changed at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,8 @@ class Parameters:
             wears = owner.searched and not owner.geometry and not owner.passing
             if wears or owner.slips or owner.knocked:
                 at.setdefault(slot.owner.key, []).append(k)
+            if owner.slips:
+                at.setdefault((owner.name, TOGETHER), []).append(k)
         keys = tuple(at)
         places = np.full((len(keys), max(map(len, at.values()), default=0)), -1)
         for row, mine in enumerate(at.values()):
@@ -86,6 +91,10 @@ class Parameters:
     def own(self, c: int) -> list[int]:
         """List the positions of the parameters of a possible change."""
         return [int(k) for k in self.places[c] if k >= 0]
+
+    def where(self, c: int) -> str:
+        """Return the place of a possible change in words."""
+        return TOGETHER if TOGETHER in self.keys[c] else self.slots[self.own(c)[0]].owner.where
 
     @cached_property
     def position(self) -> Mapping[tuple[object, ...], int]:

@@ -108,7 +108,7 @@ class Branch:
                 changes += (
                     _PastChange(
                         key=key,
-                        where=known.space.slots[own[0]].owner.where,
+                        where=known.space.where(c),
                         since_s=float(known.since[t]),
                         sightings=int(known.count[t]),
                         before=tuple(known.mean[own].tolist()),

@@ -71,7 +71,8 @@ class Named(Declared):
 
     Attributes:
         since_s: time of the first sighting that shows it.
-        by: (parameter, unit, change) of those parameters that moved.
+        by: (parameter, unit, change) of those parameters that moved, with the joint where
+            several have.
         probability: probability of the effect, given that something changed there.
         rivals: other effects there that may have changed, with their probabilities.
         sightings: number of sightings that it took to find it.
@@ -374,13 +375,22 @@ def _name_change(known: Explanations, where: str) -> Named:
     space = branch.known.space
     places = space.own(space.keys.index(change.key))
     moved = branch.known.expected[places] - np.array(change.before)
-    parameters = (space.slots[k].parameter for k in places)
-    by = ((p.name, p.unit, float(v)) for p, v in zip(parameters, moved, strict=True) if v)
+    slots = [space.slots[k] for k in places]
+    several = len({s.owner.where for s in slots}) > 1
+    by = tuple(
+        (
+            f"{s.owner.where} {s.parameter.name}" if several else s.parameter.name,
+            s.parameter.unit,
+            v,
+        )
+        for s, v in zip(slots, moved.tolist(), strict=True)
+        if v
+    )
     return Named(
         effect=first,
         where=where,
         since_s=change.since_s,
-        by=tuple(by),
+        by=by,
         probability=chances[first],
         rivals=tuple((name, chances[name]) for name in others),
         sightings=change.sightings,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from at_work_arm import JOINT, LAG, NOISE, fitted, true_tip
+from at_work_arm import JOINT, LAG, NOISE, VARIANCE, Work, fitted, true_tip
 from hidden_arm import SIGMA
 from read_arm import ARM as HEAVY
 from small_arm import ARM
@@ -18,7 +18,7 @@ from longarm_comp.core.arm.history import LEGS
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.explanations import VISITED, Explanations
+from longarm_comp.core.at_work.explanations import Explanations
 from longarm_comp.core.at_work.learner import Learner, PoseRequest
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.calibration.calibrate import fit_stages
@@ -35,41 +35,6 @@ from longarm_comp.sim.hidden.drives import FrictionHysteresis as TruePlay
 from longarm_comp.sim.hidden.drives import JointGain
 
 JOINT_AXIS = np.eye(ARM.n)[JOINT - 1]
-VARIANCE = np.full(3, NOISE**2)
-
-
-class Work:
-    """Sightings of an arm at random joints from random sides."""
-
-    def __init__(self, seed: int = 0) -> None:
-        self.rng = np.random.default_rng(seed)
-        self.number = 0
-
-    def pose(self) -> tuple[np.ndarray, Context, np.ndarray]:
-        """Joints, circumstances and sides of the next pose."""
-        q = ARM.lower + self.rng.random(ARM.n) * (ARM.upper - ARM.lower)
-        side = self.rng.choice([-1.0, 1.0], ARM.n)
-        long = np.zeros((ARM.n, LEGS))
-        long[:, 0] = side
-        return q, Context(approach=tuple(side), legs=tuple(long.ravel())), side
-
-    def learned(
-        self, learner: Learner, count: int, more: float = 0.0, off: float = 0.0, noise: float = 1.0
-    ) -> Learner:
-        """After sightings with more half play, a wrong marker, other noise."""
-        for _ in range(count):
-            q, context, side = self.pose()
-            self.number += 1
-            tip = true_tip(q[None], side[None], more)[0] + off
-            tip = tip + noise * NOISE * self.rng.standard_normal(3)
-            learner = learner.learn(q, context, tip, VARIANCE, 60.0 * self.number)
-        return learner
-
-    def missed(self, model: Model, more: float, count: int = 20) -> float:
-        """Mean distance of the true tip from what a model promises, m."""
-        poses = [self.pose() for _ in range(count)]
-        off = [model.tip(q, c) - true_tip(q[None], s[None], more)[0] for q, c, s in poses]
-        return float(np.linalg.norm(off, axis=1).mean())
 
 
 def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
@@ -106,51 +71,6 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
         expected = prior @ a.T @ whitened @ shifted
         got = (known.mean - space.values(space.model))[active] - known.response[onset] @ unit
         np.testing.assert_allclose(got, expected, atol=1e-8)
-
-
-def test_the_own_errors_of_poses_are_as_in_a_whole_regression() -> None:
-    """Three poses in turn; then another one in the place of the first, which is forgotten."""
-    rng = np.random.default_rng(3)
-    space = Parameters.of(fitted(), Work().pose()[1])
-    active, own = np.arange(6), 0.3 * np.eye(3)
-    root = rng.standard_normal((6, 6))
-    begun = RecursivePosterior.begin(space, space.values(space.model), active, root @ root.T)
-    each = [0, 1, 2, 0, 1, 2, 0]
-    known, met = begun, set[int]()
-    whole, data = [], []
-    for pose, place in enumerate([*each, 0]):
-        row = Row(
-            0.0, rng.standard_normal((3, len(space))), rng.standard_normal(3), np.eye(3), 1.0,
-            place=place,
-        )  # fmt: skip
-        if place not in met or pose == len(each):
-            known = known.at_new_place(place, own)
-        met.add(place)
-        known = known.update(row)
-        whole.append(row.columns)
-        data.append(row.value - row.columns @ space.values(space.model))
-    of_pose = np.eye(4)[[*each, 3]]
-    a, y = np.concatenate(whole)[:, active], np.concatenate(data)
-    shared = np.kron(of_pose @ of_pose.T, own)
-    spread = a @ root @ root.T @ a.T + shared + np.eye(len(y))
-    expected = root @ root.T @ a.T @ np.linalg.solve(spread, y)
-    got = (known.mean - space.values(space.model))[active]
-    np.testing.assert_allclose(got, expected, atol=1e-8)
-    jump = np.concatenate([row_columns[:, 20] for row_columns in whole])
-    jump[:6] = 0.0
-    expected = root @ root.T @ a.T @ np.linalg.solve(spread, y - jump)
-    np.testing.assert_allclose(got - known.response[2, :6, 20], expected, atol=1e-8)
-
-
-def test_the_last_poses_are_followed() -> None:
-    first = Work().learned(Learner.of(fitted()), 1)
-    learner = Work().learned(Work().learned(first, VISITED), 1)  # and once more to the first pose
-    learner = Work(seed=1).learned(learner, 1)
-    assert first.known is not None and learner.known is not None
-    (_, pose), visited = first.known.visited[0], learner.known.visited
-    assert {place for place, _ in visited} == set(range(VISITED))
-    assert [place for place, at in visited if (at == pose).all()] == [0]
-    assert all(len(b.known.beside) == 3 * VISITED for b in learner.known.branches)
 
 
 def test_what_the_model_holds_wears_as_often_as_something_new_appears() -> None:

@@ -3,53 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hidden_arm import SIGMA
+from known_arm import FRESH, NOISE, RIGID, WORK, ZEROS, calibrated, judged
 from read_arm import ARM
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.explanations import Explanations
 from longarm_comp.core.at_work.learner import Learner
-from longarm_comp.core.calibration.calibrate import fit_stages
-from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.expected import expected_miss
-from longarm_comp.core.data.session import Session
-from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.model import slots_of
 from longarm_comp.core.model.model_file import restore, store
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden.drives import GearEccentricity, JointGain
+from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.sim.hidden.geometry import JointZero
 from longarm_comp.sim.hidden.loads import JointCompliance
 
-ZEROS = JointZero(np.array([3e-3, -4e-3, 2e-3, 4e-3]))
 SOFT = TrueArm(ARM, [ZEROS, JointCompliance(np.array([0.0, 4e-3, 2e-3, 0.0]))])
-RIGID = TrueArm(ARM, [ZEROS])
-RNG = np.random.default_rng(7)
-FRESH = ARM.lower + RNG.random((200, ARM.n)) * (ARM.upper - ARM.lower)
-WORK = ARM.lower + RNG.random((40, ARM.n)) * (ARM.upper - ARM.lower)
-NOISE = SIGMA * RNG.standard_normal((40, 3))
-
-
-@cache
-def calibrated(truth: TrueArm, rows: str) -> Model:
-    """The geometry that 80 rows give: on one line of the joint space, in a box, or all over."""
-    rng = np.random.default_rng(2)
-    share = {
-        "line": np.repeat(rng.random((80, 1)), ARM.n, axis=1),
-        "box": 0.4 + 0.2 * rng.random((80, ARM.n)),
-        "wide": rng.random((80, ARM.n)),
-    }[rows]
-    q = ARM.lower + share * (ARM.upper - ARM.lower)
-    seen = truth.tip(q) + SIGMA * rng.standard_normal((80, 3))
-    *_, (_, fit) = fit_stages(declared_model(ARM), Session.record(q, seen))
-    return with_uncertainty(fit)
 
 
 def learned(learner: Learner, truth: TrueArm, first: int, last: int) -> Learner:
@@ -58,14 +33,6 @@ def learned(learner: Learner, truth: TrueArm, first: int, last: int) -> Learner:
         tip = truth.tip(WORK[k][None])[0] + NOISE[k]
         learner = learner.learn(WORK[k], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
     return learner
-
-
-def judged(model: Model, truth: TrueArm) -> tuple[float, float, float]:
-    """Share of true tips inside the promised radius, mean error, and the median radius, m."""
-    predicted = model.tip(FRESH, Context())
-    off = np.linalg.norm(predicted - truth.tip(FRESH), axis=1)
-    radius = expected_miss(model, FRESH, Context(), predicted).sizes[1]
-    return float((off <= radius).mean()), float(off.mean()), float(np.median(radius))
 
 
 @pytest.mark.parametrize("rows", ["line", pytest.param("box", marks=pytest.mark.long), "wide"])
@@ -81,32 +48,6 @@ def test_the_promise_holds_after_any_number_of_sightings(truth: TrueArm, rows: s
     _, error, radius = judged(learner.model, truth)
     assert error < 1.1 * SIGMA and learner.named == ()  # the arm is learned, and has not changed
     assert rows == "wide" or radius < 2.0 * SIGMA  # all over, a misfit stays in the structure
-
-
-WAVES = ((1.5e-3, 1.5e-3), (1.0, 2.0))
-"""Amplitudes and phases of the second and third harmonic of every joint, rad."""
-
-
-def test_at_poses_that_return_what_the_model_lacks_is_not_learned() -> None:
-    """What is alike at each visit tells no more than one visit; 0.78 were inside, 1.13 mm off."""
-    amplitude, phase = (np.repeat([[0.0], [a], [b]], ARM.n, axis=1) for a, b in WAVES)
-    truth = TrueArm(ARM, [GearEccentricity(amplitude, phase)])
-    rng = np.random.default_rng(1)
-    job = ARM.lower + rng.random((4, ARM.n)) * (ARM.upper - ARM.lower)
-    learner = Learner.of(calibrated(truth, "wide"))
-    before = judged(learner.model, truth)
-    for k in range(150):
-        tip = truth.tip(job[k % 4][None])[0] + SIGMA * rng.standard_normal(3)
-        learner = learner.learn(job[k % 4], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
-    inside, error, radius = judged(learner.model, truth)
-    assert inside > 0.93 and error < 1.05 * before[1] and radius < 1.05 * before[2]
-    assert learner.named == ()
-    slipped = TrueArm(ARM, [GearEccentricity(amplitude, phase), JointZero(np.eye(ARM.n)[1] * 5e-3)])
-    for k in range(150, 200):
-        tip = slipped.tip(job[k % 4][None])[0] + SIGMA * rng.standard_normal(3)
-        learner = learner.learn(job[k % 4], Context(), tip, np.full(3, SIGMA**2), 60.0 * k)
-    assert [n.where for n in learner.now] == ["joint 2"]
-    assert judged(learner.model, slipped)[0] > 0.85
 
 
 def test_compliances_that_are_not_held_stay_in_the_record() -> None:
