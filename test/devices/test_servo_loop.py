@@ -22,7 +22,7 @@ from longarm_comp.sim.servo_emulator.joints import EmulatedArm, read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
 
 CONFIG = """
-bus: {protocol: %s, port: %s, reply_timeout_s: 0.03, retries: 1}
+bus: {protocol: %s, port: %s, reply_timeout_s: 0.1, retries: 1}
 joints:
   shoulder: {servo_id: 1, model: %s, type: revolute, zero_ticks: 2048, gear_ratio: 3.0,
              multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 1.0}
@@ -233,6 +233,8 @@ def test_a_loaded_arm_does_not_sink_when_its_driver_starts_again(protocol: str) 
             arm.release(time.monotonic())
             assert rest(arm) == pytest.approx(stood, abs=2.0)
         emulator.push(1, stood + 600.0)  # farther than any droop: no goal to go back to
+        with emulator.motor(1) as motor:
+            motor.blocked = True  # held there by hand until the driver has read it
         arm.power(True)
         assert arm.bus is not None
         assert abs(arm.bus.goals([1])[1] - config.joints["j1"].to_ticks(0.5)) > 100
