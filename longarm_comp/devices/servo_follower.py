@@ -7,6 +7,7 @@ goals are sent.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -130,6 +131,7 @@ class TrajectoryFollower:
         self._held: Mapping[int, int] = {}  # goals (ticks by id) that hold the arm while idle
         self._way: TakenOver | InParts | None = None
         self._way_time = 0.0
+        self._turn_s, self._waited_s = math.inf, 0.0
         self._trim, self._may_trim = Trim(config), trim
         self._trims, self._untrimmed = False, ""
 
@@ -186,6 +188,8 @@ class TrajectoryFollower:
             if entry:
                 raise JobError(entry)
         self._set, self._way, self._way_time = start, way, 0.0
+        run_up = moves and len(accepted.times) == 2 and way is taken
+        self._turn_s, self._waited_s = float(accepted.times[0]) if run_up else math.inf, 0.0
         self._trims, self._untrimmed = self._may_trim and moves and not several, ""
         self._trim.begin(path=several)
         self.state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
@@ -212,7 +216,7 @@ class TrajectoryFollower:
         """Stop smoothly. The trajectory is not followed to its end."""
         if self.state is FollowerState.TRACKING and self._set is not None:
             self._way = self._take_over(self._plan_braking(self._set), self._set)
-            self._way_time = 0.0
+            self._way_time, self._turn_s = 0.0, math.inf
         self._settled = True
         self._note_event(kind, why)
 
@@ -276,7 +280,7 @@ class TrajectoryFollower:
         self._doubting = False
         assert self._way is not None and self._set is not None
         path = self._way.path
-        self._way_time += dt
+        self._way_time = self._time_after(dt)
         bound = self._max_velocity * dt
         step = np.clip(self._way.at(self._way_time) - self._set, -bound, bound)
         self._set = self._set + step
@@ -290,6 +294,24 @@ class TrajectoryFollower:
             wanted[name] = self._config.joints[name].nearest_within_limits(wanted[name] + by)
         self._goals = {self._config.ids[name]: goal for name, goal in wanted.items()}
         return self._goals
+
+    def _time_after(self, dt: float) -> float:
+        """Return the time on the way after a step, which does not pass over the end of a run-up.
+
+        The joints come there before they turn, however late a cycle is; a joint that does not is
+        waited for as long as one that may stall.
+        """
+        assert self._way is not None
+        time = self._way_time + dt
+        if time < self._turn_s:
+            return time
+        if self._way_time == self._turn_s:
+            self._waited_s += dt
+            waits = self._waited_s < self._config.follower.stall_time_s
+            if not (waits and self._find_away(self._way.at(self._turn_s))):
+                self._turn_s = math.inf
+                return time
+        return self._turn_s
 
     def _wanted_ticks(self) -> dict[str, int]:
         """Return the goals without trim, ticks by joint."""
@@ -325,7 +347,8 @@ class TrajectoryFollower:
         untrimmed = self._trim_resting(states)
         if untrimmed is None:
             return
-        short = untrimmed or self._find_short()
+        assert self._set is not None
+        short = untrimmed or self._find_away(self._set)
         if not short:
             self._note_event(EventKind.ARRIVED, "at rest at the end of the trajectory")
         elif self._still_s > self._config.follower.stall_time_s:
@@ -336,13 +359,13 @@ class TrajectoryFollower:
             return
         self._settled = True
 
-    def _find_short(self) -> str:
-        """Say which joints stand away from where they were sent, and how far; empty if none."""
+    def _find_away(self, wanted: Array) -> str:
+        """Say which joints stand away from others (n,), and how far; empty if none."""
         far = []
-        for name, wanted in self.set_points.items():
+        for name, value in zip(self._names, wanted.tolist(), strict=True):
             state, joint = self._watch.state(name), self._config.joints[name]
             assert state is not None
-            off = joint.to_si(state.position_ticks) - wanted
+            off = joint.to_si(state.position_ticks) - value
             if abs(off) > self._config.follower.stall_error_ticks * joint.si_per_tick:
                 far.append(f"{name} by {abs(off):.4g} {joint.unit}")
         return ", ".join(far)

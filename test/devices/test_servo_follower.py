@@ -242,3 +242,39 @@ def test_parts_of_a_move_are_kept_out_of_boxes_too() -> None:
         )
     assert cut[1][0] > cut[0][0] + 0.02  # it leaves the path
     assert cut[1][1] == pytest.approx(cut[1][0], abs=0.01)
+
+
+@pytest.mark.parametrize("late", [0.02, 0.1])
+def test_the_joints_come_to_the_end_of_a_run_up_however_late_a_cycle_is(
+    rig: Rig, late: float
+) -> None:
+    """A turn that was passed over left the joint on the other side of its play."""
+    rig.send((0.33, {"turn": 0.1}), (0.38, {"turn": 0.12}))
+    rig.obeys.discard(5)
+    rig.run(0.3)
+    for _ in range(3):
+        rig.step(dt=late)
+        assert rig.column("turn")[-1] >= 0.1
+    assert rig.column("turn")[-1] == pytest.approx(0.1)  # it waits there for the joint
+    rig.states[5] = replace(rig.states[5], position_ticks=TURN.to_ticks(0.1))
+    rig.obeys.add(5)
+    assert kinds(rig.run(1.0)) == [EventKind.ARRIVED]
+    assert rig.column("turn")[-1] == pytest.approx(0.12)
+
+
+def test_a_joint_that_does_not_come_to_a_run_up_holds_the_move_up_no_longer_than_a_stall(
+    rig: Rig,
+) -> None:
+    rig.send((0.33, {"turn": 0.1}), (0.66, {"turn": 0.12}))
+    rig.obeys.discard(5)
+    rig.run(0.36 + LIMITS.stall_time_s - 3 * DT)
+    assert rig.column("turn")[-1] == pytest.approx(0.1)
+    rig.run(0.66)
+    assert rig.column("turn")[-1] == pytest.approx(0.12)
+
+
+def test_a_path_is_followed_on_time_through_its_turns(rig: Rig) -> None:
+    rig.send((0.33, {"turn": 0.1}), (0.66, {"turn": 0.2}), (0.99, {"turn": 0.1}))
+    rig.obeys.discard(5)
+    rig.run(1.02)
+    assert rig.column("turn")[-1] == pytest.approx(0.1)
