@@ -30,7 +30,7 @@ class JointFault:
 
 @dataclass
 class _Seen:
-    """Last read-back and timers of one servo."""
+    """Last read-back of one servo, and since which watched second it is off its goal."""
 
     state: ServoState | None = None
     said: int | None = None
@@ -47,7 +47,7 @@ class ServoWatch:
         self._config = config
         self._seen = {name: _Seen() for name in config.joints}
         self._started: float | None = None
-        self._now = 0.0
+        self._now = self._watched_s = 0.0
         self._goals_before: Mapping[int, int] | None = None
 
     def update(
@@ -58,7 +58,8 @@ class ServoWatch:
         An alarm or a temperature that is too high is believed when the next read-back says so
         too; until then the servo is doubtful: one damaged reply in 256 passes its checksum.
 
-        A servo is judged by the goal before the last: the last may have been sent just now.
+        A servo is judged by the goal before the last: the last may have been sent just now.  A late
+        cycle counts as the longest step, so that one or two looks at a moving arm are no fault.
 
         Args:
             now: s, monotonic.
@@ -68,7 +69,8 @@ class ServoWatch:
             Whether every joint had a trusted read-back this time, and the faults found.
         """
         if self._started is None:
-            self._started = now
+            self._started = self._now = now
+        self._watched_s += min(now - self._now, self._config.follower.max_step_s)
         self._now = now
         judged_by, self._goals_before = self._goals_before, goals
         if goals is None:
@@ -88,7 +90,7 @@ class ServoWatch:
                     seen.state, seen.at = state, now
                     findings += seen.ill
             goal = None if judged_by is None else judged_by.get(joint.servo_id)
-            findings += self._find_disobedience(name, joint, seen, goal, now)
+            findings += self._find_disobedience(name, joint, seen, goal)
             findings += self._find_silent(name, seen, now)
         return fresh, findings
 
@@ -147,13 +149,13 @@ class ServoWatch:
             yield JointFault(ServoTrouble.OVERHEATED, name, hot)
 
     def _find_disobedience(
-        self, name: str, joint: JointConfig, seen: _Seen, goal: int | None, now: float
+        self, name: str, joint: JointConfig, seen: _Seen, goal: int | None
     ) -> Iterator[JointFault]:
         """Compare goal and read-back: a stalled joint, or one far from its goal."""
         if goal is None or seen.state is None:
             seen.off_since = seen.lost_since = None
             return
-        limits = self._config.follower
+        limits, now = self._config.follower, self._watched_s
         off = abs(goal - seen.state.position_ticks)
         pushing = off > limits.stall_error_ticks and abs(seen.state.load) >= joint.max_load
         seen.off_since = _begin_since(seen.off_since, pushing, now)

@@ -321,3 +321,12 @@ def test_a_trajectory_begins_at_the_goals_that_hold_the_arm() -> None:
         rig.follower.hold_at({5: at + off})
         rig.send((4.0, {"slide": 0.09}))
         assert rig.step().goals[5] == at + begins
+
+
+def test_a_few_looks_far_apart_are_not_half_a_second_of_disobedience(rig: Rig) -> None:
+    _moving(rig)
+    rig.obeys.discard(5)
+    rig.states[5] = replace(rig.states[5], position_ticks=TURN.to_ticks(-0.9))
+    looks = int(LIMITS.stall_time_s / LIMITS.max_step_s)
+    assert _troubles([rig.step(dt=0.6) for _ in range(looks)]) == []
+    assert _troubles(rig.run(1.0)) == [(ServoTrouble.NOT_FOLLOWING, "turn")]
