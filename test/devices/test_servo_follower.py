@@ -278,3 +278,12 @@ def test_a_path_is_followed_on_time_through_its_turns(rig: Rig) -> None:
     rig.obeys.discard(5)
     rig.run(1.02)
     assert rig.column("turn")[-1] == pytest.approx(0.1)
+
+
+def test_broken_off_before_the_end_of_a_run_up_it_waits_for_no_joint(rig: Rig) -> None:
+    rig.send((0.15, {"turn": 0.16}), (0.3, {"turn": 0.2}))
+    rig.obeys.discard(5)
+    rig.run(0.1)
+    rig.follower.break_off(EventKind.HELD, "held")
+    rig.run(LIMITS.blend_s + 2 * DT)
+    assert rig.follower.state is FollowerState.HOLDING
