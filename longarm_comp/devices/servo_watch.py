@@ -58,8 +58,9 @@ class ServoWatch:
         An alarm or a temperature that is too high is believed when the next read-back says so
         too; until then the servo is doubtful: one damaged reply in 256 passes its checksum.
 
-        A servo is judged by the goal before the last: the last may have been sent just now.  A late
-        cycle counts as the longest step, so that one or two looks at a moving arm are no fault.
+        A servo may stand anywhere between the goal before the last and the last, which may have
+        been sent just now.  A late cycle counts as the longest step, so that one or two looks at a
+        moving arm are no fault.
 
         Args:
             now: s, monotonic.
@@ -72,9 +73,7 @@ class ServoWatch:
             self._started = self._now = now
         self._watched_s += min(now - self._now, self._config.follower.max_step_s)
         self._now = now
-        judged_by, self._goals_before = self._goals_before, goals
-        if goals is None:
-            judged_by = None
+        last_two, self._goals_before = (self._goals_before, goals), goals
         findings: list[JointFault] = []
         fresh = True
         for name, joint in self._config.joints.items():
@@ -89,8 +88,8 @@ class ServoWatch:
                 else:
                     seen.state, seen.at = state, now
                     findings += seen.ill
-            goal = None if judged_by is None else judged_by.get(joint.servo_id)
-            findings += self._find_disobedience(name, joint, seen, goal)
+            sent = [g.get(joint.servo_id) for g in last_two if g is not None]
+            findings += self._find_disobedience(name, joint, seen, sent)
             findings += self._find_silent(name, seen, now)
         return fresh, findings
 
@@ -149,14 +148,16 @@ class ServoWatch:
             yield JointFault(ServoTrouble.OVERHEATED, name, hot)
 
     def _find_disobedience(
-        self, name: str, joint: JointConfig, seen: _Seen, goal: int | None
+        self, name: str, joint: JointConfig, seen: _Seen, sent: list[int | None]
     ) -> Iterator[JointFault]:
-        """Compare goal and read-back: a stalled joint, or one far from its goal."""
-        if goal is None or seen.state is None:
+        """Compare the last two goals and the read-back: a stalled joint, or one far from both."""
+        goals = [goal for goal in sent if goal is not None]
+        if len(goals) < 2 or seen.state is None:
             seen.off_since = seen.lost_since = None
             return
         limits, now = self._config.follower, self._watched_s
-        off = abs(goal - seen.state.position_ticks)
+        at = seen.state.position_ticks
+        off = max(min(goals) - at, at - max(goals), 0)
         pushing = off > limits.stall_error_ticks and abs(seen.state.load) >= joint.max_load
         seen.off_since = _begin_since(seen.off_since, pushing, now)
         lost = limits.lost_error_ticks

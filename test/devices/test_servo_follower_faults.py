@@ -111,11 +111,13 @@ def test_a_servo_that_does_not_follow_is_a_fault_without_load(rig: Rig) -> None:
     assert _troubles(steps) == [(ServoTrouble.NOT_FOLLOWING, "turn")]
 
 
-def test_a_servo_is_judged_by_a_goal_that_it_had_the_time_to_reach() -> None:
-    """On a busy machine goals are far apart, and the servo is read before it has moved."""
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_servo_may_stand_between_the_last_two_goals(at_once: bool) -> None:
+    """On a busy machine goals are far apart; the servo is read before it has moved, or after."""
     limits = LIMITS.model_copy(update={"lost_error_ticks": 20.0})
     rig = Rig(CONFIG.model_copy(update={"follower": limits}))
-    rig.obeys.clear()
+    if not at_once:
+        rig.obeys.clear()
     rig.send((2.0, {"turn": 0.9}))
     steps, sent = [], dict[int, int]()
     for _ in range(30):
