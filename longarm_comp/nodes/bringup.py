@@ -280,8 +280,8 @@ class BringUp:
 
         The error at which a joint counts as not following is scaled too, because a moving joint is
         behind by its velocity times the driver's cycle; up to half a turn, which is the most that
-        the driver takes.  The time step is shortened by the same factor, down to two cycles, so
-        that a late cycle does not miss the turn of a run-up.
+        the driver takes.  The time step is shortened by the same factor, down to one cycle: a
+        joint that went farther than half a turn between two readings would not be believed.
         """
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
@@ -303,7 +303,7 @@ class BringUp:
         }
         return {
             "follower.lost_error_ticks": min(lost, half_turn),
-            "follower.max_step_s": min(longest, max(longest / speed, 2.0 / usual["rate_hz"])),
+            "follower.max_step_s": min(longest, max(longest / speed, 1.0 / usual["rate_hz"])),
             **{name: speed * v for name, v in given.items() if name.endswith(".max_velocity")},
             **tops,
         }

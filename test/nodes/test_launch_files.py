@@ -120,7 +120,7 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
     assert Path(learned).parent == Path(scaled["state"])  # nor what the real arm learned
     assert "learned_file" not in real.parameters("kinematics", "unused")
     assert scaled["follower.lost_error_ticks"] == pytest.approx(1600.0)
-    assert scaled["follower.max_step_s"] == pytest.approx(0.04)  # two cycles
+    assert scaled["follower.max_step_s"] == pytest.approx(0.025)
     assert scaled["joints.joint1.top_speed_ticks_s"] == pytest.approx(4 * 50 / 60 * 4096)
     fastest = replace(fast, speed=100.0).parameters("servo_driver", "/tmp/bus")
     assert fastest["follower.lost_error_ticks"] == 2048.0  # what the driver takes
