@@ -79,7 +79,8 @@ class ServoWatch:
         for name, joint in self._config.joints.items():
             seen = self._seen[name]
             state = states.get(joint.servo_id)
-            if state is None or self._is_doubtful(seen, joint, state, now, goals is not None):
+            goal = None if goals is None else goals.get(joint.servo_id)
+            if state is None or self._is_doubtful(seen, joint, state, now, goal):
                 fresh = False
             else:
                 before, seen.ill = seen.ill, tuple(self._find_ill(name, joint, state))
@@ -116,22 +117,25 @@ class ServoWatch:
             seen.off_since = seen.lost_since = None
 
     def _is_doubtful(
-        self, seen: _Seen, joint: JointConfig, state: ServoState, now: float, commanded: bool
+        self, seen: _Seen, joint: JointConfig, state: ServoState, now: float, goal: int | None
     ) -> bool:
         """Return whether the joint would have had to move faster than it can to be there.
 
-        A servo that lost its count of turns is off by whole ones, however long it was not heard.
+        A servo that lost its count of turns is off by whole ones, however long it was not heard. It
+        is believed on its way to a goal, where a whole turn would take it off that way.
         Without a command it may be moved by hand: then two read-backs that agree are trusted.
         """
         jump = self._config.follower.jump_ticks
         said, seen.said = seen.said, state.position_ticks
         if seen.state is None:
             return False
-        reach = 4.0 * joint.max_speed_ticks_s * (now - seen.at) + jump
-        reach = min(reach, 0.5 * joint.servo.ticks_per_turn)
-        if abs(state.position_ticks - seen.state.position_ticks) <= reach:
+        was, at, turn = seen.state.position_ticks, state.position_ticks, joint.servo.ticks_per_turn
+        fastest = 4.0 * joint.max_speed_ticks_s * (now - seen.at) + jump
+        if abs(at - was) <= min(fastest, 0.5 * turn):
             return False
-        return commanded or said is None or abs(state.position_ticks - said) > jump
+        if goal is not None and abs(at - was) <= fastest and abs(goal - was) + 2.0 * jump < turn:
+            return not min(was, goal) - jump <= at <= max(was, goal) + jump
+        return goal is not None or said is None or abs(at - said) > jump
 
     def _find_silent(self, name: str, seen: _Seen, now: float) -> Iterator[JointFault]:
         since = seen.at if seen.state is not None else self._started

@@ -332,3 +332,22 @@ def test_a_few_looks_far_apart_are_not_half_a_second_of_disobedience(rig: Rig) -
     looks = int(LIMITS.stall_time_s / LIMITS.max_step_s)
     assert _troubles([rig.step(dt=0.6) for _ in range(looks)]) == []
     assert _troubles(rig.run(1.0)) == [(ServoTrouble.NOT_FOLLOWING, "turn")]
+
+
+@pytest.mark.parametrize(("turns", "believed"), [(0, True), (-1, False)])
+def test_more_than_half_a_turn_in_a_late_cycle_is_believed_on_the_way_to_the_goal(
+    turns: int, believed: bool
+) -> None:
+    slow = {"max_step_s": 1.0, "silence_s": 5.0, "stall_time_s": 5.0}
+    rig = Rig(CONFIG.model_copy(update={"follower": LIMITS.model_copy(update=slow)}))
+    rig.obeys.clear()
+    rig.send((1.4, {"slide": 0.1}))
+    for _ in range(3):
+        last = rig.step(dt=1.0)
+    assert last.goals is not None
+    went = last.goals[9] - rig.states[9].position_ticks
+    assert abs(went) > 2048
+    at = last.goals[9] + 4096 * turns
+    rig.states[9] = replace(rig.states[9], position_ticks=at)
+    assert EventKind.DOUBTFUL not in kinds([last])
+    assert (EventKind.DOUBTFUL not in kinds([rig.step(dt=1.0)])) == believed
