@@ -334,9 +334,11 @@ def test_a_few_looks_far_apart_are_not_half_a_second_of_disobedience(rig: Rig) -
     assert _troubles(rig.run(1.0)) == [(ServoTrouble.NOT_FOLLOWING, "turn")]
 
 
-@pytest.mark.parametrize(("turns", "believed"), [(0, True), (-1, False)])
+@pytest.mark.parametrize(
+    ("turns", "late", "believed"), [(0, 1.0, True), (-1, 1.0, False), (0, 0.02, False)]
+)
 def test_more_than_half_a_turn_in_a_late_cycle_is_believed_on_the_way_to_the_goal(
-    turns: int, believed: bool
+    turns: int, late: float, believed: bool
 ) -> None:
     slow = {"max_step_s": 1.0, "silence_s": 5.0, "stall_time_s": 5.0}
     rig = Rig(CONFIG.model_copy(update={"follower": LIMITS.model_copy(update=slow)}))
@@ -350,4 +352,4 @@ def test_more_than_half_a_turn_in_a_late_cycle_is_believed_on_the_way_to_the_goa
     at = last.goals[9] + 4096 * turns
     rig.states[9] = replace(rig.states[9], position_ticks=at)
     assert EventKind.DOUBTFUL not in kinds([last])
-    assert (EventKind.DOUBTFUL not in kinds([rig.step(dt=1.0)])) == believed
+    assert (EventKind.DOUBTFUL not in kinds([rig.step(dt=late)])) == believed
