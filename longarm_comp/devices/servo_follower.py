@@ -132,6 +132,7 @@ class TrajectoryFollower:
         self._way: TakenOver | InParts | None = None
         self._way_time = 0.0
         self._turn_s, self._waited_s = math.inf, 0.0
+        self._turns = np.zeros(len(self._joints), bool)
         self._trim, self._may_trim = Trim(config), trim
         self._trims, self._untrimmed = False, ""
 
@@ -189,6 +190,9 @@ class TrajectoryFollower:
                 raise JobError(entry)
         self._set, self._way, self._way_time = start, way, 0.0
         run_up = moves and len(accepted.times) == 2 and way is taken
+        run_up = run_up and accepted.times[0] >= self._config.follower.blend_s
+        legs = np.diff(accepted.points, axis=0, prepend=start[None])
+        self._turns = legs[0] * legs[-1] < 0.0
         self._turn_s, self._waited_s = float(accepted.times[0]) if run_up else math.inf, 0.0
         self._trims, self._untrimmed = self._may_trim and moves and not several, ""
         self._trim.begin(path=several)
@@ -298,8 +302,8 @@ class TrajectoryFollower:
     def _time_after(self, dt: float) -> float:
         """Return the time on the way after a step, which does not pass over the end of a run-up.
 
-        The joints come there before they turn, however late a cycle is; a joint that does not is
-        waited for as long as one that may stall.
+        Joints that turn there come there first, however late a cycle is, as they rest there on the
+        way; one that does not come is waited for as long as one that may stall.
         """
         assert self._way is not None
         time = self._way_time + dt
@@ -308,7 +312,7 @@ class TrajectoryFollower:
         if self._way_time == self._turn_s:
             self._waited_s += dt
             waits = self._waited_s < self._config.follower.stall_time_s
-            if not (waits and self._find_away(self._way.at(self._turn_s))):
+            if not (waits and self._find_away(self._way.at(self._turn_s), self._turns)):
                 self._turn_s = math.inf
                 return time
         return self._turn_s
@@ -348,7 +352,7 @@ class TrajectoryFollower:
         if untrimmed is None:
             return
         assert self._set is not None
-        short = untrimmed or self._find_away(self._set)
+        short = untrimmed or self._find_away(self._set, np.ones(len(self._set), bool))
         if not short:
             self._note_event(EventKind.ARRIVED, "at rest at the end of the trajectory")
         elif self._still_s > self._config.follower.stall_time_s:
@@ -359,10 +363,10 @@ class TrajectoryFollower:
             return
         self._settled = True
 
-    def _find_away(self, wanted: Array) -> str:
-        """Say which joints stand away from others (n,), and how far; empty if none."""
+    def _find_away(self, wanted: Array, among: Array) -> str:
+        """Say which joints among some (n,) stand away from values (n,), and how far."""
         far = []
-        for name, value in zip(self._names, wanted.tolist(), strict=True):
+        for name, value in zip(np.array(self._names)[among], wanted[among].tolist(), strict=True):
             state, joint = self._watch.state(name), self._config.joints[name]
             assert state is not None
             off = joint.to_si(state.position_ticks) - value

@@ -249,7 +249,7 @@ def test_the_joints_come_to_the_end_of_a_run_up_however_late_a_cycle_is(
     rig: Rig, late: float
 ) -> None:
     """A turn that was passed over left the joint on the other side of its play."""
-    rig.send((0.33, {"turn": 0.1}), (0.38, {"turn": 0.12}))
+    rig.send((0.33, {"turn": 0.1, "slide": 0.031}), (0.38, {"turn": 0.12, "slide": 0.032}))
     rig.obeys.discard(5)
     rig.run(0.3)
     for _ in range(3):
@@ -281,9 +281,16 @@ def test_a_path_is_followed_on_time_through_its_turns(rig: Rig) -> None:
 
 
 def test_broken_off_before_the_end_of_a_run_up_it_waits_for_no_joint(rig: Rig) -> None:
-    rig.send((0.15, {"turn": 0.16}), (0.3, {"turn": 0.2}))
+    rig.send((0.21, {"turn": 0.1}), (0.4, {"turn": 0.2}))
     rig.obeys.discard(5)
-    rig.run(0.1)
+    rig.run(0.2)
     rig.follower.break_off(EventKind.HELD, "held")
     rig.run(LIMITS.blend_s + 2 * DT)
     assert rig.follower.state is FollowerState.HOLDING
+
+
+def test_a_joint_that_passes_the_end_of_a_run_up_is_not_waited_for(rig: Rig) -> None:
+    rig.send((0.33, {"turn": 0.1, "slide": 0.04}), (0.66, {"turn": 0.12, "slide": 0.05}))
+    rig.obeys.discard(9)
+    rig.run(0.7)
+    assert rig.column("turn")[-1] == pytest.approx(0.12)
