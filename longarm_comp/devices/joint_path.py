@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -160,6 +161,33 @@ class InParts:
         begins, ends = self.shaper.begins, self.shaper.ends
         paces = 1.0 + (ends - begins) / self.way.duration
         return self.at(np.unique(np.outer(self.way.looked_at, paces) + begins))
+
+
+@dataclass
+class Turn:
+    """The end of a run-up: a move's time stops there until the joints that turn have come.
+
+    However late a cycle is, they rest there on the way.  A joint that does not come is waited for
+    for a limited time.
+    """
+
+    time_s: float  # on the way
+    joints: Array  # (n,) bool: those that turn
+    patience_s: float  # longest wait, s
+    waited_s: float = 0.0
+
+    def time_after(self, time_s: float, dt: float, have_come: Callable[[], bool]) -> float:
+        """Return the time on the way (s) a step of ``dt`` (s) after ``time_s``.
+
+        ``have_come`` says, asked at the turn only, whether the joints that turn are there.
+        """
+        if time_s > self.time_s or time_s + dt < self.time_s:
+            return time_s + dt
+        if time_s < self.time_s:
+            return self.time_s
+        self.waited_s += dt
+        waits = self.waited_s < self.patience_s and not have_come()
+        return time_s if waits else time_s + dt
 
 
 def plan_path(

@@ -7,7 +7,6 @@ goals are sent.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -20,6 +19,7 @@ from longarm_comp.devices.joint_path import (
     InParts,
     JointTrajectory,
     TakenOver,
+    Turn,
     check_trajectory,
     plan_path,
 )
@@ -131,8 +131,7 @@ class TrajectoryFollower:
         self._held: Mapping[int, int] = {}  # goals (ticks by id) that hold the arm while idle
         self._way: TakenOver | InParts | None = None
         self._way_time = 0.0
-        self._turn_s, self._waited_s = math.inf, 0.0
-        self._turns = np.zeros(len(self._joints), bool)
+        self._turn: Turn | None = None
         self._trim, self._may_trim = Trim(config), trim
         self._trims, self._untrimmed = False, ""
 
@@ -189,11 +188,7 @@ class TrajectoryFollower:
             if entry:
                 raise JobError(entry)
         self._set, self._way, self._way_time = start, way, 0.0
-        run_up = moves and len(accepted.times) == 2 and way is taken
-        run_up = run_up and accepted.times[0] >= self._config.follower.blend_s
-        legs = np.diff(accepted.points, axis=0, prepend=start[None])
-        self._turns = legs[0] * legs[-1] < 0.0
-        self._turn_s, self._waited_s = float(accepted.times[0]) if run_up else math.inf, 0.0
+        self._turn = self._find_turn(accepted) if way is taken else None
         self._trims, self._untrimmed = self._may_trim and moves and not several, ""
         self._trim.begin(path=several)
         self.state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
@@ -210,6 +205,14 @@ class TrajectoryFollower:
         blend_s = self._config.follower.blend_s
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 
+    def _find_turn(self, accepted: Accepted) -> Turn | None:
+        """Return the end of the run-up of a move; None where there is none after the blend."""
+        limits = self._config.follower
+        if len(accepted.times) != 2 or accepted.times[0] < limits.blend_s:
+            return None
+        legs = np.diff(accepted.points, axis=0, prepend=accepted.start[None])
+        return Turn(float(accepted.times[0]), legs[0] * legs[1] < 0.0, limits.stall_time_s)
+
     def _plan_braking(self, start: Array) -> CubicPath:
         """Plan from a set-point to the nearest rest."""
         brake = start + 0.5 * self._config.follower.blend_s * self._velocity
@@ -220,7 +223,7 @@ class TrajectoryFollower:
         """Stop smoothly. The trajectory is not followed to its end."""
         if self.state is FollowerState.TRACKING and self._set is not None:
             self._way = self._take_over(self._plan_braking(self._set), self._set)
-            self._way_time, self._turn_s = 0.0, math.inf
+            self._way_time, self._turn = 0.0, None
         self._settled = True
         self._note_event(kind, why)
 
@@ -300,22 +303,16 @@ class TrajectoryFollower:
         return self._goals
 
     def _time_after(self, dt: float) -> float:
-        """Return the time on the way after a step, which does not pass over the end of a run-up.
+        """Return the time on the way (s) after a step, which does not pass over a turn."""
+        way, turn = self._way, self._turn
+        if turn is None:
+            return self._way_time + dt
+        assert way is not None
 
-        Joints that turn there come there first, however late a cycle is, as they rest there on the
-        way; one that does not come is waited for as long as one that may stall.
-        """
-        assert self._way is not None
-        time = self._way_time + dt
-        if time < self._turn_s:
-            return time
-        if self._way_time == self._turn_s:
-            self._waited_s += dt
-            waits = self._waited_s < self._config.follower.stall_time_s
-            if not (waits and self._find_away(self._way.at(self._turn_s), self._turns)):
-                self._turn_s = math.inf
-                return time
-        return self._turn_s
+        def have_come() -> bool:
+            return not self._find_away(way.at(turn.time_s), turn.joints)
+
+        return turn.time_after(self._way_time, dt, have_come)
 
     def _wanted_ticks(self) -> dict[str, int]:
         """Return the goals without trim, ticks by joint."""
