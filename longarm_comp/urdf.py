@@ -84,7 +84,12 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
 
 
 def read_drives(path: str | Path, data: Mapping[str, Any]) -> dict[int, UrdfJoint]:
-    """Return a file's joint of each commanded row of the arm.yaml that was made of it, by row."""
+    """Return the URDF joint of each commanded row, by row id.
+
+    Args:
+        path: the URDF file.
+        data: the contents of the arm.yaml that `import_urdf` made of it.
+    """
     joints = UrdfRobot(path).joints
     commanded = [row for row in data["joints"] if row["type"] != "fixed" and "mimic" not in row]
     return {row["id"]: joints[row["name"]] for row in commanded}

@@ -130,7 +130,7 @@ _SESSIONS = ("samples.csv", "session", "session_1")
 
 
 def check_folder(folder: Path) -> list[_FolderFinding]:
-    """Return findings on a folder, or on that of an arm.yaml; what blocks first."""
+    """Return the findings on an arm's folder (or that of an arm.yaml), blocking ones first."""
     folder = folder.parent if folder.name == ARM and folder.is_file() else folder
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")

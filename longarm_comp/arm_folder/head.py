@@ -188,9 +188,9 @@ class View:
         )
 
     def unseen(self, tips: np.ndarray) -> list[str]:
-        """Say for each of the tip poses (M, 4, 4), base frame, why it is not measured, or "".
+        """Say for each tip pose (M, 4, 4), base frame, why the cameras cannot measure it, or "".
 
-        Both cameras must see `share` of the tags, large and straight enough.
+        At least `share` of the tags must lie in both images, large and turned to the cameras.
         """
         local = np.linalg.inv(self.left_in_base) @ tips
         tags = np.einsum("mij,tkj->mtki", local[:, :3, :3], self.tags) + local[:, None, None, :3, 3]

@@ -25,12 +25,12 @@ Kind = Callable[[Path], bool]
 
 
 def never(path: Path) -> bool:
-    """Replace nothing: people go on to edit it."""
+    """Return False: an existing file may hold a person's edits, so it is never replaced."""
     return False
 
 
 def with_marks(*marks: bytes) -> Kind:
-    """Return a file in whose first or last bytes all of these stand."""
+    """Return a test for files that hold all of these marks in their first or last bytes."""
 
     def ours(path: Path) -> bool:
         ends = _read_ends(path)

@@ -94,7 +94,12 @@ def go_on(command: str, yes: bool, text: str) -> None:
 def by_name(
     command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
 ) -> dict[str, str]:
-    """Read values of a repeated flag ``NAME=VALUE``; `form`: what it is called in errors."""
+    """Read the values of a repeated flag ``NAME=VALUE``.
+
+    Args:
+        form: the expected form, as error messages state it.
+        names: the allowed names; None for any.
+    """
     values: dict[str, str] = {}
     for text in given:
         name, _, value = map(str.strip, text.partition("="))

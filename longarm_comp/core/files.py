@@ -124,7 +124,7 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def write_texts(texts: Mapping[Path, str]) -> None:
-    """Write texts as UTF-8, all of them or none."""
+    """Write texts as UTF-8. No file is replaced before all texts are written."""
     with atomic_paths(*texts) as partials:
         for partial, text in zip(partials, texts.values(), strict=True):
             partial.write_text(text, encoding="utf-8", newline="\n")

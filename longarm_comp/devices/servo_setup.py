@@ -108,7 +108,7 @@ class ServoSetup:
         self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 
     def keep(self) -> None:
-        """Let the servos keep what was stored: the arm's file says the same from now on."""
+        """Keep what the servos have stored, instead of writing back the old values at the end."""
         self._journal.end(self._bus.protocol, self._ids)
 
     def let_go(self) -> None:

@@ -1,9 +1,9 @@
-"""Trim: corrects the goals of a resting arm, in a few bounded steps, by what its readings lack.
+"""Trim: corrects the goals of a resting arm, in a few bounded steps, by its remaining error.
 
-A proportional servo rests where its effort carries the load, short of its goal.  Each step moves
-the goal by what is missing; friction may absorb a step without a motion, so there are several.
-The corrections found are the start of the next move.  An encoder that is frozen, has slipped or
-jumped asks for more than a servo yields: at that bound trimming stops, is undone and reports it.
+A servo with proportional control stops short of its goal under load.  Each step moves the goal by
+the error that is left; friction may absorb a step without a motion, so there are several.  The
+corrections found are the start of the next move.  Where a large error is left after the steps, as
+with an encoder that is frozen or has slipped, that joint's correction is undone and reported.
 """
 
 from __future__ import annotations

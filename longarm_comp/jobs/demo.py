@@ -75,10 +75,11 @@ PACE = Pace(sightings=3, dwell_s=0.05, move_s=0.05, look_s=30.0, tolerance=2e-4)
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """One demonstration.
+    """The settings of one demonstration.
 
-    `hidden`: undeclared effects of the simulated arm, ``name=mm``. `speed`: motion so many times
-    faster than the servos' file says.
+    Attributes:
+        hidden: undeclared effects of the simulated arm, ``name=mm``.
+        speed: factor by which motions are faster than the servo file says.
     """
 
     out: Path

@@ -139,11 +139,11 @@ class GraphClient:
     ) -> Any:
         """Call a service and return its response.
 
-        The middleware drops an answer to a client that the server has not matched yet, and counts a
-        server that was killed for some seconds more.
+        The middleware may drop the answer if the server has not yet discovered the client. It also
+        lists a killed server as available for some seconds.
 
         Args:
-            again: ask again where no answer came for a while; for requests that may be served
+            again: repeat the request while no answer comes; only for requests that may be served
                 twice.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")

@@ -113,7 +113,10 @@ _CHANGE = ("what", "where", "kind", "tip_mm")
 
 
 class Journal:
-    """Results of steps by name, written after each; ``facts`` must be those that it began with."""
+    """A file of step results by name, saved after every step, so that a run can be resumed.
+
+    ``facts`` are the settings of the run; a resumed run must have the same ones.
+    """
 
     def __init__(self, path: Path, facts: dict[str, Any], *, resume: bool) -> None:
         self._path = path

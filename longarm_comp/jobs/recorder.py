@@ -87,7 +87,7 @@ class Recorder:
             self._since = time.monotonic()
 
     def about(self, since_ns: int) -> list[Message]:
-        """Return waiting messages about this time (ns) and later, and those that still hold."""
+        """Return waiting messages stamped `since_ns` or later, and all of `HELD_TOPICS`."""
         return [
             entry
             for entry in self.waiting

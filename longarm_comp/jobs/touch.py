@@ -41,7 +41,11 @@ class TouchLog:
     rows: list[tuple[np.ndarray, str, str]] = field(default_factory=list)
 
     def begin_with(self, before: Session) -> None:
-        """Go on after the rows of a session."""
+        """Start with the rows and known distances of an earlier session.
+
+        Raises:
+            InputError: a row is not one touch of a point or a plane.
+        """
         for k in range(len(before)):
             named = [c for c in ("touch", "plane") if before.labels.get(c, [""] * (k + 1))[k]]
             if len(named) != 1 or np.isfinite(before.xyz[k]).any():
@@ -50,11 +54,11 @@ class TouchLog:
         self.distances = self.distances or before.touch_distances
 
     def take(self, client: ArmClient, name: str, column: str = "touch") -> np.ndarray:
-        """Add a row of the joints as they rest now.
+        """Add a row with the joints as they rest now, and return these (n,), rad and m.
 
         Raises:
-            JobError: the arm does not rest, or something on the graph feels for the ball
-                (`contact`), and it sits in no socket.
+            JobError: the arm does not come to rest; or, for a point, `contact` is published and
+                says that the ball sits in no socket.
         """
         q = wait_for_rest(client)
         if column == "touch" and not _is_seated(client):

@@ -1,4 +1,4 @@
-"""A motion sent in parts: shares of it, each later than the one before."""
+"""A shaped motion: the weighted sum of delayed copies of it, some of them stretched in time."""
 
 from __future__ import annotations
 

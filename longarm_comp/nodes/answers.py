@@ -54,14 +54,15 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TargetRequest:
-    """One target in work.
+    """One target that is being served.
 
     Attributes:
         name: its id.
-        pose: the target, in whichever frame.
+        pose: the target, in any known frame.
+        position_only: whether its orientation is ignored.
         execute: whether its joints are sent to the driver.
         sent_s: when it was sent (monotonic s).
-        seed: joints at which the search begins; without names, where the arm is.
+        seed: joints at which the search begins; if it has no names, the arm's present ones.
     """
 
     name: str

@@ -55,8 +55,9 @@ class Compensator:
         self._measured = prefix_of(state.node) + MEASURED
 
     def kind(self) -> Hashable:
-        """Return what a target's programs depend on: model, options, and which circumstances are
-        known.
+        """Return a key that changes when targets need other compiled programs.
+
+        It holds the model, the options, and which circumstances are known.
 
         Raises:
             StaleContext: a circumstance that the model needs is not known.

@@ -95,10 +95,10 @@ class ModelFiles:
 
     @property
     def refusal(self) -> str:
-        """The reason why no target is computed; empty where the model is as configured.
+        """The reason why no target is computed; empty where targets are computed.
 
-        The declared arm does not take the place of a model that is there and cannot be loaded: it
-        would go elsewhere.
+        If model.yaml exists but could not be loaded, the declared arm does not take its place: the
+        tip would go elsewhere. Targets are also refused while the learned model cannot be read.
         """
         lost = self._fault and not self.loaded.file_hash and Path(self._path).exists()
         return f"the model cannot be used: {self._fault}" if lost else self._unread

@@ -257,7 +257,7 @@ class FollowServer:
 
 
 def abort_goal(goal: Any, code: int, why: str) -> Any:
-    """Abort a goal to follow a trajectory; return its result, by the codes of its type."""
+    """Abort a FollowJointTrajectory goal; return its result with an error code of that action."""
     goal.abort()
     return graph.FOLLOW.type.Result(error_code=code, error_string=why)
 

@@ -136,9 +136,10 @@ def _declare_again(node: Node, name: str, value: Any, descriptor: ParameterDescr
 
 
 def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
-    """Declare what was given below some prefixes, each field with its meaning and range.
+    """Declare the given parameters below some prefixes, each with its description and range.
 
-    Return it as nested dictionaries; the model of each section checks it.
+    Returns:
+        Their values as nested dictionaries, not yet checked by the section's model.
     """
     tree: dict[str, Any] = {}
     for name, value in given_parameters(node).items():

@@ -1,7 +1,7 @@
 """The noise that the held-out errors leave room for.
 
-Noise that is estimated from the residual is an upper bound where a model errs by less, or structure
-is left: what is shown and subtracted is limited to what the errors leave room for.
+Noise estimated from the residual is an upper bound, because the residual may hold structure too, or
+another model may err by less.  So no more noise is shown and subtracted than these errors allow.
 """
 
 from __future__ import annotations

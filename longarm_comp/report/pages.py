@@ -129,7 +129,7 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
 
 
 def place_name(number: int) -> str:
-    """Name the figure of where a finding is, counted from 1."""
+    """Name the figure that shows where finding `number` (counted from 1) is."""
     return f"place_{number}"
 
 

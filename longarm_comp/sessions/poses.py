@@ -52,7 +52,11 @@ def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -
 
 
 def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
-    """Read a plan; ``inside``: within the joint limits. A blank or 0 approach means any side."""
+    """Read a plan. A blank or 0 approach means any side.
+
+    Args:
+        inside: refuse poses outside the joint limits.
+    """
     table = read_table(path)
     joints = joint_names(arm.n)
     known = ("index", "approach", "payload_kg", "touch", *approach_names(arm.n), *joints)

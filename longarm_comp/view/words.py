@@ -1,4 +1,4 @@
-"""The last words of the graph, as one frozen record and as the sentences of the page."""
+"""The latest messages of the graph, as one frozen record and as the sentences of the page."""
 
 from __future__ import annotations
 

@@ -296,7 +296,10 @@ def _diagnose_arm(
 
 
 def compare_arms(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
-    """Mark the findings that half of the arms of a kind share; all others are an arm's own."""
+    """Mark the findings that at least half of the arms of a kind share, and at least two.
+
+    All others are an arm's own.
+    """
     counts: Mapping[tuple[int, str, str], int] = Counter(
         (arm.kind, f.effect, f.where) for arm in arms for f in arm.findings
     )

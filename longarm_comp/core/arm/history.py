@@ -49,7 +49,11 @@ def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[f
 
 
 def last_way(ways: Sequence[float]) -> float:
-    """Return the way of a joint since it stood or turned, after the ways (rad, m) of one motion."""
+    """Return a joint's displacement since it last reversed in one motion.
+
+    Args:
+        ways: signed displacements (rad, m) of the motion, the oldest first.
+    """
     run = 0.0
     for way in reversed(ways):
         if run * way < 0.0:
@@ -104,10 +108,10 @@ class History:
 
     Attributes:
         approach: (n,) or (N, n) of -1, 0 (unknown), +1: the side each joint arrived from.
-        legs: (n, LEGS) or (N, n, LEGS) signed ways from turn to turn (rad, m), the latest first,
-            as `add_way` keeps them; 0 where there is none or nobody knows.
-        last_way: (n,) or (N, n) signed way (rad, m) since the joint last stood or turned; 0 where
-            it did not move, or nobody knows.
+        legs: (n, LEGS) or (N, n, LEGS) signed displacements (rad, m) between reversals, the latest
+            first, as `add_way` keeps them; 0 where there is none or it is not known.
+        last_way: (n,) or (N, n) signed displacement (rad, m) since the joint last stood still or
+            reversed; 0 where it did not move or this is not known.
     """
 
     approach: np.ndarray

@@ -345,7 +345,10 @@ class Posture:
         return self._loads_at(station)[1]
 
     def moment(self, station: int) -> Vec:
-        """Return the moment of all carried at a station, about its origin, in its axes (N m)."""
+        """Return the moment (N m) of all weight carried at a station.
+
+        It is about the station's origin and in its axes.
+        """
         return self._loads_at(station)[2]
 
     def _loads_at(self, station: int) -> tuple[Vec, Vec, Vec]:

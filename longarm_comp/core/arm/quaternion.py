@@ -21,7 +21,7 @@ def is_unit(quaternion: np.ndarray) -> bool:
 
 
 def compute_rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix (3, 3) of x, y, z, w; the length is taken out first."""
+    """Return the rotation matrix (3, 3) of a quaternion x, y, z, w, which is normalised first."""
     q = np.asarray(quaternion, dtype=float)
     x, y, z, w = (q / np.linalg.norm(q)).tolist()
     return np.array(

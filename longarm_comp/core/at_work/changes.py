@@ -30,13 +30,14 @@ class Parameters:
     """The parameters of a model and of all effects that may be added to it, in one order.
 
     Attributes:
-        absent: effects that the model does not hold, with all values 0.
-        slots: the slots of the model, then of these.
+        absent: the effects that may be added, with all values 0.
+        slots: the parameters of the model, then those of `absent`.
         keys: (C,) effect and place of every possible change.
-        places: (C, k) positions of its parameters; -1 where it has fewer than k.
-        log_prior: (C,) log probability of it, given that something changes. What the model holds
-            wears as often as something new appears; of each, every name is as likely as any other,
-            and so is every place of a name.
+        places: (C, k) positions in `slots` of the parameters of each change; -1 fills up rows of
+            changes with fewer than k.
+        log_prior: (C,) log probability of each change, given that something changes. An effect of
+            the model is as likely to change as a new one is to appear. Within either group every
+            effect name is equally likely, and so is every place of one name.
     """
 
     model: Model

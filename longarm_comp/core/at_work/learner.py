@@ -98,7 +98,7 @@ class Named(Declared):
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """The model as it was served once a change was certain."""
+    """A version of the model: the given one, or the estimate when a change became certain."""
 
     at_s: float
     model: Model  # with the record of how good it is
@@ -130,7 +130,7 @@ class Learner:
 
     @property
     def record(self) -> ModelUncertainty:
-        """The record of how good the served model is."""
+        """The uncertainty of the model in use."""
         assert self.model.uncertainty is not None
         return self.model.uncertainty
 

@@ -62,22 +62,21 @@ def fit_model(
 
     Args:
         model: starting point; its terms decide what is fitted.
-        session: rows; lost markers are left out.
-        sigma: (d,) noise per channel in m or rad; estimated from the residual, one for all
-            channels of a kind and sensor, when not given.
+        session: the rows; those in which nothing was measured are left out.
+        sigma: (d,) noise per channel in m or rad. By default it is estimated from the residual, one
+            value for all channels of the same kind and sensor.
         rho: correlation of the noise from one row to the next (in the order of the rows).
-        robust: give outliers weight 0, anew at every step.
-        weights: (N of seen rows,) fixed weights instead.
-        close: size of the last step, in standard errors, below which the fit ends. If this is more
-            than `CLOSE`, the design is that of the values before the last step.
-        begun: a fit of the same model to the same session, if there is one: residual and design
-            are taken from it.
-        near: a fit of a similar model to the same session; its loads save a load pass.
-        usual: noise that arms of the kind have, by kind of measurement, m or rad.
+        robust: give outliers weight 0, decided anew at every step.
+        weights: fixed weights, one for each row that is not left out; `robust` is then ignored.
+        close: the fit ends when a step is below this many standard errors. If it is more than
+            `CLOSE`, the design may be that of the values before the last step.
+        begun: a fit of the same model to the same session, whose residual and design are reused.
+        near: a fit of a similar model to the same session, from whose posture the loads start.
+        usual: noise that is known of arms of this kind, m or rad, by kind of measurement.
 
     Raises:
-        InputError: fewer than four seen rows, or an input that a term needs is missing.
-        JobError: the fit did not stay finite.
+        InputError: fewer than four rows are left, a point is too far off, or a term lacks an input.
+        JobError: the rows do not determine the parameters, or the fit did not stay finite.
     """
     part = SessionProblem(model, session, sigma, weights, robust, rho, usual, begun, near)
     return _fit_parts([part], close)[0]

@@ -107,7 +107,7 @@ def refuse_implausible(
 
 
 def mark_believed_rows(final: ModelFit, rows: Session) -> np.ndarray:
-    """Return (M,) whether each row is not among those that the fit set as outliers."""
+    """Return (M,) True for each row that the fit did not set aside as an outlier."""
 
     def contents(some: Session) -> list[bytes]:
         return [row.tobytes() for row in np.column_stack([some.index, some.q, some.xyz])]

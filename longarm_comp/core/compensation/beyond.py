@@ -166,7 +166,12 @@ def _list_absent_effects(model: Model, context: Context) -> list[Effect]:
 
 
 def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
-    """List the k parameters of absent effects, and their sizes (k,)."""
+    """List the k parameters of effects that the model lacks and no row could show.
+
+    Returns:
+        The parameters, and the size (k,) that each may have: one prior standard deviation, times
+        `YIELDS` for an elastic effect.
+    """
     slots = slots_of(model.arm, _list_absent_effects(model, context))
     sizes = [s.parameter.width * (YIELDS if s.owner.elastic else 1.0) for s in slots]
     return slots, np.array(sizes)

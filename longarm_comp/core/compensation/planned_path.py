@@ -162,13 +162,14 @@ def smooth(
     beyond: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
 ) -> CubicPath:
-    """Lay a smooth path through commands at times (k,).
+    """Lay a smooth path through commands ``stands + beyond`` at times (k,), s.
 
     Args:
+        plan: the planned path; its velocities are used if it has any.
         planned: (k,) s, the plan's own times.
-        stands, beyond: (k, n) where joints stand, and how far commands are beyond: each is smooth
-            by itself.
-        box: (n,) lowest and highest that joints may be sent to, between way-points too.
+        stands: (k, n) where the joints shall stand, rad and m.
+        beyond: (k, n) by how much the commands go beyond, for instance to take up play.
+        box: (n,) lowest and (n,) highest joints that may be sent, between way-points too.
     """
     joints = stands + beyond
     if len(joints) == 1:

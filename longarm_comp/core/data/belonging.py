@@ -74,9 +74,13 @@ class _Belief:
 
 
 def find_mistake(model: Model, session: Session) -> _Belief | None:
-    """Hold the rows against the arm and, where they fit badly, against it under each mistake.
+    """Check whether the rows belong to the arm, and look for a mistake in them.
 
-    None for fewer than `MIN_POSES` rows with a position.
+    The common mistakes are tried on all rows if these fit badly, and on rows far off the others if
+    there are several. Otherwise measured axes, or else the signs of joints, are checked.
+
+    Returns:
+        The findings; None for fewer than `MIN_POSES` different poses with a position.
     """
     seen = session.take(session.has_position)
     if len(np.unique(seen.pose_id)) < MIN_POSES:

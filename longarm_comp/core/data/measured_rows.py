@@ -155,9 +155,12 @@ class MeasuredRows:
         return {name: float(np.median(values)) for name, values in stated if len(values)}
 
     def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
-        """Return (N,) noise that each row states over the usual one by channel.
+        """Return (N,) ratio of the noise that each row states to the usual noise.
 
-        It is the geometric mean over its channels; 1 where it states none.
+        It is the geometric mean over the row's channels; 1 where it states none.
+
+        Args:
+            usual: noise by channel name, m or rad.
         """
         share = self.stated_sigma / np.array([usual.get(name, np.nan) for name in self.channels])
         known = np.isfinite(share)

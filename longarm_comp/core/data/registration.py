@@ -51,9 +51,10 @@ class Sightings:
         groups: Sequence[str] | None = None,
         markers: Sequence[str] | None = None,
     ) -> Sightings:
-        """Return the seen rows against a model that places nothing itself.
+        """Return the rows with a measured position beside where the model puts their markers.
 
         Args:
+            model: a model without base or marker placements, which the registration finds.
             groups: names of the base placements; by default one per frame of the session.
             markers: names of the markers, empty for the tip; all of the arm's by default.
         """
@@ -96,7 +97,7 @@ class Registration:
 
     @property
     def misfit(self) -> float:
-        """Median distance of a row, m."""
+        """Median distance between the sightings and where the registered arm puts them, m."""
         return float(np.median(self.distance))
 
     @classmethod

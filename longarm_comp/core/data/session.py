@@ -232,9 +232,10 @@ class Session(MeasuredRows):
 
     @cached_property
     def row_legs(self) -> tuple[float, ...]:
-        """Per joint, the way (rad, m) since it turned that three of four rows reach.
+        """Per joint, the distance (rad, m) since its last reversal that 75 % of the rows reach.
 
-        0 for a joint of which no way is recorded; empty where none is of any joint.
+        Rows without a recorded distance do not count: 0 for a joint with none, empty if there is
+        none at all.
         """
         legs = np.where(self.legs[..., 0] == 0.0, np.nan, np.abs(self.legs[..., 0]))
         known = np.isfinite(legs).any(axis=0)

@@ -1,9 +1,10 @@
-"""Rows that a fit sets aside: gross errors come alone and anywhere, else they are a cause.
+"""Rows that a fit sets aside: gross errors are isolated and share nothing; else look for a cause.
 
-What they share is tried in every input.  In texts and in joints that mostly stand still it is the
-chance that so many are found at one value (Fisher's exact test).  Along numbers it is the chance
-that so many lie together: the densest of the stretches that begin and end at one of them, its two
-ends not counted.  Rows of one visit to a pose are one: a knock spoils them all.
+Every input is searched for a value or range that these rows share.  For texts, and for joints that
+mostly stand still, the p-value is that of so many rows at one value (Fisher's exact test).  For
+other numbers it is that of so many rows so close together: the densest interval that begins and
+ends at one of them, its two ends not counted.  Rows of one visit to a pose count as one, because
+one disturbance spoils them all.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ class SetAside:
     """Rows of a session that a fit does not believe.
 
     Attributes:
-        rows: their places among the rows that were fitted.
-        share: of these.
-        shared_by: what they have in common, the least probable first.
+        rows: their positions among the rows that were fitted.
+        share: their fraction of the rows that were fitted.
+        shared_by: the traits that they have in common, the least probable first.
     """
 
     rows: tuple[int, ...]
@@ -74,7 +75,7 @@ class SetAside:
 
     @property
     def record(self) -> dict[str, object]:
-        """The entry of report.json: their number, share, and what they share."""
+        """The entry of report.json: their number, their fraction, and the traits in common."""
         shared = [dataclasses.asdict(each) for each in self.shared_by]
         return {"rows": len(self.rows), "share": self.share, "shared_by": shared}
 

@@ -30,10 +30,10 @@ _OFF_SHARE = 0.1
 
 
 def touched_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
-    """Return the terms that hold the points and planes that a session touched.
+    """Return the terms whose parameters are the places of the points and planes touched.
 
     Raises:
-        InputError: two ways of known distances lead from a point to another.
+        InputError: the known distances between the points form a loop.
     """
     names = session.names_of(KINDS["touch"])
     distances = (*known_distances(arm.touch_distances), *session.touch_distances)
@@ -127,7 +127,13 @@ def place_touched(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> 
 
 
 def with_touched(model: Model, session: Session, at: Posture) -> Model:
-    """Return the model, perhaps of other rows, with the touched points that it lacks."""
+    """Return the model with a term for each touched point and plane of the session that it lacks.
+
+    The model may have been fitted to other rows.
+
+    Args:
+        at: posture of the arm at the rows.
+    """
     if all(kind.cells for kind in session.kinds):
         return model
     points = {t.touch for t in model.biases if isinstance(t, TouchPlace | TouchBeside)}

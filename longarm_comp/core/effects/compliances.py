@@ -168,7 +168,10 @@ class LinkBending(Effect):
         return [{"row": j.id} for j in arm.joints if j.id not in declared and _long(j)]
 
     def price(self, arm: Arm) -> float:
-        """Count every link: those whose beams are declared may bend as likely as the others."""
+        """Return the log of all links with a length over those without a declared beam.
+
+        A link with a declared beam may bend just as likely, so it has its share of the prior.
+        """
         every = sum(map(_long, arm.joints))
         return math.log(every / len(self.sites(arm)))
 

@@ -55,7 +55,7 @@ class _Traits:
         return dict.fromkeys((t.at, t.component) for t in self.terms)
 
     def of(self, *kinds: type[Quantity]) -> bool:
-        """Tell whether it depends on a quantity of some kinds."""
+        """Tell whether it depends on a quantity of one of these kinds."""
         return any(isinstance(s.quantity, kinds) for s in self.shapes)
 
     def shape(self, *kinds: type[Shape], of: tuple[type[Quantity], ...] = (Quantity,)) -> bool:

@@ -300,7 +300,7 @@ class Effect(_Term, ABC):
 
     @property
     def commandable(self) -> bool:
-        """True if a command can compensate it: by what a command is told."""
+        """True if a command can compensate the effect: all its inputs are known by then."""
         return all(name in PER_JOINT or is_told(name) for name in self.inputs)
 
     @property

@@ -62,8 +62,8 @@ class DhError(Effect):
     ``a`` and ``alpha`` act along and about ``x_{i-1}``, ``b`` and ``beta`` along and about
     ``y_{i-1}`` (``beta`` is Hayati's parameter, which parallel axes need; ``b`` is the length of a
     link that a fixed transform lays along y), ``d`` and ``theta`` along and about ``z_i``.
-    The set is redundant on purpose; priors hold it.  What is the joint's own zero
-    (`joint_zero`) is held here.
+    The set is redundant on purpose; the priors make the fit unique.  Of a commanded joint,
+    ``theta`` (of a slide, ``d``) is fixed at 0: `joint_zero` fits it.
     """
 
     name = "dh_error"

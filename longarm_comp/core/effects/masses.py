@@ -117,10 +117,10 @@ class UndeclaredWeight(_Weight):
 
 @dataclass(frozen=True)
 class UndeclaredDrive(_Weight):
-    """What of the weight of an arm that declares none is at a joint, not along the links.
+    """Weight at one joint, of an arm that declares no weight; the links get less by as much.
 
-    Each joint has its own: the motor at an elbow, the gripper at a wrist.  What is at the first
-    joints loads nothing, and so leaves the links less.
+    It is for instance the motor at an elbow, or a gripper at the wrist.  Weight at the first joints
+    bends nothing, so there it only makes the links lighter.
     """
 
     name = "undeclared_drive"
@@ -165,7 +165,7 @@ def _guides(arm: Arm) -> list[tuple[int, float]]:
 class GravityDirection(_Weight):
     """Gravity turned by two small angles about the base's x and y.
 
-    Who levels a base by eye or by a bubble leaves some 5 mrad, which is no finding.
+    A base levelled by eye or with a spirit level may lean by some 5 mrad; this is no finding.
     """
 
     name = "gravity_direction"

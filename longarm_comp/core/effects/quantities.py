@@ -214,7 +214,7 @@ class Recorded(Quantity):
 
     @property
     def plain(self) -> bool:  # type: ignore[override]
-        """All but the number of a pose: it causes nothing by itself."""
+        """True but for the pose number, which causes nothing by itself."""
         return self.column != ORDER
 
     def unit(self, arm: Arm) -> str:

@@ -75,7 +75,11 @@ class TouchBeside(Bias):
         return (*turn, dataclasses.replace(stretch, prior=self.tolerance))
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the point, already less the other one, less the way between the two."""
+        """Subtract the vector from the other point to this one.
+
+        This is done in rows that touched this point or one that it carries; the other point's own
+        term subtracts the rest.
+        """
         turn = spatial.exp_large((0.0, 0.0, 0.0, self.rx, self.ry, self.rz))
         way = spatial.scale(self.distance + self.stretch, turn.rotate((1.0, 0.0, 0.0)))
         mine = rows_that_touched(context, self.touch, self.carries)

@@ -114,7 +114,8 @@ def judge_candidates(
     """Judge every candidate: one record per effect and place, best first, the untestable last.
 
     Args:
-        search: the explained session; each place in it is judged against the model without it.
+        search: the explained session. Each of its effects is judged, at its place, against the
+            model without that effect.
         findings: the named effects that were found.
         written: keys of the terms of the model to use.
         tried: the candidates that are not in the model.

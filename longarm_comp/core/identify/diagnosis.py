@@ -101,8 +101,8 @@ class Diagnosis:
     def fit(self) -> ModelFit:
         """The fit of the model to use.
 
-        Where the frame of the measurements surely drifts, targets are in that of the session's
-        start.
+        If the frame of the measurements certainly drifts, targets are in this frame as it was at
+        the start of the session.
         """
         fitted = self.fits[self.written]
         seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]

@@ -68,7 +68,7 @@ class Proof:
 
     @property
     def rows(self) -> dict[str, Errors]:
-        """Figures of `errors` by model name."""
+        """Statistics of `errors` and `turned` by model name."""
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
     def expected_errors(

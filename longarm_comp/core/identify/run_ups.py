@@ -41,8 +41,11 @@ def remembers_run_up(term: Effect | Bias) -> bool:
 
 
 def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
-    """Return the session with a length (rad; a tenth as many m) for run-ups that were not
-    recorded."""
+    """Return the session with a length for the run-ups whose length was not recorded.
+
+    Args:
+        run_up: length of all of them, rad; for slides it is times `SLIDE`, in m.
+    """
     slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
     return session.with_run_ups(run_up * np.where(slides, SLIDE, 1.0))
 

@@ -355,7 +355,12 @@ def flow(passes: int, m: int) -> Flow:
 
 
 def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
-    """Return programs that evaluate the trial; `anew`: no twists are carried yet."""
+    """Return the names of the programs that evaluate the trial joints, in order.
+
+    Args:
+        passes: load passes of a full evaluation.
+        anew: the level begins, so no twists of an earlier evaluation can be reused.
+    """
     if level.evaluate == "full":
         return ("first", *["again"] * (passes - 1), "tip") if passes else ("tip",)
     if anew:

@@ -84,10 +84,13 @@ def solve_compiled(
     options: tuple[int, float, float],
     engine: Engine,
 ) -> _Found | None:
-    """Search from a seed (default mid-range) in machine code; options: as the rest of `_Key`.
+    """Search from a seed (default mid-range) in machine code.
 
     None if the request needs the general solver: the model is not compiled, the context has text
     columns, or the input is invalid and needs an error message.
+
+    Args:
+        options: number of equations, tolerance, and weight of a radian (m).
     """
     key = (None if context is None else context.layout, *options)
     tasks: dict[Any, _Task] = model.memo.setdefault("tasks", {})

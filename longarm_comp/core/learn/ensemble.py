@@ -162,7 +162,11 @@ class _Learner:
     device: str
 
     def train_batch(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
-        """Train networks of so many hidden units, each on its rows (M, N), as one batch."""
+        """Train M networks with `units` hidden units as one batch.
+
+        Args:
+            rows: (M, N) mask of the rows that each network is trained on.
+        """
         import torch
 
         from longarm_comp.core.learn.sparrow import SparrowSearch

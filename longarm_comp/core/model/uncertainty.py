@@ -146,7 +146,11 @@ def encode_triangle(factor: np.ndarray) -> list[str]:
 
 
 def decode_triangle(lines: Sequence[str]) -> np.ndarray:
-    """Return an encoded triangle. Raises `ValueError` with the number of a wrong line."""
+    """Return the (K, K) lower triangle that `encode_triangle` wrote as K lines.
+
+    Raises:
+        ValueError: the text names the first line that is wrong.
+    """
     made = np.zeros((len(lines), len(lines)))
     for k, line in enumerate(lines):
         try:

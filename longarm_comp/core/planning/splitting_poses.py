@@ -34,14 +34,15 @@ class SplittingPoses(Plan):
 def choose_splitting_poses(
     fit: ModelFit, found: Candidate, other: Candidate, count: int, seed: int = 0
 ) -> SplittingPoses:
-    """Choose, one by one, the poses that tell best how much of the found effect there is.
+    """Choose, one by one, the poses that determine best how large the found effect is.
 
-    Geometry and the other effect are free beside it.
+    Geometry and the other effect are free parameters beside it.
 
     Args:
-        fit: that holds the terms of the found effect.
-        found, other: the effect in the model, and what may stand in its place.
-        count: of poses, M.
+        fit: a fit of a model with the found effect.
+        found: the effect in the model.
+        other: the effect that may be the true one instead.
+        count: number of poses to choose.
     """
     arm = fit.model.arm
     from scipy.stats import qmc  # takes a quarter of a second

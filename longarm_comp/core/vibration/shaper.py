@@ -45,11 +45,15 @@ def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_shaper(along: Sequence[Modes], way: Way, seconds: float, damping: float) -> Shaper | None:
-    """Return the shaper of a motion from rest to rest, one period longer; None where nothing bends.
+    """Return the shaper of a motion from rest to rest; None where a place has no modes.
+
+    It makes the motion longer by at most a period of the lowest mode.
 
     Args:
-        along: modes evenly along the motion. way, seconds: the motion, from time 0 on.
-        damping: share of critical damping.
+        along: modes at evenly spaced places along the motion.
+        way: the motion, which begins at time 0.
+        seconds: its duration without the shaper.
+        damping: damping ratio of the modes.
     """
     from scipy.optimize import nnls  # a node that sends moves as they are starts without
 

@@ -105,7 +105,7 @@ class SerialServoBus:
         return said
 
     def read(self, ids: Sequence[int]) -> dict[int, ServoState]:
-        """Read the state of every servo in one sync read.
+        """Read the state of the servos by sync read, with retries.
 
         Raises:
             IncompleteReply: ``states`` holds those of the servos that did answer.

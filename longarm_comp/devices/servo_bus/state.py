@@ -87,4 +87,4 @@ class IncompleteReply(ServoBusError):  # noqa: N818
 
 
 class ServoFault(ServoBusError):  # noqa: N818
-    """A servo reports an alarm of its own, or refuses an instruction with a code of its own."""
+    """A servo reports an alarm, refuses an instruction, or would jump if it were switched on."""

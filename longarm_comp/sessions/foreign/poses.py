@@ -142,7 +142,7 @@ def _is_meant(found: Found, names: Sequence[str]) -> bool:
 
 
 def axis_of(name: str) -> str | None:
-    """Return the coordinate that a name without unit and heading means: ``Tx`` is x; else None."""
+    """Return the axis that a bare column name such as ``x`` or ``Tx`` stands for, or None."""
     for form in FORMS:
         read = form.read(name) if form.convention == POSITION else None
         if read is not None and not read[0]:

@@ -76,7 +76,10 @@ class BaseSettling(HiddenEffect):
 
 @dataclass(frozen=True)
 class TelescopeClearance(HiddenEffect):
-    """Sliding beams droop in their guides by clearance / overlap, towards the load, and give."""
+    """Sliding beams tilt in their guides by clearance / overlap, rad, and as their pads compress.
+
+    They tilt towards the load.
+    """
 
     doses = ("clearance", "pads")
     clearance: float  # across the guide, m

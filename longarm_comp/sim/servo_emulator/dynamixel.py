@@ -30,7 +30,7 @@ class _Refused(IntEnum):
 
 
 class DynamixelWire(RegisterWire):
-    """XL430-W250; the rest of the X series shares its table."""
+    """Dynamixel protocol 2.0; register table of the XL430-W250, which the X series shares."""
 
     name = "dynamixel"
     kept_below = _At.TORQUE

@@ -72,7 +72,7 @@ class FunctionInput:
 
     @property
     def domain(self) -> tuple[str, float, float]:
-        """Its name and range, with which every shape of it begins."""
+        """Its name, minimum and maximum: the first arguments of every shape of it."""
         return self.name, self.low, self.high
 
     @property

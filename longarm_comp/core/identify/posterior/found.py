@@ -168,11 +168,11 @@ class FoundEffect:
         return self.put_first(best, [r for r in every if r is not best]), best is not every[0]
 
     def add_rival(self, other: FoundEffect, odds: float) -> FoundEffect:
-        """Return the effect with one more rival, from an explanation without any of its names.
+        """Return the effect with one more rival, of an explanation that uses none of its names.
 
         Args:
-            other: the effect in its place there.
-            odds: log odds of that explanation against those of all its names.
+            other: the effect that takes its place in that explanation.
+            odds: log odds of that explanation against all that use one of its names.
         """
         share = float(expit(odds))
         worth = self.log_bayes_factor + odds

@@ -124,7 +124,7 @@ class SingleEffect:
 
     @cached_property
     def held_places(self) -> frozenset[Hashable]:
-        """Places that it probably takes."""
+        """Places that it takes with a probability above 0.5."""
         chance: dict[Hashable, float] = {}
         for number in np.flatnonzero(self.q > UNLIKELY).tolist():
             for key in self._offer_of(number).keys:

@@ -76,8 +76,10 @@ class OfferTable:
 
     @classmethod
     def of(cls, products: Products, numbered: Mapping[int, Offer]) -> list[OfferTable]:
-        """Make two tables, of offers with a single coefficient and with several: most have only
-        one."""
+        """Make a table of the offers with one coefficient, and one of those with several.
+
+        Most have one. A table without offers is left out.
+        """
         wide = {n: len(offer.column_numbers) > 1 for n, offer in numbered.items()}
         parts = ({n: numbered[n] for n in wide if wide[n] == more} for more in (False, True))
         return [cls(products, part) for part in parts if part]

@@ -1,9 +1,10 @@
 """The posterior over explanations, averaged over resampled rows.
 
-A posterior that takes its own library for complete is certain of the nearest wrong name, and its
-certainty jumps with the sample.  Averaged over samples of whole blocks, drawn with replacement, it
-tells what another session of this size would tell (Huggins and Miller 2023, "Reproducible model
-choice using bagged posteriors", Bayesian Analysis 18, arXiv 2007.14845).
+If the true cause is not in the library, a single posterior is overconfident in the most similar
+wrong name, and which name that is changes from sample to sample.  Averaged over samples of whole
+blocks of rows, drawn with replacement, it tells what another session of this size would tell
+(Huggins and Miller 2023, "Reproducible model choice using bagged posteriors", Bayesian Analysis 18,
+arXiv 2007.14845).
 """
 
 from __future__ import annotations

@@ -192,7 +192,10 @@ def count_lanes() -> int:
 
 
 def compile_module(text: str, width: int) -> _Code:
-    """Compile straight-line code, without LLVM's passes: they save 3 % and double the time."""
+    """Compile straight-line code without LLVM's optimisation passes.
+
+    They would make the code 3 % faster, and compiling it take twice as long.
+    """
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     module = binding.parse_assembly(text)
