@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import closing
+from itertools import cycle
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,24 @@ def test_answers_that_come_too_late_are_not_taken_for_a_second_servo() -> None:
         found = scan_line(emulator.port, "feetech", 1000000, [1, 2, 3], 0.2, lambda *_: None)
     assert found is not None
     assert [(s.servo_id, s.clash) for s in found.servos][-2:] == [(2, False), (3, False)]
+
+
+class EverySecond(dict[int, float]):
+    """Delays (s) of every second answer of the servos."""
+
+    turns = cycle((False, True))
+
+    def get(self, servo_id: int, default: float = 0.0) -> float:  # type: ignore[override]
+        return self[servo_id] if next(self.turns) else default
+
+
+def test_a_servo_whose_answers_come_late_now_and_then_is_no_second_servo() -> None:
+    """On a busy computer: two of six too late were "damaged or doubled"."""
+    with bus("feetech") as emulator:
+        emulator.faults.delays_s = EverySecond({2: 0.12})
+        found = scan_line(emulator.port, "feetech", 1000000, [2], 0.05, lambda *_: None)
+    assert found is not None
+    assert [(s.servo_id, s.clash) for s in found.servos] == [(2, False)]
 
 
 def test_scan_says_what_is_missing(shell: Shell, tmp_path: Path) -> None:

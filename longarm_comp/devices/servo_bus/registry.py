@@ -120,8 +120,9 @@ def scan_line(
     Args:
         protocol, baudrate: only this one; None: all that are known, one after the other.
         tell: told what is being asked and the share done, 0 to 1.
-        expected: ids that should be there: on the line that is found, those that are silent or
-            not clear are asked once more, with ten times the patience.
+        expected: ids that should be there. On the line that is found, those of them that are
+            silent, and all whose answers are not clear, are asked once more with ten times the
+            patience: an answer that comes late is not a second servo's.
 
     Returns:
         None where nothing answered.
@@ -144,7 +145,7 @@ def scan_line(
         ask = partial(_ask_each, port, name, rate, tell_share)
         if heard := ask(ids, reply_timeout_s):
             clear = {servo_id for servo_id, servo in heard.items() if not servo.clash}
-            unclear = {*expected}.intersection(ids) - clear
+            unclear = ({*expected}.intersection(ids) | heard.keys()) - clear
             heard |= ask(sorted(unclear), 10.0 * reply_timeout_s)
             return Scan(port, name, rate, tuple(heard[i] for i in sorted(heard)))
     return None
