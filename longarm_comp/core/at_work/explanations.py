@@ -104,14 +104,14 @@ class Branch:
                 continue
             key, changes = known.space.keys[c], self.changes
             if key not in past:
-                own, t = known.space.own(c), int(known.probability[:, c].argmax())
+                t = int(known.probability[:, c].argmax())
                 changes += (
                     _PastChange(
                         key=key,
                         where=known.space.where(c),
                         since_s=float(known.since[t]),
                         sightings=int(known.count[t]),
-                        before=tuple(known.mean[own].tolist()),
+                        before=tuple(known.value_before(t, c).tolist()),
                     ),
                 )
             yield dataclasses.replace(

@@ -258,6 +258,11 @@ class RecursivePosterior:
         follows[places, np.arange(len(places))] += 1.0
         return places, jump, follows
 
+    def value_before(self, t: int, c: int) -> np.ndarray:
+        """Return the values (k,) that an effect's parameters had until it changed at an onset."""
+        places, jump, follows = self._describe_jump(t, c)
+        return np.asarray(self.mean[places] + follows[places] @ jump - jump)
+
     @cached_property
     def expected(self) -> np.ndarray:
         """The mean of the parameters over all possible changes and none, (q,)."""

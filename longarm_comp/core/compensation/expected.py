@@ -102,7 +102,7 @@ def expected_miss(
         return ExpectedMiss(mean, carried + structure.reshape(carried.shape) + known.frame)
     seen = learned**2 - np.diag(known.noise)
     least = np.diagonal(carried, axis1=-2, axis2=-1)
-    return ExpectedMiss(mean, np.maximum(seen, least)[..., None] * np.eye(3))
+    return ExpectedMiss(mean, np.maximum(seen, least)[..., None] * np.eye(3) + known.frame)
 
 
 def list_tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:

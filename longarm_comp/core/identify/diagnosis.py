@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import CLOCK
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.commanded import in_frame_of_start
 from longarm_comp.core.data.measurement import compute_posture
@@ -106,7 +107,8 @@ class Diagnosis:
         """
         fitted = self.fits[self.written]
         seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
-        if not all(f.presence * f.chance >= CREDIBLE for f in seen):
+        drifts = (f for f in seen if any(CLOCK in t.inputs for t in f.terms))
+        if not all(f.presence * f.chance_seen >= CREDIBLE for f in drifts):
             return fitted
         model = in_frame_of_start(fitted.model, fitted.session)
         if model is fitted.model:

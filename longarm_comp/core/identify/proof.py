@@ -77,8 +77,8 @@ class Proof:
         """Compute for some models the error (M,), m, that a command may expect at each row.
 
         An effect of the measuring side moves what is seen, not the tip. So an error that a bias
-        explains does not count, with the probability that the bias is there; otherwise a command
-        errs by it.
+        explains does not count, with the probability that a bias is there, by whatever name;
+        otherwise a command errs by it.
 
         Args:
             found: single effects of the fullest of the models.
@@ -87,7 +87,7 @@ class Proof:
         ours = 1.0
         for f in found:
             if isinstance(f.terms[0], Bias):
-                ours *= f.presence * f.chance
+                ours *= f.presence * f.chance_seen
         made = {}
         for name in names:
             seen, told = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))

@@ -18,7 +18,7 @@ from longarm_comp.core.arm.history import LEGS
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.explanations import Explanations
+from longarm_comp.core.at_work.explanations import Branch, Explanations
 from longarm_comp.core.at_work.learner import Learner, PoseRequest
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.calibration.calibrate import fit_stages
@@ -35,6 +35,29 @@ from longarm_comp.sim.hidden.drives import FrictionHysteresis as TruePlay
 from longarm_comp.sim.hidden.drives import JointGain
 
 JOINT_AXIS = np.eye(ARM.n)[JOINT - 1]
+
+
+def test_the_change_of_a_loosely_known_parameter_is_the_whole_of_it() -> None:
+    """What "nothing changed" made of the sightings since was taken for the value before."""
+    rng = np.random.default_rng(3)
+    space = Parameters.of(fitted(), Work().pose()[1])
+    (own,) = space.own(space.keys.index(("joint_zero", "joint 1")))
+    was, width = float(space.values(space.model)[own]), float(space.widths[own])
+    loose = np.array([[(0.3 * width) ** 2]])
+    known = RecursivePosterior.begin(space, space.values(space.model), np.array([own]), loose)
+    explained = Explanations((Branch(1.0, known),))
+    for k in range(40):
+        columns = np.zeros((3, len(space)))
+        columns[:, own] = 1e-3 / width * rng.standard_normal(3)
+        value = was + (width if k >= 5 else 0.0)
+        seen = columns[:, own] * value + 2e-4 * rng.standard_normal(3)
+        explained = explained.update(Row(float(k), columns, seen, 4e-8 * np.eye(3), 1.0))
+        if explained.branches[0].changes:
+            break
+    (change,) = explained.branches[0].changes
+    before = dict(zip(space.own(space.keys.index(change.key)), change.before, strict=True))
+    assert before[own] == pytest.approx(was, abs=0.05 * width)
+    assert explained.branches[0].known.expected[own] == pytest.approx(was + width, abs=0.1 * width)
 
 
 def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:

@@ -16,6 +16,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.parts import Payload
 from longarm_comp.core.arm.quaternion import from_rotation
+from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.compensation.target_frame import base_of_graph, find_placement
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
@@ -23,6 +24,7 @@ from longarm_comp.core.effects.geometry_errors import DhError, JointZero
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.core.model.uncertainty import ModelUncertainty
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.targets import Targets
 
@@ -236,3 +238,16 @@ def test_millimetres_are_guessed(tracked: Path, capsys: pytest.CaptureFixture[st
         assert f"are these {unit}?" in shell.refused("compensate", "arm.yaml", x, y, z, code=3)
     x, y, z = 2.5 * tip
     assert "are these" not in shell.refused("compensate", "arm.yaml", x, y, z, code=3)
+
+
+def test_a_learned_error_does_not_tell_where_the_frame_of_targets_lies() -> None:
+    frame = np.diag([9e-6, 0.0, 0.0])
+    small = 1e-8 * np.eye(3)
+    plain = Model(ARM, (JointZero(1),))
+    names = tuple(s.identity for s in plain.slots)
+    known = ModelUncertainty(names, 1e-6 * np.eye(1), small, small, 1e-3, 100, frame=frame)
+    model = dataclasses.replace(plain, uncertainty=known)
+    tip = model.tip(ARM.mid)
+    for learned in (None, np.full(3, 2e-4)):
+        miss = expected_miss(model, ARM.mid, Context(), tip, learned)
+        assert miss.sigma[0] > 3e-3 > 1e-3 > miss.sigma[1]

@@ -16,10 +16,10 @@ from small_arm import ARM
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.camera_errors import CameraDrift
-from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.camera_errors import CameraDrift, CameraScale
+from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.drive_errors import PrismaticPitch
-from longarm_comp.core.effects.slow_changes import ThermalGrowth
+from longarm_comp.core.effects.slow_changes import BaseSettling, ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.proof import Fold, prove_models
@@ -33,8 +33,8 @@ from studies.outside import PumpShake, RubberStop
 FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)
 
 
-def single(term: Any, there: float, *others: tuple[str, float]) -> FoundEffect:
-    rivals = tuple(Rival(Candidate(name, (term,)), 20.0, p) for name, p in others)
+def single(term: Any, there: float, *others: tuple[Any, float]) -> FoundEffect:
+    rivals = tuple(Rival(Candidate(t.name, (t,)), 20.0, p) for t, p in others)
     return FoundEffect((term,), there, 20.0, 1.0 - sum(p for _, p in others), rivals)
 
 
@@ -56,15 +56,16 @@ def test_what_a_camera_may_have_moved_is_a_commands_error_as_far_as_it_may_be_th
     models = {name: fitted.model for name, fitted in fits.items()}
     proof = prove_models([Fold(models, fits, plain.session, np.arange(len(plain.session)))])
     (term,) = (b for b in camera.model.biases if isinstance(b, CameraDrift))
-    sure, unsure, absent = (
-        proof.expected_errors([single(term, *how)], list(fits))
-        for how in ((1.0,), (1.0, ("base_drift", 0.5)), (0.5,))
+    ways = ((1.0,), (1.0, (BaseSettling(), 0.5)), (0.5,), (1.0, (CameraScale(), 0.5)))
+    sure, unsure, absent, either = (
+        proof.expected_errors([single(term, *how)], list(fits)) for how in ways
     )
     seen, told = ((e["with_effects"] ** 2).sum(1) for e in (proof.errors, proof.commanded))
     assert sure["with_effects"] == pytest.approx(np.sqrt(seen))
     assert unsure["with_effects"] == pytest.approx(np.sqrt(0.5 * seen + 0.5 * told))
     assert unsure["with_effects"].mean() > 1.5 * sure["with_effects"].mean()
     assert absent["with_effects"] == pytest.approx(unsure["with_effects"])
+    assert either["with_effects"] == pytest.approx(sure["with_effects"])  # a camera, by any name
     nothing = proof.expected_errors([single(PrismaticPitch(3), 0.6)], list(fits))
     assert nothing["with_effects"] == pytest.approx(
         sure["with_effects"]
@@ -119,6 +120,19 @@ def test_what_no_command_is_told_does_not_shift_commands() -> None:
     assert found.left_out == (found.written != "with_functions")
 
 
+def test_a_camera_that_moved_between_two_rows_has_moved_for_good() -> None:
+    """The rows of a next session, numbered from 0 again, are all after it."""
+    moved = DiscoveredView(
+        "x", "switch(pose_number, 40.0, 0.5)", "pose_number 0.0..80.0", 1e-3, 5e-3
+    )
+    known = Model(ARM, (), (moved,))
+    rows = measured(ARM, (), 60, 4)
+    rows = dataclasses.replace(rows, columns={}, xyz=rows.xyz + 5e-3 * np.eye(3)[0])
+    found = core.diagnose(ARM, rows, model=known, kinds=(PrismaticPitch,))
+    assert "pose_number" not in found.train.columns
+    assert found.proof.rows["calibrated"].mean < 1e-3
+
+
 # ------------------------------------------------------------------ all of it is in the files
 
 
@@ -163,8 +177,9 @@ def test_what_was_found_is_in_the_written_model(stopped: DiagnosisResult, tmp_pa
 
 def test_an_explanation_without_a_name_takes_its_share_of_the_name() -> None:
     """Of odds of 1 to 4 a fifth, of its other names too; and what is there in its place gets it."""
-    found = single(CameraDrift(), 1.0, ("discovered", 0.1), ("base_settling", 0.3))
-    other = single(Discovered("joint 2", "turn z", "linear(q2)", "q2 0..1"), 1.0)
+    function = Discovered("joint 2", "turn z", "linear(q2)", "q2 0..1")
+    found = single(CameraDrift(), 1.0, (function, 0.1), (BaseSettling(), 0.3))
+    other = single(function, 1.0)
     doubted = found.add_rival(other, math.log(0.25))
     assert doubted.names == pytest.approx(
         {"camera_drift": 0.48, "base_settling": 0.24, "discovered": 0.28}

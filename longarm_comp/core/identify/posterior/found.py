@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import expit, softmax
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
+from longarm_comp.core.effects.effect import Bias
 
 CREDIBLE = 0.95
 """Probability that a credible set holds."""
@@ -65,6 +66,11 @@ class Rival:
     def unnamed(self) -> bool:
         """True for a function without a name, False for an effect of the library."""
         return not self.candidate.terms[0].searched
+
+    @property
+    def on_measuring_side(self) -> bool:
+        """True for an effect that moves what is seen, not the tip."""
+        return isinstance(self.candidate.terms[0], Bias)
 
 
 @dataclass(frozen=True)
@@ -122,6 +128,12 @@ class FoundEffect:
         """Probability that the cause has no name, given that the effect is there."""
         others = sum(r.probability for r in self.rivals if r.unnamed)
         return others + self.chance if self.unnamed else others
+
+    @property
+    def chance_seen(self) -> float:
+        """Probability that it moves what is seen, not the tip, given that the effect is there."""
+        others = sum(r.probability for r in self.rivals if r.on_measuring_side)
+        return others + self.chance if isinstance(self.terms[0], Bias) else others
 
     @property
     def fitted_rivals(self) -> list[Rival]:
