@@ -116,7 +116,7 @@ class Learner:
     step_m: float = STEP_M  # largest correction of the tip where a sighting saw it
     sightings: int = 0  # taken in
     doubtful: int = 0  # left out
-    lately: tuple[int, ...] = ()  # `doubtful` after each of the last `LATELY` sightings
+    lately: tuple[int, ...] = ()  # `doubtful` before and after each of the last `LATELY` sightings
     older: int = 1  # versions from before what is known
     knocked: bool = False  # whether base or tip, or what measures them, stands elsewhere
     settled: Model | None = None  # served before the doubt, if there is one now
@@ -209,7 +209,7 @@ class Learner:
             older=older,
             sightings=self.sightings + 1,
             doubtful=doubtful,
-            lately=(*self.lately, doubtful)[-LATELY:],
+            lately=(*(self.lately or (self.doubtful,)), doubtful)[-LATELY - 1 :],
         )
 
     def _serve_mean(self, row: Row, q: np.ndarray, context: Context) -> Learner:

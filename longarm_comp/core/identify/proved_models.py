@@ -19,6 +19,7 @@ from longarm_comp.core.identify.posterior.explained import NEAR, ExplainedSessio
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, keys_of
 from longarm_comp.core.identify.proof import (
     CALIBRATED,
+    NETWORK,
     WITH_EFFECTS,
     WITH_FUNCTIONS,
     Fold,
@@ -77,7 +78,7 @@ class ProvedModels:
             anew: whether it is trained without each fold; else the one network is proved.
 
         Returns:
-            The network, None where it does not help; and the proof.
+            The network, None where it does not help or its proof fails; and the proof.
         """
         final = self.final
         network = train(final.model, final.session.take(final.weights > 0))
@@ -90,7 +91,12 @@ class ProvedModels:
             kept = fold.fits[self.written]
             return kept.model, train(kept.model, kept.session.take(kept.weights > 0))
 
-        return network, prove_models(self.folds, train_on_fold)
+        proof = prove_models(self.folds, train_on_fold)
+        for errors in (proof.errors, proof.commanded):
+            lengths = (np.linalg.norm(errors[name], axis=1) for name in (self.written, NETWORK))
+            if describe_worsening(*lengths):
+                return None, self.proof
+        return network, proof
 
 
 def prove_written(

@@ -198,4 +198,4 @@ def test_wrong_sightings_among_right_ones_move_nothing() -> None:
             assert inside >= 0.85 or k == 6
             assert error < SIGMA or k == 6
     assert learner.named == () and learner.doubtful == len(wrong)
-    assert learner.disagreeing == len(wrong & set(range(21, 40)))
+    assert learner.disagreeing == len(wrong & set(range(20, 40)))

@@ -36,7 +36,7 @@ from longarm_comp.core.identify.discover.causes import (
     list_causes,
     propose_poses,
 )
-from longarm_comp.core.identify.discover.functions import Functions, make_switch
+from longarm_comp.core.identify.discover.functions import Functions, list_thresholds, make_switch
 from longarm_comp.core.identify.discover.inputs import (
     FunctionInput,
     FunctionInputs,
@@ -402,6 +402,17 @@ def test_a_ramp_fills_the_gap_of_the_data() -> None:
     assert (made.threshold, made.half) == pytest.approx((0.4, 0.2))
     np.testing.assert_allclose(made.at(values), [-1, -1, -1, 1, 1, 1], atol=1e-12)
     assert float(made.at(0.4)) == pytest.approx(0.0)
+
+
+def test_an_input_that_is_mostly_at_its_least_has_thresholds_too() -> None:
+    """A gripper that is empty in four of five rows had none: no load switched anything."""
+    rng = np.random.default_rng(0)
+    loads = np.concatenate([np.zeros(160), rng.uniform(1.0, 5.0, 40)])
+    payloads = np.repeat([0.0, 1.0, 2.0, 3.0], [140, 20, 20, 20])
+    for values, tried in ((loads, 1), (payloads, 2), (rng.random(200), 7)):
+        levels = count_levels(values)
+        thresholds = list_thresholds(FunctionInput("payload_kg", values, levels))
+        assert len(thresholds) == tried and min(thresholds) > values.min()
 
 
 # ------------------------------------------------------------------ recorded columns

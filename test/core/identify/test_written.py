@@ -13,8 +13,10 @@ import pytest
 from discover_rows import HELD_OUT, ROWS, calibrated, measured
 from small_arm import ARM
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift, CameraScale
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
@@ -22,8 +24,9 @@ from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import BaseSettling, ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
-from longarm_comp.core.identify.proof import Fold, prove_models
-from longarm_comp.core.identify.proved_models import choose_written
+from longarm_comp.core.identify.proof import NETWORK, Fold, prove_models
+from longarm_comp.core.identify.proved_models import ProvedModels, choose_written
+from longarm_comp.core.learn.predictor import LearnedGain
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import parse_report, text
@@ -131,6 +134,31 @@ def test_a_camera_that_moved_between_two_rows_has_moved_for_good() -> None:
     found = core.diagnose(ARM, rows, model=known, kinds=(PrismaticPitch,))
     assert "pose_number" not in found.train.columns
     assert found.proof.rows["calibrated"].mean < 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class SaysAlways:
+    """A predictor that says the same error everywhere, and that it helps."""
+
+    error: tuple[float, float, float]
+    gain = LearnedGain(low=1.0)
+
+    def predict(self, q: np.ndarray, context: Context) -> Prediction:
+        everywhere = np.tile(self.error, (len(q), 1))
+        return Prediction(everywhere, everywhere, np.ones(len(q), bool), [""] * len(q))
+
+
+@pytest.mark.parametrize(("error", "kept"), [((1e-2, 0.0, 0.0), False), ((0.0, 0.0, 0.0), True)])
+def test_a_network_with_which_held_out_rows_err_more_is_not_kept(
+    stopped: DiagnosisResult, error: tuple[float, float, float], kept: bool
+) -> None:
+    d = stopped.diagnosis
+    proved = ProvedModels(
+        d.search, d.fits, d.models, d.held_out, d.folds, d.proof, {}, d.written, ""
+    )
+    says: Any = SaysAlways(error)
+    network, proof = proved.train_network(lambda model, rows: says, anew=True)
+    assert (network is says, NETWORK in proof.errors) == (kept, kept)
 
 
 # ------------------------------------------------------------------ all of it is in the files

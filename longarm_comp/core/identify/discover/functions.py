@@ -264,11 +264,11 @@ def list_orders(one: FunctionInput) -> list[float]:
 
 
 def list_thresholds(one: FunctionInput) -> list[float]:
-    """Return the thresholds of an input that are tried: inner quantiles of its values."""
+    """Return the thresholds of an input that are tried: quantiles of its values above the least."""
     if one.smooth:
         return []
     shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
-    return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
+    return [float(v) for v in np.unique(np.quantile(one.values, shares)) if v > one.low]
 
 
 def vary_shape(shape: Shape, one: FunctionInput, width: float) -> list[Shape]:
