@@ -205,6 +205,8 @@ def _number_rows(session: Session, first: int = 0) -> Session:
 def _split_test_rows(session: Session, test: Session | None) -> tuple[Session, Session | None]:
     """Split a session into rows to fit and rows to hold out, if such are given or labelled."""
     roles = session.labels.get("role", np.array([]))
-    if test is None and (roles == "test").any() and (roles != "test").any():
+    if (roles == "test").any() and (roles != "test").any():
+        if test is not None:
+            raise session.error("role", "test", "no such row where other rows are held out")
         session, test = session.take(roles != "test"), session.take(roles == "test")
     return take_spread_rows(session, MOST_ROWS), test

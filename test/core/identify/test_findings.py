@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -12,7 +14,9 @@ from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.identify.findings import make_findings
+from longarm_comp.core.identify.posterior import explain
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
+from longarm_comp.core.identify.posterior.resampled import Resampling
 
 GEAR = Candidate("gear_eccentricity", (GearEccentricity(5),))
 TILT = Candidate("bearing_tilt", (BearingTilt(5),))
@@ -54,6 +58,34 @@ def test_single_effects_of_one_name_are_one_finding_and_the_strongest_is_first()
         False,
     )
     assert second.runner_up is None
+
+
+def test_a_rival_that_only_samples_show_has_the_odds_that_they_give_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The page said of one with 3 percent: log odds 0."""
+    monkeypatch.setattr(Resampling, "_in_its_place", lambda self, found, effects: effects[0])
+    sample = [gain(2, ("gear_eccentricity", 0.2))]
+    certain = FoundEffect((JointGain(2, gain=0.01),), 1.0, 300.0)
+    nothing: Any = None
+    samples = Resampling(nothing, (), (), (certain,), nothing)
+    (rival,) = samples._average_effect(certain, [certain], [sample] * 4).rivals
+    assert (rival.name, rival.probability) == ("gear_eccentricity", pytest.approx(0.2))
+    assert rival.log_bayes_factor == pytest.approx(300.0 - math.log(0.8 / 0.2))
+
+
+def test_effects_are_compared_with_their_rivals_until_none_is_better(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The second comparison was the last, and what it took had no rivals: its name was certain."""
+    first, second, third = (replace(gain(k), presence=0.7) for k in (1, 2, 1))
+    answers = iter([((first,), True), ((second, third), True), ((), False)])
+    state = SimpleNamespace(found=())
+    monkeypatch.setattr(explain, "_compare_rivals", lambda search, state: (state, *next(answers)))
+    search: Any = SimpleNamespace(repeat_until_best=lambda state: state)
+    told: Any = state
+    assert explain._settle(search, told) == (state, (second, third))
+    assert next(answers, None) is None
 
 
 def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:

@@ -53,6 +53,22 @@ def chance(bank: OfferedEffects, *names: str) -> float:
     return sum(math.exp(o.log_prior) for o in bank.bank.offers if o.name in names)
 
 
+def test_effects_have_the_same_evidence_with_and_without_others_on_offer() -> None:
+    """A second place of a name cost ten times more where only what was found was on offer."""
+    rows = session_of(DEMO, 2)
+    tried = list_candidates(DEMO, rows.context(), KINDS).testable
+    gains = [c.terms for c in tried if c.name == "joint_gain" and len(c.terms) == 1][:2]
+    found = tuple(FoundEffect(terms, 1.0, 0.0) for terms in gains)
+    terms = (*geometry_terms(DEMO, rows), *(t for own in gains for t in own))
+    fitted = fit_model(Model(DEMO, terms), rows)
+    among, alone = (
+        make_offers(fitted, tried, (), found, [ModelTolerance(0.01, False)], others=others)[0]
+        for others in (True, False)
+    )
+    assert len(alone.bank.offers) < len(among.bank.offers)
+    assert alone.evidence_of_known == pytest.approx(among.evidence_of_known)
+
+
 def test_every_name_is_as_likely_and_functions_have_a_twentieth() -> None:
     rows = session_of(DEMO, 2)
     fitted = fit_model(Model(DEMO, (LinkDeflection(), *geometry_terms(DEMO, rows))), rows)

@@ -22,6 +22,7 @@ from longarm_comp.core.effects.camera_errors import CameraDrift, CameraScale
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import BaseSettling, ThermalGrowth
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.proof import NETWORK, Fold, prove_models
@@ -39,6 +40,14 @@ FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)
 def single(term: Any, there: float, *others: tuple[Any, float]) -> FoundEffect:
     rivals = tuple(Rival(Candidate(t.name, (t,)), 20.0, p) for t, p in others)
     return FoundEffect((term,), there, 20.0, 1.0 - sum(p for _, p in others), rivals)
+
+
+def test_rows_that_are_labelled_test_are_never_fitted() -> None:
+    """Beside rows held out they were, in silence."""
+    rows = measured(ARM, (), 60, 4)
+    labelled = dataclasses.replace(rows, labels={"role": np.repeat(["train", "test"], 30)})
+    with pytest.raises(InputError, match="role"):
+        core.diagnose(ARM, labelled, test=measured(ARM, (), 30, 5), kinds=(PrismaticPitch,))
 
 
 # ------------------------------------------------------------------ which model

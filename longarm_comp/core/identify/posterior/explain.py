@@ -26,7 +26,7 @@ from longarm_comp.core.identify.posterior.explained import (
 )
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, replace_effect
 from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
-from longarm_comp.core.identify.posterior.search import ExplanationSearch
+from longarm_comp.core.identify.posterior.search import ROUNDS, ExplanationSearch
 from longarm_comp.core.model.model import Model
 
 
@@ -69,14 +69,12 @@ def explain_session(
         search = replace(search, nameless=True)
         state = search.repeat_until_best(search.repeat_until_best(state), functions=True)
         state, of_halves = _explain_halves(search, state, seed)
-    state, doubtful, changed = _compare_rivals(search, state)
-    if changed:
-        state = search.repeat_until_best(state)
-        state, again, _ = _compare_rivals(search, state)
-        taken = {t.key for f in (*state.found, *again) for t in f.terms}
-        left = (f for f in doubtful if taken.isdisjoint(t.key for t in f.terms))
-        doubtful = (*again, *left)
-    state, absence = _compare_absence(search, state)
+    for _ in range(ROUNDS):
+        state, doubtful = _settle(search, state)
+        better, absence = _compare_absence(search, state)
+        if better is None:
+            break
+        state = better
     say("resampled rows")
     state, unstable = _average_samples(search, state, absence, of_halves, seed)
     doubtful = tuple(f for f in (*doubtful, *unstable) if f.in_doubt)
@@ -111,7 +109,8 @@ def _average_samples(
     fewer = search.fit_with(state, stable) if len(stable) < len(found) else None
     if fewer is None:
         return replace(state, found=found, tolerance=tolerance, linear=linear), ()
-    linear = replace(linear, fit=fewer.fit, found=fewer.found)
+    tolerance = search.weigh_tolerances(fewer.fit, fewer.found)[1]
+    linear = replace(linear, fit=fewer.fit, found=fewer.found, tolerance=tolerance)
     unstable = tuple(f for f in found if f.presence <= least)
     return replace(fewer, tolerance=tolerance, linear=linear), unstable
 
@@ -176,6 +175,25 @@ def _explain_halves(
     return state, of_halves
 
 
+def _settle(
+    search: ExplanationSearch, state: ExplainedSession
+) -> tuple[ExplainedSession, tuple[FoundEffect, ...]]:
+    """Compare every effect with its rivals, and explain again, until none of them is better.
+
+    Returns:
+        The state, and the doubtful effects.
+    """
+    doubtful: tuple[FoundEffect, ...] = ()
+    for _ in range(ROUNDS):
+        state, new, changed = _compare_rivals(search, state)
+        taken = {t.key for f in (*state.found, *new) for t in f.terms}
+        doubtful = (*new, *(f for f in doubtful if taken.isdisjoint(t.key for t in f.terms)))
+        if not changed:
+            break
+        state = search.repeat_until_best(state)
+    return state, doubtful
+
+
 def _compare_rivals(
     search: ExplanationSearch, state: ExplainedSession
 ) -> tuple[ExplainedSession, tuple[FoundEffect, ...], bool]:
@@ -217,25 +235,22 @@ def _compare_rivals(
 
 def _compare_absence(
     search: ExplanationSearch, state: ExplainedSession
-) -> tuple[ExplainedSession, dict[str, tuple[FoundEffect, float]]]:
-    """Compare each name with the best explanation without it, and take the better one.
+) -> tuple[ExplainedSession | None, dict[str, tuple[FoundEffect, float]]]:
+    """Compare each name with the best explanation without it, until one of these is better.
 
     Several functions may stand in the place of one name, and exchanging one effect for one
     never finds them. This is not tried where the explanation needs no function, nor for elastic
     effects.
 
     Returns:
-        The state; and for each name that stays the function that would replace it, with the log
-        odds of that explanation.
+        The better explanation, None where there is none; and for each name the function that would
+        replace it, with the log odds of that explanation.
     """
     absence: dict[str, tuple[FoundEffect, float]] = {}
-    held: set[str] = set()
-    while any(f.unnamed for f in state.found):
-        names = {f.name for f in state.found if not f.unnamed and not f.terms[0].elastic}
-        if not names - held:
-            break
-        name = min(names - held)
-        held.add(name)
+    if not any(f.unnamed for f in state.found):
+        return None, absence
+    names = {f.name for f in state.found if not f.unnamed and not f.terms[0].elastic}
+    for name in sorted(names):
         others = replace(search, candidates=[c for c in search.candidates if c.name != name])
         rest = tuple(f for f in state.found if not f.unnamed and f.name != name)
         left = others.fit_with(state, rest)
@@ -245,7 +260,6 @@ def _compare_absence(
             continue
         odds = search.compare_odds(state, left)
         if odds > 0:
-            state = left
-        else:
-            absence[name] = new[0], odds
-    return state, absence
+            return left, {}
+        absence[name] = new[0], odds
+    return None, absence

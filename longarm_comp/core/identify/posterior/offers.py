@@ -84,11 +84,12 @@ def make_offers(
     things = [listed[n][0] for n in moving]
     at = {list_variants(c.terms): n for n, c in enumerate(things)}
     known = tuple(at[list_variants(f.terms)] for f in found if list_variants(f.terms) in at)
+    names = len({c.name for c in library})
     banks = []
     for tolerance, size in zip(tolerances, sizes, strict=True):
         evidence, s, t = marginalise_first(gram, along, size)
         offers = [_scale_to_stiffness(o, c, tolerance) for o, c in zip(plain, things, strict=True)]
-        bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like, fitted.model.arm.n)
+        bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like, fitted.model.arm.n, names)
         base = marginal.evidence + evidence + tolerance.log_prior
         banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, tolerance))
     return banks

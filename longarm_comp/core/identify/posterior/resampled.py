@@ -87,7 +87,7 @@ class Resampling:
         linear = self._in_its_place(found, whole)
         told = {} if linear is None else linear.names
         fitted = {name: p / told[name] for name, p in found.names.items() if told.get(name)}
-        rivals = {r.name: r for r in found.rivals}
+        named = {r.name: r.candidate for r in found.rivals}
         for n, effects in enumerate(samples):
             other = self._in_its_place(found, effects)
             if other is None:
@@ -101,18 +101,21 @@ class Resampling:
             for name, chance in likely.items():
                 share = other.presence * chance / sum(likely.values())
                 chances[name] = chances.get(name, 0.0) + share / len(samples)
-                rivals.setdefault(name, Rival(theirs[name], found.log_bayes_factor, 0.0))
+                named.setdefault(name, theirs[name])
         total = sum(chances.values())
         if not total:
             return replace(found, presence=0.0)
-        others = [replace(r, probability=chances[n] / total) for n, r in rivals.items()]
+        own = max(chances[found.name], 1e-300)
+        rivals = {r.name: r for r in found.rivals}
+        for name in named.keys() - {found.name}:
+            factor = found.log_bayes_factor + math.log(max(chances[name], 1e-300) / own)
+            rival = rivals.get(name, Rival(named[name], factor, 0.0))
+            rivals[name] = replace(rival, probability=chances[name] / total)
         return replace(
             found,
             presence=min(there, found.presence),
             chance=chances[found.name] / total,
-            rivals=tuple(
-                sorted((r for r in others if r.name != found.name), key=lambda r: -r.probability)
-            ),
+            rivals=tuple(sorted(rivals.values(), key=lambda r: (-r.probability, r.name))),
         )
 
     def _in_its_place(

@@ -44,6 +44,7 @@ class OfferBank:
         lower, upper: (K,) bounds of the coefficients.
         like: (K,) group numbers; coefficients of one group are like each other. None: all differ.
         sites: number of places at which a cause without a name may act.
+        names: number of names that an effect may have, on offer or not; None: those on offer.
 
     Attributes:
         again: prior log odds of a further place of a name that is there already against a new name.
@@ -63,13 +64,14 @@ class OfferBank:
         upper: np.ndarray,
         like: np.ndarray | None = None,
         sites: int = 1,
+        names: int | None = None,
     ) -> None:
         self.offers = tuple(offers)
         self.like = np.arange(len(along)) if like is None else like
         self.gram, self.along, self.lower, self.upper = gram, along, lower, upper
-        names = np.array([offer.name for offer in offers])
-        self._of_name = {name: names == name for name in dict.fromkeys(names.tolist())}
-        self.again = math.log(max(0.5 * len(self._of_name), 1.0))
+        each = np.array([offer.name for offer in offers])
+        self._of_name = {name: each == name for name in dict.fromkeys(each.tolist())}
+        self.again = math.log(max(0.5 * (names or len(self._of_name)), 1.0))
         self.together = NONE + math.log(0.5 / UNNAMED) + math.log(sites)
         self._at_site = {
             site: np.array([offer.site == site for offer in offers])
