@@ -1,7 +1,7 @@
 """The proof: every row predicted by models that were fitted without it.
 
-The search is repeated without each fold of the rows (`Resampling.explain_sample`), so an error is
-that of the whole procedure, not of one lucky model.
+Without each fold of the rows the effects are chosen anew (`Resampling.explain_sample`) and fitted
+anew.  What is on offer, its forms and the noise are those of all rows.
 """
 
 from __future__ import annotations
