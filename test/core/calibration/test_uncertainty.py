@@ -389,7 +389,7 @@ def test_a_predictor_s_sigma_counts_without_the_noise_of_a_measurement() -> None
     assert known is not None
     target = good.tip(ARM.mid)
     found = compensate(good, Says(inside=True), target)[0]
-    wanted = np.sqrt(1e-6 - np.diag(known.noise))
+    wanted = np.sqrt(1e-6 - np.diag(known.noise) + np.diag(known.frame))
     np.testing.assert_allclose(found.sigma, wanted, rtol=1e-6)
     sure = compensate(good, Says(inside=True, sigma=1e-6), target)[0]
     alone = compensate(good, None, target, method=Method.DEFLECTION)[0]

@@ -12,7 +12,7 @@ from small_arm import ARM, measured
 from longarm_comp.core.calibration.calibrate import declared_model, fit_stages
 from longarm_comp.core.calibration.reading_steps import find_step
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.structure import Structure, find_structure
+from longarm_comp.core.identify.structure import Structure, find_structure, smooth_functions
 from longarm_comp.core.model.model import Model
 
 SIGMA = 1e-4
@@ -51,6 +51,32 @@ def test_what_is_much_weaker_than_the_strongest_is_not_named(second: float, name
     """It is as certain where it stands alone."""
     assert "q2" in left(2, 0.0, second * SIGMA).inputs
     assert ("q2" in left(2, 4.0 * SIGMA, second * SIGMA).inputs) is named
+
+
+def test_smooth_functions_are_polynomials_of_rising_degree() -> None:
+    """The first ones were any mixture: a line with the temperature was lost in three of four."""
+    rng = np.random.default_rng(0)
+    for values in (rng.uniform(20.0, 30.0, 240), rng.integers(0, 4, 200) * 0.3):
+        made = smooth_functions(values)
+        np.testing.assert_allclose(made.T @ made / len(values), np.eye(made.shape[1]), atol=1e-9)
+        for k, column in enumerate(made.T):
+            power = np.polynomial.Polynomial.fit(values, column, k + 1)
+            np.testing.assert_allclose(power(values), column, atol=1e-9)
+        assert np.corrcoef(made[:, 0], values)[0, 1] == pytest.approx(1.0)
+
+
+def test_what_follows_a_recorded_column_in_a_line_shows() -> None:
+    rows = measured(120, np.random.default_rng(3))
+    warmth = np.random.default_rng(4).uniform(20.0, 30.0, 120)
+    line = (warmth - warmth.mean()) / warmth.std()
+    off = dataclasses.replace(
+        rows,
+        xyz=rows.xyz + 0.6 * SIGMA * np.outer(line, AXIS),
+        columns={**rows.columns, "temperature_c": warmth},
+    )
+    *_, (_, fitted) = fit_stages(declared_model(ARM), off)
+    found = find_structure(fitted, fitted)
+    assert found.flag and found.inputs[0] == "temperature_c"
 
 
 STEP = 2e-3

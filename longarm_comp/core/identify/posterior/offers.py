@@ -208,15 +208,15 @@ def _besides_findings(
     """Compute the columns of what tolerances allow besides the findings.
 
     They are what every arm has (`model_tolerance.py`), and by how much the shift of each effect in
-    the model may differ from its form.  The latter varies smoothly with every joint.  A row may be
-    so near to a threshold that the threshold's own tolerance decides its side; it then tells
-    nothing of that side.
+    the model may differ from its form.  The latter may vary with every joint by any of its smooth
+    functions, each as much.  A row may be so near to a threshold that the threshold's own tolerance
+    decides its side; it then tells nothing of that side.
 
     Returns:
         (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
     """
     session = fitted.session
-    ways = np.concatenate([smooth_functions(q)[:, :2] for q in session.q.T], axis=1)
+    ways = np.concatenate([smooth_functions(q) for q in session.q.T], axis=1)
     ways = ways / math.sqrt(max(ways.shape[1], 1))
     arm = fitted.model.arm
     forms = np.array([tolerance.form for tolerance in tolerances])
