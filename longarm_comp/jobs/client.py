@@ -208,7 +208,7 @@ class ArmClient(GraphClient):
         return stamp_ns(sent.header.stamp)
 
     def arrive(self, path: np.ndarray, pace: Pace, start: np.ndarray | None = None) -> int:
-        """Wait until the joints have rested for `dwell_s` at the end of a path; return the time (ns).
+        """Wait until the joints have rested at a path's end for `dwell_s`; return the time (ns).
 
         The end is reached if the joints are within the tolerance of it, or if the driver says that
         the arm has reached it: servos that yield may stay farther off. If the arm stood there

@@ -132,7 +132,10 @@ class TargetRunner:
                 self._client.set_parameter("kinematics", "method", before)
 
     def refusals(self, targets: np.ndarray, methods: Sequence[Method]) -> list[str]:
-        """Say for each target (N, 3), m, why the graph refuses it with one of the methods, or ""."""
+        """Say for each target (N, 3), m, why the graph refuses it with one of these methods.
+
+        A target that it accepts with all of them has "".
+        """
         why = [""] * len(targets)
         for method in methods:
             with self.method(method):
