@@ -1,4 +1,4 @@
-"""Rows of touches: what the joints of a running graph read while somebody holds the tip still."""
+"""Records touches: the joint values of a running graph while somebody holds the tip still."""
 
 from __future__ import annotations
 

@@ -263,7 +263,7 @@ def placements_of(
 
 
 def complete_after_move(given: Context, arrived: History) -> Context:
-    """Return circumstances whose missing fields of history are those of the joints after a move."""
+    """Return the circumstances; history that they lack is taken from the joints after a move."""
     fields = {k: getattr(given, k) or v for k, v in arrived.fields().items()}
     return dataclasses.replace(given, **fields)
 

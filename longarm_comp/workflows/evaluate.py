@@ -32,8 +32,9 @@ class ErrorTable(Mapping[str, Errors]):
     """Errors (m) of each model by its name, from the simplest on: ``table["calibrated"].mean``.
 
     Attributes:
-        errors: errors as seen, with all that was measured (docs/report.md).
-        commanded: errors as commanded, with what a command knows (`core/data/commanded.py`).
+        errors: errors as seen: the model uses everything that was measured (docs/report.md).
+        commanded: errors as commanded: it uses only what a command knows
+            (`core/data/commanded.py`).
         set_aside: number of fitted rows that a model's fit set aside as outliers.
     """
 

@@ -204,7 +204,7 @@ def fleet(
 
 
 def _read_table(path: Path) -> object:
-    """Return the DH table, by which kinds of arms are told apart; the path if it cannot be read."""
+    """Return the DH table, which arms of one kind share; the path itself if it cannot be read."""
     try:
         return describe_table(Arm.load(path))
     except LongarmError:

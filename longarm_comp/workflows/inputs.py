@@ -114,8 +114,8 @@ def import_table(
         names: name in a session by name in the file, ``{"A": "q1", "B": "q2:mm"}``.
         like: mapping of an earlier file of the same kind, instead of the other arguments.
         columns: names of the columns, if no line of the file has them.
-        told: ``rotation``, ``sheet``, ``decimal``, ``join`` and ``sort``, as the options of
-            `longarm import-data`.
+        told: ``rotation``, ``sheet``, ``decimal``, ``join`` and ``sort``: the options of
+            `longarm import-data` with these names.
     """
     from longarm_comp.sessions.foreign import convert
 

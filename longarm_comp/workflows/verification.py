@@ -25,7 +25,7 @@ class Verification:
 
     Attributes:
         runs: (N, 3) tip - target, m, by name, at the targets that were seen in both runs.
-        gain_m, gain_ci95_m: mean ``|tip - target|`` without minus with compensation, and its 95 %
+        gain_m, gain_ci95_m: decrease of the mean ``|tip - target|`` by compensation, and its 95 %
             bootstrap interval.
     """
 

@@ -141,7 +141,8 @@ def _find_all(form: Form, names: Sequence[str]) -> Iterable[Found]:
 def _is_meant(found: Found, names: Sequence[str]) -> bool:
     """Tell whether columns are what their form says.
 
-    Rotations about x, y, z of unknown convention are only if their heading also has a position.
+    Names such as ``Rx``, ``Ry``, ``Rz`` are ambiguous. They count as an orientation only if their
+    heading also has a position.
     """
     if found.form.convention or found.form.parts != ("x", "y", "z"):
         return True
