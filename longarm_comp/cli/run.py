@@ -83,7 +83,8 @@ def run_command(
     for pool in _POOLS:
         os.environ.setdefault(pool, "1")
     # Number of new objects after which Python looks for reference cycles. Libraries and figures
-    # make many objects and few cycles: Python's default of 700 costs a short diagnosis 6 % more time
+    # make many objects and few cycles. Python's default of 700 cost a short diagnosis 6 % of its
+    # time
     gc.set_threshold(100_000, *gc.get_threshold()[1:])
     try:
         code = command.main(
