@@ -32,10 +32,14 @@ LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
 
 @dataclass(frozen=True)
 class _FolderFinding:
-    """A thing about a folder: where (file, and the key in it), what it is, and what to do.
+    """A finding on an arm's folder.
 
-    Level: missing and implausible must be put right; unmeasured is an assumption; measured is what
-    a command measured and nobody changed since; declared is what arm.yaml says, to compare.
+    Attributes:
+        level: one of `LEVELS`. missing and implausible must be corrected; unmeasured is an
+            assumption; measured is a value that a command measured; declared is a value of
+            arm.yaml, to compare with the arm.
+        where: file, and the key in it.
+        text: what was found, and what to do.
     """
 
     level: str
@@ -54,7 +58,7 @@ missing, implausible, unmeasured, measured, declared = (
 
 
 def check_record(folder: Path) -> Iterator[_FolderFinding]:
-    """Yield findings on every measurement, and on cameras without a calibration."""
+    """Yield a finding for each recorded measurement, and one if the cameras are not calibrated."""
     try:
         entries = read_measured(folder)
     except InputError as error:
@@ -70,7 +74,10 @@ def check_record(folder: Path) -> Iterator[_FolderFinding]:
 
 
 def _describe_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
-    """Yield a finding a beam, and on the sag, at the pose of q (N, n) that reaches out farthest."""
+    """Yield findings on each beam, the sag and the lowest natural frequency, in one pose.
+
+    It is the pose of q (N, n), rad and m, in which the tip is horizontally farthest from the base.
+    """
     model, rigid = declared_model(arm), declared_model(arm, deflection=False)
     tips = rigid.tip(q)
     level = np.array(arm.gravity_mps2) / (np.linalg.norm(arm.gravity_mps2) or 1.0)
@@ -123,9 +130,9 @@ def _describe_section(beam: Beam) -> str:
 
 
 _REACH_M = (0.05, 20.0)
-"""Reach of arms that there are; outside of it lengths are most likely in another unit."""
+"""Usual reach of arms, m. A reach outside of it suggests lengths in another unit."""
 _MOST_DEG = 720.0
-"""Two turns: as far as `import_urdf` lets a joint turn that has ends."""
+"""Largest plausible limit of a joint that is not endless: two turns, as in `import_urdf`."""
 _SESSIONS = ("samples.csv", "session", "session_1")
 
 
@@ -240,7 +247,9 @@ def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFindin
 def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_FolderFinding]:
     """Check the parameter files of the camera nodes.
 
-    ``known``: files that were measured; ``look``: also say what the cameras see.
+    Args:
+        known: files with measured values.
+        look: also check at how many poses the cameras see the marker.
     """
     read, found = {}, []
     for node in NODES[1:]:
@@ -294,7 +303,11 @@ def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[
 
 
 def _check_assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_FolderFinding]:
-    """Yield what stands as `longarm init` writes it; ``placed``: the head's place was measured."""
+    """Yield findings on values that are still as `longarm init` assumed them.
+
+    Args:
+        placed: whether the pose of the stereo head was measured.
+    """
     file, made = "stereo_bridge.yaml", head_for(arm)["stereo_bridge"]
     own = own_parameters("stereo_bridge")
     if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):

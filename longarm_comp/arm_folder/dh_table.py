@@ -1,6 +1,6 @@
-"""An arm declared row by row: a modified DH table, tubes that bend, servo masses.
+"""Makes the content of arm.yaml from texts, one for each row of the modified DH table.
 
-Each row is a text of keys and values: ``type=revolute a=0.1 limits=-30..30``.
+A text has keys and values, also of bending tubes and servo masses: ``a=0.1 limits=-30..30``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MATERIALS = {
     "pla": (3.1e9, 0.36, 1240.0),
     "nylon": (1.7e9, 0.39, 1010.0),
 }
-"""Young's modulus (Pa), Poisson's ratio and density (kg/m^3): usual values, not this arm's."""
+"""Young's modulus (Pa), Poisson's ratio and density (kg/m^3): usual values of the material."""
 
 
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
@@ -63,8 +63,11 @@ Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_parse_mimic)]
 class _Row(Closed):
     """A row of the modified DH table, in degrees and m.
 
-    `tube_a`, `tube_d`: outer and inner diameter (m) of a tube along a or d; 0: rigid. `servo_kg`:
-    mass of the servo at this joint's frame. `mimic`: the joint that drives it, and the factor.
+    Attributes:
+        limits: lower and upper limit of the joint, degrees or m.
+        tube_a, tube_d: outer and inner diameter (m) of a tube along a or d; 0: rigid.
+        servo_kg: mass of the servo at this joint's frame.
+        mimic: the joint that this one follows, and the factor.
     """
 
     type: Literal["revolute", "prismatic", "fixed"] = "revolute"
@@ -81,7 +84,7 @@ class _Row(Closed):
     mimic: Mimic = None
 
     def joint(self, number: int) -> dict[str, Any]:
-        """Return an entry of `joints`."""
+        """Return the row's entry in `joints` of arm.yaml."""
         row: dict[str, Any] = {"id": number, **({"name": self.name} if self.name else {})}
         row |= {
             "type": self.type,
@@ -97,7 +100,7 @@ class _Row(Closed):
         return row
 
     def beam(self, number: int, role: str) -> list[dict[str, Any]]:
-        """Return the entry of `links` along a or d, where there is one."""
+        """Return a list with the entry in `links` for the tube along a or d; empty if none."""
         (outer, inner), length = getattr(self, f"tube_{role}"), abs(getattr(self, role))
         if not outer:
             return []
@@ -130,7 +133,12 @@ def _name_joint(number: int) -> str:
 def arm_of(
     name: str, given: Sequence[str], tip: Sequence[float], payload_kg: float
 ) -> dict[str, Any]:
-    """Return what arm.yaml holds for rows, at least one; `tip` (3,) m in the last frame."""
+    """Return the content of arm.yaml.
+
+    Args:
+        given: texts of the rows, base to tip; at least one.
+        tip: (3,) tip in the last frame, m.
+    """
     rows = []
     for number, flag in enumerate(given, 1):
         row = {}

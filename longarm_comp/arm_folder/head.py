@@ -1,6 +1,6 @@
-"""A stereo head and a marker: where they see an arm's tip over its range, and at which poses not.
+"""Finds a place for a stereo head and a marker, and tells at which poses the marker is not seen.
 
-By geometry alone, without images.
+All this is computed from geometry alone, without images.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ _LEVEL = [
     np.array([math.cos(angle), math.sin(angle), 0.0]).round(12)
     for angle in 0.5 * math.pi + 2 * math.pi * np.arange(16) / 16
 ]
-"""Level directions of looking that are tried, base frame."""
+"""Horizontal viewing directions to try, base frame."""
 _BASELINE = 0.18
-"""Distance of the two cameras as a share of their distance to the marker."""
+"""Distance between the two cameras, as a share of their distance to the marker."""
 
 
 def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
-    """Return parameters of `stereo_bridge` and `simulated_arm` that see the whole range of the tip.
+    """Return parameters of `stereo_bridge` and `simulated_arm`, with cameras that see the tip.
 
-    The cameras are those of the package's own `simulated_arm.yaml`, 53 degrees across as webcams
-    are. The head looks level, from the side where the marker shows: of 16 directions the one from
-    which the marker, mounted for it, is turned away the least over 256 poses. A camera that the
-    arm declares stays where it is. The marker has 2 x 2 tags, a fifth of a tag apart; its centre is
-    the tip.
+    The cameras are those of the package's own `simulated_arm.yaml`, with a webcam's field of view
+    of 53 degrees. The head looks horizontally. Of 16 directions it takes the one in which the
+    marker, mounted to face it, is turned away the least over 256 poses. A camera that the arm
+    declares keeps its place and direction. The marker has 2 x 2 tags, a fifth of a tag apart, and
+    its centre is the tip.
     """
     from longarm_comp.sim.cameras import CameraPair  # takes a second, with OpenCV
 
@@ -89,7 +89,15 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
 def _choose_direction(
     turns: np.ndarray, axes: Iterable[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Choose a direction of looking (3,) and the plate's rotation vector (3,) on the tip."""
+    """Return the best viewing direction (3,), and the marker's rotation vector (3,) on the tip.
+
+    Args:
+        turns: (M, 3, 3) orientations of the tip, base frame.
+        axes: viewing directions to choose from, base frame.
+
+    Raises:
+        JobError: the tip turns so much that no direction shows the marker at most poses.
+    """
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for axis in axes:
         normal = (-turns.transpose(0, 2, 1) @ axis).mean(axis=0)
@@ -119,18 +127,19 @@ def _round_to(values: np.ndarray, digits: int) -> list[Any]:
 
 
 _TAG_PX = 12.5
-"""A tag that looks smaller is not found: geometric mean of its seen sides, px."""
+"""Smallest tag that is found, px: geometric mean of the sides of its image."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Two equal cameras side by side, the left at (4, 4) in the base frame; a marker on the tip.
+    """Two equal cameras side by side, and a marker on the tip.
 
     Attributes:
-        tags: (T, 4, 3) corners of the tags with their margin on the tip frame, m.
-        normal: (3,) out of the paper, on the tip frame.
+        left_in_base: (4, 4) pose of the left camera in the base frame.
+        tags: (T, 4, 3) corners of the tags with their margin, tip frame, m.
+        normal: (3,) normal of the marker's printed face, tip frame.
         tag_m: side of a tag.
-        share: of the tags, that both cameras must see.
+        share: least fraction of the tags that both cameras must see.
     """
 
     left_in_base: np.ndarray
@@ -145,7 +154,7 @@ class View:
 
     @classmethod
     def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
-        """Make it from parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
+        """Return the view for parameters of `stereo_bridge` and `simulated_arm`, by dotted name."""
         from longarm_comp.devices.stereo.found import Limits  # these take a second, with OpenCV
         from longarm_comp.devices.stereo.target import TagBoard
         from longarm_comp.sim.cameras import CameraPair
@@ -176,7 +185,7 @@ class View:
         )
 
     def look_through(self, left: CameraInfo, right: CameraInfo) -> View:
-        """Return the view through the lenses of a pair; itself where that is not calibrated."""
+        """Return the view with the lenses of a camera pair; unchanged if it is not calibrated."""
         if not left.p[0] > 0.0 or not right.p[0] > 0.0:
             return self
         return replace(
@@ -241,7 +250,7 @@ class View:
 
 
 def view_beside(arm: Path) -> View | None:
-    """Return what the cameras see by the files beside an arm.yaml; None where there are none."""
+    """Return the cameras' view by the files beside an arm.yaml; None if these are missing."""
     from longarm_comp.devices.stereo.camera_file import read_camera
 
     folder = arm.absolute().parent

@@ -64,11 +64,12 @@ _SIMULATED = "The simulated {name}. Cameras and marker stand where stereo_bridge
 def arm_file(
     data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], *, seen: bool
 ) -> tuple[str, Arm]:
-    """Return the text of an arm.yaml that holds `data`, and the arm.
+    """Return the text of an arm.yaml with the content `data`, and the arm.
 
     Args:
-        head: comment on top; `of_rows`: a comment beside a row of `joints`, by id.
-        seen: a camera is added that sees the tip.
+        head: comment on top.
+        of_rows: comments beside rows of `joints`, by their id.
+        seen: whether to add a camera that sees the tip.
     """
     whole = dict(data)
     if seen:
@@ -145,11 +146,14 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
 def narrow_limits(
     data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]
 ) -> tuple[dict[str, Any], dict[int, str]]:
-    """Narrow the limits of what arm.yaml holds; return also by row what they were.
+    """Narrow the limits of revolute joints in the content of arm.yaml.
 
     Args:
-        range_deg: largest range of a turning joint; 0 leaves them as they are.
-        home_deg: middle of the new range by joint name; default: of the old range.
+        range_deg: largest range of a revolute joint; 0 keeps the limits.
+        home_deg: middle of the new range by joint name; by default, that of the old range.
+
+    Returns:
+        The new content, and a note on the old range of each changed row, by its id.
     """
     names = [str(row.get("name") or f"joint{row['id']}") for row in data["joints"]]
     for name in home_deg:
@@ -176,9 +180,10 @@ def narrow_limits(
 
 
 def find_range_in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
-    """Find the largest range of turning joints, deg, that two webcams see from the arm's own table.
+    """Return the largest range of revolute joints (deg) that two webcams near the arm can see.
 
-    They stand within one and a half times the arm's reach then, and the marker is small.
+    Near means at most 1.5 times the arm's reach from the tip, so that the marker is small. At least
+    15 deg are returned.
     """
     for range_deg in (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0):
         arm = Arm.parse(narrow_limits(data, range_deg, home_deg)[0], "arm.yaml")

@@ -26,7 +26,11 @@ Printed = TagBoard | CharucoTarget
 
 
 def lay_out_sheet(board: Printed) -> tuple[str, Figure]:
-    """Return the smallest paper that the marker fits on, and the page in true size."""
+    """Return the name of the smallest paper that the marker fits on, and the page in true size.
+
+    Raises:
+        InputError: the marker does not fit on A0.
+    """
     from matplotlib.figure import Figure
 
     grid = np.array([board.columns, board.rows])

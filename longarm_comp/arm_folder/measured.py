@@ -1,6 +1,6 @@
-"""The record of what commands measured of an arm's folder, and the cameras' files.
+"""Reads and writes the record of measurements in an arm's folder, and the cameras' files.
 
-`measured.yaml` says what was measured, when, by which command.
+The record, `measured.yaml`, says what was measured, when, by which command.
 """
 
 from __future__ import annotations
@@ -33,7 +33,13 @@ _HEAD = "# What was measured, when, by which command, and how well. `longarm che
 
 @dataclass(frozen=True)
 class Measured:
-    """A measurement: when, by which command, and what was found of it."""
+    """An entry of the record.
+
+    Attributes:
+        at: time of the measurement, ISO 8601, UTC.
+        by: command that measured.
+        facts: results, and how good they are.
+    """
 
     at: str
     by: str
@@ -56,12 +62,12 @@ def read_measured(folder: Path) -> dict[str, Measured]:
 
 
 def note_measured(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> None:
-    """Add a measurement to the record, in place of an earlier one of the same file."""
+    """Add a measurement to the record; it replaces an earlier one of the same file."""
     write_text(folder / FILE, _with_entry(folder, file, by, facts))
 
 
 def _with_entry(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> str:
-    """Return the text of the record with a measurement."""
+    """Return the text of the record with a measurement added."""
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
     known = {**read_measured(folder), file: Measured(now, by, dict(facts))}
     entries = {name: vars(entry) for name, entry in known.items()}
@@ -74,7 +80,7 @@ def camera_path(folder: Path, side: str) -> Path:
 
 
 def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
-    """Write both files and what was measured; returns their paths."""
+    """Write the files of both cameras and the entry in the record; return the files' paths."""
     from longarm_comp.devices.stereo.camera_file import calibration_of, write_camera
 
     cameras = dict(zip(SIDES, calibration_of(found.fit.rig), strict=True))
@@ -95,9 +101,13 @@ def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
 
 
 def head_at(folder: Path, session: str) -> np.ndarray:
-    """Return the left optical frame in the base (4, 4), as taken when a session was measured.
+    """Return the pose (4, 4) of the left optical frame in the base frame, as a session assumed it.
 
-    That is what stereo_bridge.yaml has now, unless it was written from this very session.
+    It is the present one of stereo_bridge.yaml. If that was computed from this very session, it is
+    the earlier one in the record.
+
+    Args:
+        session: hash of the session.
     """
     entry = read_measured(folder).get(BRIDGE)
     if entry is None or entry.facts.get("session") != session:
@@ -112,21 +122,26 @@ def head_at(folder: Path, session: str) -> np.ndarray:
 def write_head(
     folder: Path, pose: np.ndarray, before: np.ndarray, session: str, facts: Mapping[str, Any]
 ) -> list[str]:
-    """Write where the left camera stands; the simulated cameras move there too, level.
+    """Write the pose of the left camera to the parameter files and the record.
+
+    The simulated cameras, if there are any, get the same place and viewing direction; they stay
+    level.
 
     Args:
-        pose, before: (4, 4) left optical frame in the base frame, and what it was taken to be when
-            the session, of which the hash is given, was measured.
-        facts: how good it is, for the record.
+        pose: (4, 4) left optical frame in the base frame.
+        before: the same as assumed when the session was measured.
+        session: hash of the session.
+        facts: how good the pose is, for the record.
 
     Returns:
-        Names of the files that were written.
+        Names of the parameter files that were written.
     """
     xyz, turn = _round_pose(pose)
     values = dict(zip(_NAMES, (xyz, turn), strict=True))
     old = dict(zip(("xyz", "quaternion"), _round_pose(before), strict=True))
     entry = {**facts, "session": session, "before": old}
-    # The last in place is the record: until then the same session may be given again
+    # `write_texts` replaces its first file, the record, last. Until then the same session may be
+    # given again
     made = {FILE: _with_entry(folder, BRIDGE, "stereo hand-eye", entry)}
     made[BRIDGE] = _edit_values(folder / BRIDGE, values)
     if (folder / SIMULATED).is_file():

@@ -1,6 +1,6 @@
-"""ROS parameter files: read flat, and written as the package's own with other values.
+"""Reads ROS parameter files by dotted name, and writes the package's own with other values.
 
-Where values are replaced in the text of a YAML file, comments and order stay as they are.
+When values in the text of a YAML file are replaced, its comments and order are kept.
 """
 
 from __future__ import annotations
@@ -34,7 +34,13 @@ def read_parameters(path: Path) -> dict[str, Any]:
 
 
 def parameters_of(node: str, file: Path) -> dict[str, Any]:
-    """Read the values of a node that runs with a file: the package's own where it has none."""
+    """Return all parameters of a node that runs with a file, by dotted name.
+
+    Parameters that the file lacks have the values of the package's own file.
+
+    Raises:
+        InputError: the file has a parameter that the node lacks, or one of another type.
+    """
     given = read_parameters(file)
     for name, value, allowed in find_strangers(node, given):
         raise InputError(file, name, value, allowed)
@@ -42,7 +48,10 @@ def parameters_of(node: str, file: Path) -> dict[str, Any]:
 
 
 def find_strangers(node: str, given: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-    """Yield name, value and what is allowed of what the node does not have, or of another kind."""
+    """Yield name, value and allowed values of parameters that a node cannot have.
+
+    The node lacks a parameter of this name, or has one of another type.
+    """
     known = own_parameters(node)
     for name, value in given.items():
         if name not in known:
@@ -81,7 +90,9 @@ def ros_parameters(data: Any, where: object) -> dict[str, Any]:
 def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
     """Return the package's own file of a node with other values; comments of parameters are kept.
 
-    Values are by dotted name; a mapping replaces a whole section. `head`: the comment on top.
+    Args:
+        values: new values by dotted name; a mapping replaces a whole section.
+        head: the comment on top.
     """
     text = own_text(node)
     first = next(line for line in text.splitlines() if not line.startswith("#"))
@@ -104,10 +115,17 @@ def _flatten_tree(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def edit_text(text: str, values: Mapping[Keys, Any], where: object) -> str:
-    """Set other values in a text, by the keys that lead to them, from ``ros__parameters`` on.
+    """Return a YAML text with new values; comments and order are kept.
 
-    A key that is not there is added behind its neighbours. A mapping becomes a block of lines, a
-    list stands on one line.
+    A missing key is added at the end of its section. A mapping is written as a block of lines, a
+    list on one line.
+
+    Args:
+        values: new values by their path of keys, which starts below ``ros__parameters`` if the text
+            has that.
+
+    Raises:
+        InputError: a section on the path is missing, or a value cannot be edited.
     """
     data = parse_yaml(text, str(where))
     for key, node in data.items() if isinstance(data, dict) else ():
@@ -143,7 +161,7 @@ def edit_text(text: str, values: Mapping[Keys, Any], where: object) -> str:
 
 
 def _laid_out(writer: YAML, value: Any, *, inner: bool = False) -> Any:
-    """Return a value as it is written: a mapping in lines, what is in it on one line each."""
+    """Return a value with its layout: a mapping as lines, each of its entries on one line."""
     if isinstance(value, Mapping):
         made = CommentedMap((k, _laid_out(writer, v, inner=True)) for k, v in value.items())
         if inner:

@@ -1,4 +1,4 @@
-"""Servos that fit an arm: gearing by the joints' ranges and steps, limits from arm.yaml."""
+"""Finds servo settings that fit an arm: gearing by the joints' ranges and steps, and limits."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from longarm_comp.devices.servo_joint import JointConfig
 
 SERVOS = "servo_driver.yaml"
 KEYS = ("servo_id", "model", "direction", "zero_ticks", "stored")
-"""What a setup finds of each joint."""
+"""Keys of each joint that a servo setup finds."""
 
 
 def with_joints(
     text: str, bus: Mapping[str, Any], joints: Mapping[str, JointConfig], where: object
 ) -> str:
-    """Return the text of a servo file with other values of the bus and of each joint's `KEYS`."""
+    """Return the text of a servo file with new values of the bus and of each joint's `KEYS`."""
     old = ServoConfig.parse(parse_yaml(text, str(where)), str(where))
     values: dict[tuple[str, ...], Any] = {
         ("bus", key): v for key, v in bus.items() if v != getattr(old.bus, key)
@@ -40,19 +40,20 @@ def with_joints(
 
 
 ROUNDING_TICKS = 1.5
-"""Limits that differ by less are the same: a tick of rounding, and half of one."""
+"""Limits that differ by no more than this many ticks count as equal, because of rounding."""
 
 
 def find_contradictions(
     servos: ServoConfig, arm: Arm, where: str, file: str
 ) -> Iterator[InputError]:
-    """Yield an error for each thing in which the servos and an arm's joints do not agree.
+    """Yield an error for each contradiction between the servos and an arm's joints.
 
     The servos must be the arm's, of the type of their joints, within the joints' limits, and
     able to stand at the declared steps.
 
     Args:
-        where: of the servos. file: of the arm.
+        where: name of the servos' file, for messages.
+        file: name of the arm's file.
     """
     if sorted(servos.joints) != sorted(arm.joint_names):
         theirs = f"{', '.join(arm.joint_names)}, as in {file}"
@@ -80,7 +81,8 @@ def find_contradictions(
 
 DEFAULT_MODEL = "sts3215"
 _SHARE, _SMALL_TICKS_S = 0.85, 3000.0
-"""Velocity of a joint as a share of its servo's without load: of a small servo, if it is faster."""
+"""Highest velocity of a joint as a share of its servo's no-load speed; and the highest no-load
+speed that is assumed, ticks/s."""
 
 
 def servo_section(
@@ -89,16 +91,16 @@ def servo_section(
     direct: bool = False,
     fastest: Mapping[int, float] | None = None,
 ) -> dict[str, Any]:
-    """Return key ``joints`` of a servo driver's file, in the order of the arm.
+    """Return the section ``joints`` of a servo driver's file, in the order of the arm.
 
-    The gearing is an assumption. It is the demonstration's (10:1, a pinion of 8 mm) where the
-    joint's range fits into the turns of the servo, else as much less as needed; where arm.yaml
-    declares a step, one tick of the servo is that step.
+    The gearing is assumed. If arm.yaml declares a step of the joint, one tick of the servo is that
+    step. Otherwise it is the demonstration's (10:1, a pinion of 8 mm), changed as far as needed so
+    that the joint's range fits into the turns of the servo.
 
     Args:
         direct: the servos' horns turn the joints, as in printed arms: one turn, no gearing, and
             no joint alone moves the tip faster than 0.25 m/s.
-        fastest: highest velocities of joints, rad/s or m/s, by row; absent: what their servos do.
+        fastest: highest velocities of joints, rad/s or m/s, by row; the servos limit all others.
     """
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))
@@ -117,7 +119,12 @@ def servo_section(
 def _fit_servo(
     number: int, joint: Joint, model: ServoModel, reach_m: float, fastest: float
 ) -> dict[str, Any]:
-    """Fit a servo to a joint; ``reach_m``: of an arm on the servos' horns; 0: geared."""
+    """Return the entry of a joint in the servo file.
+
+    Args:
+        reach_m: reach of the arm if the servos' horns turn the joints; 0 for geared servos.
+        fastest: highest velocity of the joint, rad/s or m/s.
+    """
     horn = reach_m > 0.0 and joint.type == "revolute"
     low, high = model.multi_turn
     middle = model.ticks_per_turn / 2  # of the first turn: stands there until the zero is measured
@@ -147,7 +154,12 @@ def _fit_servo(
 
 
 def _fit_gearing(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
-    """Return keys of the gearing, and rad or m a tick; ``least``: the smallest tick that fits."""
+    """Return the keys of the gearing, and the joint's motion for one tick (rad or m).
+
+    Args:
+        least: smallest motion for one tick with which the joint's range fits.
+        turn: ticks of one turn of the servo.
+    """
     own = own_parameters("servo_driver")  # the demonstration's gearing, assumed until it is told
     if joint.type == "prismatic":
         if joint.step:

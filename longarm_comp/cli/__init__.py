@@ -1,8 +1,8 @@
 """The command line: a file for each command or group of commands, listed in `registry.py`.
 
 A new command is a file with a click command named `command`, and one line in the list; its
-module is imported when it is run, so that ``longarm --help`` stays quick. It hands what it found
-to `print_json` and to `print_rows`: with ``--json`` only the first prints, else only the second.
+module is imported when it is run, so that ``longarm --help`` stays quick. It passes its results to
+`print_json` and to `print_rows`: with ``--json`` only the first prints, else only the second.
 """
 
 from __future__ import annotations

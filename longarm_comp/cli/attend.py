@@ -44,7 +44,7 @@ def status(namespace: str) -> None:
 
 
 def _asked_of_the_driver(name: str, what: str) -> click.Command:
-    """Return the command of one request to the driver; ``name`` is the `Attendant`'s too."""
+    """Return a command that sends one request to the driver by the `Attendant`'s method `name`."""
 
     def ask(namespace: str) -> None:
         from longarm_comp.jobs.attend import Attendant
@@ -101,7 +101,11 @@ def reset(namespace: str, kept: bool, yes: bool) -> None:
 
 
 def _make_fault(name: str, parameter: str, metavar: str, what: str, example: str) -> click.Command:
-    """Return the command of one fault, which a parameter of the simulated arm lists by name."""
+    """Return a command that adds a name to a list of faults of the simulated arm, or removes it.
+
+    Args:
+        parameter: parameter of the simulated arm that holds the list.
+    """
 
     def spoil(name: str, back: bool, namespace: str) -> None:
         from longarm_comp.jobs import attend

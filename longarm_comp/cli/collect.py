@@ -1,4 +1,4 @@
-"""``longarm collect`` and ``touch``: sessions of a running arm, driven and guided by hand."""
+"""``longarm collect`` and ``touch``: sessions of a running arm, driven or guided by hand."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def collect(
 def _drive_visits(
     arm: options.Arm, todo: Sequence[Visit], output: Path, namespace: str, **how: Any
 ) -> Collected:
-    """Collect; where it ends early, say what is kept and what to do next."""
+    """Run `collect`; if it ends early, print what is kept and what to do next."""
     from longarm_comp.jobs.collect import run
 
     last: list[Progress] = []
@@ -260,7 +260,7 @@ def touch(
 
 
 def _ask_line(prompt: str, stop: Event) -> str:
-    """Return the next line; the end of the input ends the session, a signal waits for no key."""
+    """Return the next line of input; ``end`` at its end. A signal ends the wait at once."""
 
     def now(*_: object) -> None:
         stop.set()

@@ -159,7 +159,7 @@ def _parse_joints(text: str, arm: options.Arm) -> np.ndarray:
 
 
 def _find_place(joint: str, arm: options.Arm) -> int:
-    """Place in q of a joint told by its name or the number of its DH row."""
+    """Return the index in q of a joint, given by its name or the number of its DH row."""
     rows = map(str, arm.commanded)
     places = {word: k for words in (rows, arm.joint_names) for k, word in enumerate(words)}
     if joint not in places:

@@ -1,4 +1,4 @@
-"""``longarm diagnose``, ``fleet`` and ``effects``: what models lack, of the library of effects."""
+"""``longarm diagnose``, ``fleet`` and ``effects``: which effects of the library models lack."""
 
 from __future__ import annotations
 

@@ -32,9 +32,9 @@ from longarm_comp.cli.output import note, print_effects, print_json, print_rows,
 def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
-    Models that know more and more are fitted without the held-out rows and compared at them. The
-    last model is then fitted to all rows and written with 95 % intervals. Prints where it puts base
-    and sensors, and how well the rows tell that.
+    Models of growing complexity are fitted without the held-out rows and compared on these. The
+    last model is then fitted to all rows and written with 95 % intervals. Prints the places of base
+    and sensors, with their uncertainty.
 
     \b
     Examples:
@@ -185,10 +185,10 @@ def evaluate(arm: options.Arm, test: Path, model: Path | None, predictor: Path |
 
     The lines of the table are the rigid declared arm, the arm with its declared deflection, the
     calibrated model, and the model with the network. The worst rows of the last are named by their
-    index. Every measured row counts: rows that do not fit the model are noted, not refused. Rows
-    that see the declared arm elsewhere place it first, if they tell twice as much as that takes. At
-    poses outside the network's training data the physics is used alone. A note appears if the model
-    or the network was fitted to the session.
+    index. Every measured row counts: rows that do not fit the model are noted, not refused. If the
+    rows show the declared arm at another place, it is first placed by them, provided that they hold
+    at least twice the numbers that this takes. At poses outside the network's training data the
+    physics is used alone. A note appears if the model or the network was fitted to the session.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``longarm apply``, ``undo``, ``verify`` and ``loop``: models at work on the running graph."""
+"""``longarm apply``, ``undo``, ``verify`` and ``loop``: models in use on the running graph."""
 
 from __future__ import annotations
 

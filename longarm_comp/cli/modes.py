@@ -44,8 +44,8 @@ def command(
 
     The stiffness is that of the model, with the drives held. settle_s is the time until the tip
     stays within 0.1 mm, after a straight move of --move seconds from the pose before. With --ring
-    the frequencies and damping that were seen are printed too, and correct the others. The first
-    pose of a bag is where the arm rang.
+    the measured frequencies and damping are printed too, and the computed modes are corrected by
+    them. If it is a bag, the pose of its last command comes first.
 
     \b
     Examples:

@@ -35,7 +35,7 @@ bag = path_argument("bag", "BAG")
 
 
 def arm(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the argument ``ARM``; the command gets the declared arm that the file holds."""
+    """Add the argument ``ARM``, a file; the command gets `arm`, the arm declared in it."""
 
     @functools.wraps(function)
     def command(arm: Path, **rest: Any) -> Any:
@@ -74,12 +74,12 @@ as_json = click.option(
 
 
 def several(*added: _Decorator) -> _Decorator:
-    """Return options as one decorator, in the order of the help."""
+    """Return several options as one decorator, in the order in which the help lists them."""
     return lambda function: functools.reduce(lambda made, add: add(made), added[::-1], function)
 
 
 def kind_of(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--kind-of MODEL...``, last on the line; the command gets `kind_of`, all of them."""
+    """Add ``--kind-of MODEL...``, to be last on the line; the command gets all in `kind_of`."""
 
     @functools.wraps(function)
     def command(kind_of: Path | None, more: tuple[Path, ...], **rest: Any) -> Any:
@@ -103,7 +103,7 @@ floor = click.option(
 
 
 def _check_namespace(_: click.Context, __: click.Parameter, given: str | None) -> str | None:
-    """Check a namespace as the middleware takes it, without slashes at its ends."""
+    """Return a namespace without slashes at its ends; refuse one that ROS does not allow."""
     if given is None:
         return None
     parts = given.strip("/").split("/")
@@ -125,8 +125,8 @@ namespace = namespace_of("", "Namespace of the arm.")
 def pace(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options ``--sightings``, ``--within``, ``--dwell``, ``--move``, ``--arm-speed``.
 
-    The command gets `pace`: of a model and postures (N, n), the `Pace` with a rest that the arm's
-    ring needs there.
+    The command gets `pace`, a function of a model and postures (N, n), rad and m. It returns the
+    `Pace`, whose rest is long enough for the arm's vibration at these postures.
     """
 
     @functools.wraps(function)
@@ -220,17 +220,21 @@ known_network = click.option(
     help=_NETWORK_FILE,
 )
 network_file = click.option("--network", type=_PATH, metavar="FILE", help=_NETWORK_FILE)
-"""The same for a command that passes it on."""
+"""The same option for a command that gets the path and passes it on."""
 effects = _effects_option(expose=False)
 """Option ``--effects``: executes the files before the command, which does not get them."""
 effect_files = _effects_option(expose=True)
-"""The same for a command that passes the files on; its parameter is `effect_files`."""
+"""The same option for a command that passes the files on; its parameter is `effect_files`."""
 
 
 def output(
     default: str | None, what: str, kind: Kind, beside: Callable[[Path], list[Path]] | None = None
 ) -> _Decorator:
-    """Return the option ``-o PATH``; `outputs` says what of it may be overwritten."""
+    """Return the option ``-o/--output PATH``, which is required if `default` is None.
+
+    Args:
+        kind, beside: as in `outputs.Output`.
+    """
     # To click a default of None is a value, with which nothing is missing
     given: dict[str, Any] = {"required": True} if default is None else {"default": default}
     return written_option("-o/--output", what, kind, beside=beside, **given)
@@ -251,11 +255,14 @@ like = path_option(
     "--like",
     "Mapping that `import-data` wrote: write with the names, units and file type of its table.",
 )
-"""Its value is a path; `form_of` opens it."""
+"""Option ``--like``; its value is a path, which `form_of` reads."""
 
 
 def form_of(like: Path | None, output: Path) -> tuple[Any, Path]:
-    """Return the form to write in, and the path; a default path takes the form's ending."""
+    """Return the table format to write in (None: CSV in SI), and the path to write.
+
+    A path that the user did not give gets the ending of the format.
+    """
     if like is None:
         return None, output
     from click.core import ParameterSource

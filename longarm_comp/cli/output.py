@@ -1,7 +1,7 @@
 """Output of commands: results on stdout (tables, or JSON alone), progress and notes on stderr.
 
-With ``--json`` what prints for people is silent, without it what prints JSON is: a command prints
-both.
+A command calls both kinds of functions, those that print JSON and those that print for people. With
+``--json`` only the former print, else only the latter.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from longarm_comp.cli.outputs import json_text
 
 _QUIET_S = 10.0
-"""A reader of lines wants to know that the job goes on, not each of its steps."""
+"""Least time (s) between two lines of progress: they show that a job goes on, not each step."""
 
 
 JSON = "longarm.json"
@@ -38,7 +38,11 @@ def note(text: str) -> None:
 
 @contextmanager
 def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
-    """Say what a long job leaves and the next command where it ends early; its cause follows."""
+    """Print a note if the block raises, then raise again.
+
+    Args:
+        kept: returns what an interrupted job leaves, and the next command; "" prints nothing.
+    """
     try:
         yield
     except BaseException:
@@ -48,19 +52,19 @@ def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
 
 
 def print_json(data: object) -> None:
-    """Print results as JSON, with ``--json``."""
+    """Print results as JSON; without ``--json``, print nothing."""
     if _as_json():
         click.echo(json_text(data))
 
 
 def say(text: str) -> None:
-    """Print a line of the results, without ``--json``."""
+    """Print a line of the results; with ``--json``, print nothing."""
     if not _as_json():
         click.echo(text)
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print results as a table, without ``--json``; numbers stand to the right."""
+    """Print results as a table; with ``--json``, print nothing."""
     if _as_json():
         return
     from rich.console import Console
@@ -77,11 +81,11 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[objec
 
 
 def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[Any, ...]]) -> None:
-    """Print parameters in the units that people read.
+    """Print a table of parameters, in units that people read.
 
     Args:
-        called: names of places.
-        rows: effect, place, parameter, value, 95 % interval, unit.
+        called: name to print for a place, by place.
+        rows: effect, place, parameter, value, 95 % interval (None at a bound), unit.
     """
     from longarm_comp.core.effects.units import for_people
 
@@ -97,16 +101,17 @@ def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[An
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print rows with equal keys as a table; nothing where there are none."""
+    """Print rows with equal keys as a table; print nothing if there are no rows."""
     if rows:
         print_table(title, list(rows[0]), [[row[name] for name in rows[0]] for row in rows])
 
 
 @contextmanager
 def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
-    """Show a progress bar on stderr, on a terminal. Call it with a text and the share, if known.
+    """Yield a function to call with a text and, if known, the share done; it shows progress.
 
-    Where stderr is no terminal nothing is said, or with ``lines`` a line now and then.
+    On a terminal it shows a progress bar on stderr. Elsewhere it prints nothing, or, with
+    ``lines``, a line every `_QUIET_S` seconds at most.
     """
     if not sys.stderr.isatty():
         said = -math.inf

@@ -1,8 +1,8 @@
-"""The one rule for what commands write: no input is overwritten, and of what exists only its kind.
+"""The rule by which every command may overwrite files.
 
-A file of the kind that is written there (its first and last bytes tell) is replaced. A file that
-people edit, like arm.yaml, and whatever else exists, stays without ``--force``. Links are followed.
-Inputs are regular files or folders, and numbers are finite.
+No input is overwritten. An existing file is replaced only if its first and last bytes show that the
+command wrote it. Files that people edit, like arm.yaml, and all other files stay. ``--force``
+overrides this. Links are followed. Inputs must be regular files or folders, and numbers finite.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import file_hash
 
 _LOOKED_AT = 4096
-"""Bytes at either end in which the marks of every kind of file stand."""
+"""Bytes at either end of a file in which its marks are looked for."""
 Kind = Callable[[Path], bool]
-"""Whether a file that exists is one that the command would write, and may be replaced."""
+"""A test that tells whether an existing file is one that the command writes, and may replace."""
 
 
 def never(path: Path) -> bool:
@@ -40,7 +40,11 @@ def with_marks(*marks: bytes) -> Kind:
 
 
 def table(*columns: str, without: str = "") -> Kind:
-    """Return a table whose header begins with ``index`` and has these columns."""
+    """Return a test for tables whose header begins with ``index`` and has these columns.
+
+    Args:
+        without: a column that the header must not have.
+    """
 
     def ours(path: Path) -> bool:
         header = _read_ends(path).split(b"\n")[0].decode("utf-8", "replace").strip().split(",")
@@ -51,7 +55,12 @@ def table(*columns: str, without: str = "") -> Kind:
 
 
 def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
-    """Return a folder that has no file of these names, or one that the command wrote before."""
+    """Return a test for folders that hold none of these files, or those of an earlier call.
+
+    Args:
+        told_by: JSON file that an earlier call left.
+        schema: its entry ``schema``; empty: any.
+    """
 
     def ours(path: Path) -> bool:
         if not path.is_dir():
@@ -68,7 +77,7 @@ def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
 
 
 def left_to_the_command(path: Path) -> bool:
-    """Leave it to the command, which refuses a folder or bag that exists, or resumes it."""
+    """Return True: the command itself refuses an existing folder or bag, or resumes it."""
     return True
 
 
@@ -77,7 +86,7 @@ _NPZ, _SAFETENSORS = with_marks(b"PK\x03\x04", b"header.npy"), with_marks(b"long
 
 
 def is_predictor(path: Path) -> bool:
-    """Recognise a predictor of the paper's network, or of another."""
+    """Tell whether a file is a predictor, of the paper's network or another."""
     return _NPZ(path) or _SAFETENSORS(path)
 
 
@@ -85,9 +94,9 @@ URDF = with_marks(b"<robot", b"written by longarm export-urdf")
 
 
 def session(path: Path) -> bool:
-    """Recognise a session that a command wrote.
+    """Tell whether a file is a session that a command wrote.
 
-    An imported one is recognised by the hash in the mapping beside it.
+    An imported session is recognised by its hash in the mapping beside it.
     """
     mapping = path.with_suffix(".mapping.yaml")
     if mapping.is_file() and path.is_file():
@@ -125,9 +134,11 @@ def _read_ends(path: Path) -> bytes:
 
 
 class Output(click.Option):
-    """An option that names an output of a given kind.
+    """An option that names a file or folder to write.
 
-    ``beside``: returns further files that are written with it.
+    Args:
+        kind: test for existing files that may be replaced.
+        beside: returns further files that are written with it.
     """
 
     def __init__(
@@ -142,7 +153,7 @@ class Output(click.Option):
 
 
 def guard_outputs(command: click.Command, name: str) -> click.Command:
-    """Make a command keep the rule before it does anything."""
+    """Return the command with ``--force``, and with a check of the rule before it runs."""
     run = command.callback
     assert run is not None
     for option in command.params:
@@ -186,7 +197,7 @@ def guard_outputs(command: click.Command, name: str) -> click.Command:
 
 
 def _find_parts(value: Any, kind: type) -> Iterator[Any]:
-    """Find what is of a kind in a value, or in tuples and lists of it."""
+    """Yield all objects of a type in a value, or in nested tuples and lists."""
     if isinstance(value, kind):
         yield value
     elif isinstance(value, tuple | list):
@@ -195,7 +206,7 @@ def _find_parts(value: Any, kind: type) -> Iterator[Any]:
 
 
 def _is_same_file(one: Path, other: Path) -> bool:
-    """Compare two files, links followed; they need not exist."""
+    """Tell whether two paths are the same file; links are followed, and none need exist."""
     try:
         return one.samefile(other)
     except OSError:  # one does not exist

@@ -16,9 +16,13 @@ from longarm_comp.core.errors import JobError
 
 
 class Entry(NamedTuple):
-    """One command: ``module:name`` of its click command, which is else named `command`.
+    """One command.
 
-    A module with a point in its name is of a checkout and not installed.
+    Attributes:
+        name: name of the command; two words for a command of a group.
+        module: module of the click command, or ``module:name`` if it is not named `command`. A
+            module with a dot in its name belongs to a checkout and is not installed.
+        summary: one line of help.
     """
 
     name: str
@@ -26,10 +30,10 @@ class Entry(NamedTuple):
     summary: str
 
     def load(self, folder: str = "longarm_comp.cli") -> click.Command:
-        """Import the command.
+        """Import the command and return it.
 
         Raises:
-            JobError: it is of a checkout, and there is none.
+            JobError: it needs a checkout of the project, and there is none.
         """
         module, _, name = self.module.partition(":")
         if "." in module:

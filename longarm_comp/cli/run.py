@@ -1,4 +1,4 @@
-"""The root command: loads commands when they are run, prints errors as one line, exit codes."""
+"""The root command: imports commands when they are run, prints errors, returns exit codes."""
 
 from __future__ import annotations
 
@@ -77,13 +77,14 @@ def run_command(
 ) -> int:
     """Run a command and return the exit code.
 
-    Errors of the package are printed as one line, and so are those of the machine: a file that
-    cannot be opened, a full disk, no memory. Any other exception is a bug and is raised.
+    Errors of the package are printed as one line. So are errors of the machine: a file that cannot
+    be opened, a full disk, too little memory. Any other exception is a bug and is raised.
     """
     for pool in _POOLS:
         os.environ.setdefault(pool, "1")
-    # New objects after which cycles are looked for: libraries and figures make many objects and few
-    # cycles, and Python's own 700 cost a short diagnosis 6 % of its time
+    # Number of new objects after which Python looks for reference cycles. Libraries and figures
+    # make many objects and few cycles. Python's default of 700 cost a short diagnosis 6 % of its
+    # time
     gc.set_threshold(100_000, *gc.get_threshold()[1:])
     try:
         code = command.main(

@@ -1,7 +1,7 @@
 """Questions to the user, signals, and a client on the running graph.
 
-Every question can also be answered by a flag. It is asked only where the flag is missing and
-somebody is at the terminal.
+Every question can also be answered by a flag. It is asked only if the flag is missing. A question
+that nobody answers is an error.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 def handle_signals(
     handler: Callable[..., Any], numbers: Sequence[int] = (signal.SIGINT, signal.SIGTERM)
 ) -> Iterator[None]:
-    """Handle signals so meanwhile; the previous handlers are restored at the end.
+    """Handle signals by a function within the block, and restore the earlier handlers after it.
 
-    `signal.default_int_handler` raises KeyboardInterrupt, so that what must be put back is.
+    The handler `signal.default_int_handler` raises KeyboardInterrupt, so that ``finally`` clauses
+    run.
     """
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
@@ -49,7 +50,13 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 @contextmanager
 def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> Iterator[Any]:
-    """Yield a client on the running graph, of an arm where one is given, that signals stop."""
+    """Yield a client on the running graph; SIGINT and SIGTERM stop its waits.
+
+    Args:
+        name: name of the client's node.
+        arm: arm of an `ArmClient`; None: a `GraphClient`.
+        how: further arguments of the client.
+    """
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.graph_client import GraphClient
 
@@ -59,7 +66,11 @@ def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> I
 
 
 def user_agrees(question: str, yes: bool) -> bool:
-    """Ask for a yes on the terminal, unless it was said with ``--yes``."""
+    """Ask a yes-or-no question on the terminal; return True at once if ``--yes`` was given.
+
+    Raises:
+        JobError: there was no answer.
+    """
     if yes:
         return True
     try:
@@ -70,10 +81,15 @@ def user_agrees(question: str, yes: bool) -> bool:
 
 
 def ask(command: str, flag: str, text: str, allowed: str, **options: Any) -> Any:
-    """Return the answer to what a flag says too; `options` are those of `click.prompt`.
+    """Return the user's answer to a question that the flag answers too.
+
+    Args:
+        text: the question.
+        allowed: allowed answers, for the error message.
+        options: further options of `click.prompt`.
 
     Raises:
-        InputError: there is no terminal, and the answer is missing; ``allowed``: what it may be.
+        InputError: the input ended without an answer, and it is no terminal.
     """
     try:
         return click.prompt(text, err=True, **options)
@@ -86,7 +102,7 @@ def ask(command: str, flag: str, text: str, allowed: str, **options: Any) -> Any
 
 
 def go_on(command: str, yes: bool, text: str) -> None:
-    """Wait until the user says that it may go on; click.Abort: the user says no."""
+    """Ask whether to go on, unless `yes`. Raises click.Abort if the user says no."""
     if not yes and not ask(command, "--yes", f"{text} Go on?", "--yes", default="y", type=bool):
         raise click.Abort
 
@@ -113,7 +129,11 @@ def by_name(
 def numbers_by_name(
     command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
 ) -> dict[str, float]:
-    """Return the same of values that are numbers below a million."""
+    """Return the values of a repeated flag ``NAME=VALUE`` as numbers, as `by_name`.
+
+    Raises:
+        InputError: a value is no number, or its size is a million or more.
+    """
     values = {}
     for name, text in by_name(command, flag, given, form, names).items():
         try:

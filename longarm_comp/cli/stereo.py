@@ -22,11 +22,14 @@ if TYPE_CHECKING:
     Size = tuple[int, int]
 
 _SQUARE_MM, _TAG_SHARE = 25.0, 0.72
-"""A 7x5 board of such squares fills A4; the white around a tag lets its edge be found."""
+"""Defaults of a board: side of its squares, mm, and side of its tags as a share of that.
+
+A 7x5 board of such squares fills A4. The white around a tag lets its edge be found.
+"""
 
 
 def _board_options(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return options of a board, the arguments of `_target_of`."""
+    """Return a decorator that adds the options of a board, which `_target_of` takes."""
     return options.several(
         click.option(
             "--board",

@@ -1,4 +1,4 @@
-"""``longarm up`` and ``demo``: graphs that the program itself starts."""
+"""``longarm up`` and ``demo``: commands that start a graph."""
 
 from __future__ import annotations
 
@@ -91,10 +91,13 @@ def up(
 
 @contextmanager
 def alone(namespace: str, stop: threading.Event, *, others: bool = False) -> Iterator[None]:
-    """Refuse a second graph beside one that runs: both would command the same arm.
+    """Raise JobError if a graph runs already, because both would command the same arm.
 
-    On this machine a lock tells it, which ends with its process; the graph tells of others, as
-    soon as the middleware has discovered them, unless ``others`` may drive the arm.
+    A graph on this machine is found by its lock file, which is free again when the process ends.
+    A graph on another machine is found by its driver, as soon as the middleware has discovered it.
+
+    Args:
+        others: another program may drive the arm, so do not look for other drivers.
     """
     from longarm_comp.jobs.graph_client import GraphClient, count_drivers
 

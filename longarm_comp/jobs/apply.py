@@ -1,4 +1,4 @@
-"""Puts a diagnosis to work on a running graph: files, then a reload of the nodes."""
+"""Applies a diagnosis on a running graph: replaces its files, then has the nodes read them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from longarm_comp.workflows.inputs import Note, log_note
 
 @dataclass(frozen=True)
 class FilesAtWork:
-    """Files that a running graph reads; no predictor where no `error_predictor` has a file."""
+    """Files that a running graph reads; `predictor` is None if no `error_predictor` has a file."""
 
     arm: Path
     model: Path
@@ -45,8 +45,12 @@ def apply_on_graph(
 ) -> Applied:
     """Apply a diagnosis to the files of a running graph and have its nodes read them.
 
-    The options are those of `workflows.apply.apply`. No predictor is trained where the graph has no
-    file for it.
+    The options are those of `workflows.apply.apply`. No predictor is trained if the graph has no
+    file for one.
+
+    Raises:
+        JobError: kinematics has no model file, or a node did not read its new file. In the latter
+            case the change is undone.
     """
     files = files_at_work(client)
     if network and files.predictor is None:

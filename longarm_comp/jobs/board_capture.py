@@ -23,15 +23,20 @@ from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.images import pixels_of
 
 _PATIENCE_S = 600.0
-"""With a person who holds the board; Ctrl-C ends it sooner."""
+"""Longest wait (s) for a person who holds the board; Ctrl-C ends it sooner."""
 
 
 def capture(
     client: GraphClient, board: Target, tell: Callable[[str], None], *, save: Path | None = None
 ) -> tuple[list[BoardView], tuple[int, int]]:
-    """Take a view whenever the board rests somewhere new, until nothing is missing.
+    """Take a view whenever the board rests at a new place, until all needed views are there.
 
-    Returns the views, and (width, height) px of the images, which go into the folder ``save``.
+    Args:
+        tell: called with what the person should do next.
+        save: folder to write the images to, if given.
+
+    Returns:
+        The views, and width and height of the images, px.
     """
     views: list[BoardView] = []
     before: BoardView | None = None

@@ -1,4 +1,4 @@
-"""The place of the stereo head, from a session that it measured: hand-eye calibration."""
+"""Finds the pose of the stereo head from a session that it measured: hand-eye calibration."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.devices.stereo.calibrate import HandEye, hand_eye
 
 FEWEST_POSES = 10
-"""Six unknowns by three numbers a pose, and as much again to see outliers and to hold rows out."""
+"""Fewest poses: thirty numbers for six unknowns leave enough to find outliers and hold rows out."""
 _SIGMA_M = 1e-4
-"""Of a sighting whose session does not say it. What the arm's own errors add is seen in the fit."""
+"""Noise of a sighting if the session states none. The arm's own errors show in the residual."""
 
 
 @dataclass(frozen=True)
 class HeadPlacement:
-    """The place of the left optical frame in the base frame.
+    """The pose of the left optical frame in the base frame.
 
     Attributes:
+        pose: (4, 4).
         position_sd_mm, rotation_sd_deg: (3,) each, one standard deviation, base axes.
-        residual_mm: rms distance of the sightings that count from the predicted tips.
-        held_out_mm: the same for rows that the fit had not seen (five folds).
-        moved_mm, turned_deg: against where the session's file had it.
-        rows, outliers: rows used and left out.
+        residual_mm: RMS distance of the sightings, without outliers, from the predicted tips.
+        held_out_mm: the same for rows that were left out of the fit (five folds).
+        moved_mm, turned_deg: distance and angle from the assumed pose.
+        rows, outliers: numbers of rows used and left out.
     """
 
     pose: np.ndarray  # (4, 4)
@@ -47,10 +48,14 @@ class HeadPlacement:
 
 
 def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadPlacement:
-    """Fit the head's pose to rows whose tip was measured through it.
+    """Fit the pose of the stereo head to rows in which it measured the tip.
 
     Args:
-        assumed: (4, 4) left optical frame in the base frame that the sightings were computed with.
+        assumed: (4, 4) left optical frame in the base frame with which the sightings were computed.
+
+    Raises:
+        InputError: fewer than `FEWEST_POSES` rows have a position.
+        JobError: the tip stayed on a line or at a point.
     """
     rows = session.take(session.has_position)
     if len(rows) < FEWEST_POSES:

@@ -32,10 +32,13 @@ class Pace:
     Attributes:
         sightings: number of sightings that are averaged at each pose.
         dwell_s: how long the joints must rest before the first sighting counts.
-        move_s: time that the driver is asked to take for each way-point; it keeps its own limits.
-        arm_speed: highest speed of any part of the arm where another program drives it, m/s.
-        arrive_s, look_s: longest wait for the end of a move, and for the sightings.
-        tolerance: rad or m between commanded and reported joints at rest, one for all or (n,).
+        move_s: requested duration of the motion to each way-point. The driver takes longer if its
+            limits require it.
+        arm_speed: highest speed of any part of the arm, m/s, if another program drives it.
+        arrive_s: longest wait for the end of a move, beyond its duration.
+        look_s: longest wait for the sightings.
+        tolerance: largest difference between commanded and reported joints at rest, rad or m; one
+            for all joints or (n,).
     """
 
     sightings: int = 5
@@ -52,12 +55,17 @@ class Pace:
 
 
 GIVES_WAY = 0.05
-"""Share of its range that a joint may stand from its command because its servo gives way."""
+"""Largest distance of a joint from its command that a yielding servo explains, as a share of the
+joint's range."""
 STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
 
 
 class DriverStopped(JobError):  # noqa: N818
-    """The driver is held (`held`: somebody means to go on), in fault or in emergency stop."""
+    """The driver is held, in fault or in emergency stop.
+
+    Attributes:
+        held: whether it is held, so that somebody means to continue.
+    """
 
     def __init__(self, state: DriverState) -> None:
         self.held = state.state == DriverState.HOLDING
@@ -67,7 +75,12 @@ class DriverStopped(JobError):  # noqa: N818
 
 
 class ArmClient(GraphClient):
-    """One arm on a graph: its joints, the sightings of its tip (or what else tells it), moves."""
+    """A client of one arm's graph: receives its joints and sightings of its tip, and moves it.
+
+    Args:
+        stop: event that ends every wait.
+        tips: topic that tells where the tip is.
+    """
 
     def __init__(
         self,
@@ -150,7 +163,7 @@ class ArmClient(GraphClient):
 
     @property
     def drives_itself(self) -> bool:
-        """True where the driver of this package drives: it tells its state, and keeps limits."""
+        """True if this package's driver drives the arm: it publishes its state and keeps limits."""
         publishers = self.node.count_publishers(self._states.topic_name)
         return self._driver is not None or publishers > 0
 
@@ -172,8 +185,8 @@ class ArmClient(GraphClient):
     def send(self, path: np.ndarray, move_s: float = 0.5, arm_speed: float = REDUCED_SPEED) -> int:
         """Command way-points (k, n) with a stop at each.
 
-        Our driver keeps its limits. Another one may have none: no part of the arm is to go faster
-        than ``arm_speed``, m/s.
+        This package's driver keeps its own limits. For another driver, the times are chosen so that
+        no part of the arm moves faster than ``arm_speed``, m/s.
 
         Returns:
             The stamp (ns) of the command.
@@ -195,18 +208,19 @@ class ArmClient(GraphClient):
         return stamp_ns(sent.header.stamp)
 
     def arrive(self, path: np.ndarray, pace: Pace, start: np.ndarray | None = None) -> int:
-        """Wait until the joints rest at the end of a path (k, n); the moment (ns) of it.
+        """Wait until the joints have rested at a path's end for `dwell_s`; return the time (ns).
 
-        Servos that give way may stay farther off: then they are there when the driver says so.
-        If the arm was there already and the path leads away and back, it must have left first.
+        The end is reached if the joints are within the tolerance of it, or if the driver says that
+        the arm has reached it: servos that yield may stay farther off. If the arm stood there
+        before, and the path leads away and back, it must have left first.
 
         Args:
-            start: (n,) where the joints stood before the command; a move may be over before this
-                is called.
+            path: (k, n) way-points, rad and m.
+            start: (n,) joints before the command; the move may be over before this is called.
 
         Raises:
             JobError: the driver stopped, refused the command or took another program's, or the
-                joints do not come.
+                joints do not arrive in time.
         """
         q, tolerance = path[-1], pace.tolerance
         inside_since: list[tuple[float, np.ndarray]] = []
@@ -237,7 +251,7 @@ class ArmClient(GraphClient):
         return int(self.node.get_clock().now().nanoseconds)
 
     def _short_of(self, q: np.ndarray, pace: Pace) -> str:
-        """Say which joint did not come to its command (n,), by how much, and what helps."""
+        """Say which joint is farthest from its command (n,), by how much, and what helps."""
         waited = f"the joints did not come to rest at their command within {pace.arrive_s:g} s"
         if self.joints is None:
             return f"{waited}: no joint_states"
@@ -255,12 +269,12 @@ class ArmClient(GraphClient):
     def look(
         self, path: np.ndarray, pace: Pace, start: np.ndarray | None
     ) -> tuple[int, list[np.ndarray]]:
-        """Wait for the end of a path as `arrive`, and see the tip there.
+        """Wait for the end of a path as `arrive`, then collect sightings of the tip.
 
-        Where the marker is lost in twice as many pictures in a row, it is not waited for.
+        The wait ends early if the marker is lost in all of the first ``2 * pace.sightings`` images.
 
         Returns:
-            The moment (ns) from which sightings count; those (3,), m, in which the marker is seen.
+            The time (ns) from which sightings count; and the sightings (3,), m, of the marker.
         """
         self.spin(0.05)  # the driver has taken it up when its joints move
         # A sighting counts if it was taken 50 ms after the joints came to rest

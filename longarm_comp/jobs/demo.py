@@ -37,7 +37,8 @@ ORIGINAL, DECLARED, FOUND, LEARNED = (
     "effect found",
     "effect found + network",
 )
-"""Nothing compensated; the declared deflection; the diagnosed model; that and the network."""
+"""Names of the runs: without compensation; with the declared deflection; with the diagnosed model;
+with this model and the network."""
 
 NAMES = Names(ORIGINAL, DECLARED, FOUND, LEARNED)
 
@@ -46,7 +47,7 @@ _PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 
 
 
 def table_row(trial: Trial) -> dict[str, Any]:
-    """Make a table's row: errors by the cameras, the true errors, and those of the paper."""
+    """Return a table row: errors by the cameras, the true mean error, and the paper's errors."""
     seen = Errors.of(trial.error)
     told = ("mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
     mean, variance = _PAPER.get(trial.name, (None, None))
@@ -61,16 +62,16 @@ def table_row(trial: Trial) -> dict[str, Any]:
 
 
 def is_improved(trials: Sequence[Trial]) -> bool:
-    """Return whether the last trial came nearer to the targets than the first, in both measures."""
+    """Tell whether the mean error fell from the first to the last trial, as seen and in truth."""
     first, last = table_row(trials[0]), table_row(trials[-1])
     return all(last[name] < first[name] for name in ("mean_mm", "true_mean_mm"))
 
 
 NAMESPACE = "longarm_demo"
-"""Its own namespace: apart from any real arm on the same network."""
+"""A namespace of its own, apart from any real arm on the same network."""
 
 PACE = Pace(sightings=3, dwell_s=0.05, move_s=0.05, look_s=30.0, tolerance=2e-4)
-"""Orders may be as old as a look takes: a busy machine is slow, and no simulated arm does harm."""
+"""Short waits. Orders may be `look_s` old: a busy machine is slow, a simulated arm does no harm."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class DemoSettings:
         )
 
     def graph(self) -> BringUp:
-        """Make the graph; model and predictor are taken up once they are there."""
+        """Return the graph to start. Its nodes read model and predictor once these files exist."""
         given: dict[str, dict[str, Any]] = {
             "servo_driver": {
                 "follower.blend_s": 0.05,
@@ -141,7 +142,7 @@ def _true_tip(client: ArmClient) -> Witness:
 def demonstrate(
     settings: DemoSettings, stop: threading.Event, say: Say = lambda text, share: None
 ) -> dict[str, Any]:
-    """Run the whole loop; what came of it, for --json. Every process has ended afterwards."""
+    """Run the whole loop, end all its processes, and return the results as data for --json."""
     arm = Arm.load(settings.arm)
     hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
     prepare(settings)
@@ -190,7 +191,11 @@ _LOGS = "log"
 
 
 def prepare(settings: DemoSettings) -> None:
-    """Make the folder. The logs that a start that failed has left in it are no obstacle."""
+    """Make the output folder, and let ROS write its logs there and stay on this machine.
+
+    Raises:
+        InputError: the folder holds more than the logs of a failed start.
+    """
     out = settings.out
     if out.exists() and (not out.is_dir() or {p.name for p in out.iterdir()} - {_LOGS}):
         raise InputError("demo", "--out", out, "a new or empty folder")

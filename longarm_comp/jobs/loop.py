@@ -1,4 +1,4 @@
-"""The cycle: measure, collect, diagnose, ask, apply, train, measure again; once more if it pays."""
+"""The loop: drive targets, collect, diagnose, ask, apply, train, drive again; repeat if it pays."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.verification import error_row
 
 NEAR_NOISE = 2.0
-"""A mean error below so many times what the noise alone shows is as good as measured."""
+"""The loop ends at a mean error below this many times the mean error that noise alone causes."""
 
 RULE = (
     "another round follows if the last one brought the tip nearer by more than chance and the mean "
@@ -51,10 +51,12 @@ RULE = (
 def another_round(
     gain_ci95_m: tuple[float, float], mean_m: float, sigma_m: tuple[float, float, float]
 ) -> tuple[bool, str]:
-    """Tell by the rule whether to go on, and why.
+    """Tell by `RULE` whether another round should follow, and say why.
 
-    From the 95 % interval of what the round took off the mean error, the mean that is left, and
-    the noise of a sighting along each axis, all in m.
+    Args:
+        gain_ci95_m: 95 % interval of the decrease of the mean error by the last round.
+        mean_m: mean error after it.
+        sigma_m: noise of a sighting along x, y, z.
     """
     rms = math.sqrt(sum(s * s for s in sigma_m) / 3.0)
     alone = math.sqrt(8.0 / math.pi) * rms  # mean length of a normal vector in three dimensions
@@ -68,7 +70,7 @@ def another_round(
 
 @dataclass(frozen=True)
 class Names:
-    """Names of the runs over the targets; ``{k}`` stands for the round."""
+    """Names of the runs over the targets; ``{k}`` is replaced by the number of the round."""
 
     without: str = "not compensated"
     before: str = "before"
@@ -78,9 +80,13 @@ class Names:
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """One loop: poses to measure in a round, from random sides, and fresh targets to judge by.
+    """The settings of a loop.
 
-    `network`: train a predictor after every round.
+    Attributes:
+        rounds: most rounds.
+        poses: number of poses to measure in a round.
+        targets: number of fresh targets by which the gain is judged.
+        network: whether to train a predictor in every round.
     """
 
     out: Path
@@ -104,7 +110,7 @@ class LoopSettings:
         return self.out / (what if k == 1 else f"{name}_{k}{dot}{ending}")
 
     def facts(self) -> dict[str, Any]:
-        """Return what an interrupted loop must keep; the folder and ``rounds`` may change."""
+        """Return the settings that a resumed loop must keep: all but the folder and ``rounds``."""
         return {k: v for k, v in asdict(self).items() if k not in ("out", "rounds")}
 
 
@@ -138,14 +144,14 @@ class Journal:
         return step in self._steps
 
     def once(self, step: str, make: Callable[[], Any]) -> Any:
-        """Return the result of a step as plain data, made now unless it was made before."""
+        """Return the saved result of a step (plain data); without one, call `make` and save it."""
         if step not in self._steps:
             self._steps[step] = make()
             write_text(self._path, json.dumps(self._steps))
         return self._steps[step]
 
     def trial(self, step: str, make: Callable[[], Trial]) -> Trial:
-        """Return the result of a run over targets, made now unless it was made before."""
+        """Return the saved run over targets of a step; without one, call `make` and save it."""
 
         def plain() -> dict[str, Any]:
             trial = make()
@@ -158,7 +164,10 @@ class Journal:
 class Loop:
     """A loop on a running graph.
 
-    ``agree`` shows a diagnosis and says whether to apply it.
+    Args:
+        agree: shows a diagnosis and tells whether to apply it.
+        witness: another instrument that measures the tip, if there is one.
+        resume: continue an interrupted loop in the same folder.
     """
 
     def __init__(
@@ -224,7 +233,7 @@ class Loop:
     def _run_round(
         self, k: int, files: FilesAtWork, targets: np.ndarray, method: Method, trials: list[Trial]
     ) -> dict[str, Any]:
-        """Run one turn of the cycle, number k from 1; add its runs to the trials."""
+        """Run round k (from 1), add its runs to `trials`, and return its entry in loop.json."""
         names = self._settings.names
         collected = self._journal.once(f"collected {k}", partial(self._collect_rows, k))
         self._time_step(f"collect_{k}")

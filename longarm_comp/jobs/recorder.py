@@ -30,14 +30,15 @@ SESSION_TOPICS = (
 """Topics of a session. Images would take a hundred times as much space."""
 
 HELD_TOPICS = (graph.TEMPERATURE, graph.PAYLOAD, graph.INCLINATION)
-"""Topics of which the last message holds until the next, which may come rarely."""
+"""Topics whose last message is valid until the next one, which may come much later."""
 
 IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGHT_INFO)
 
 _DRAIN_S, _AT_ONCE = 5.0, 20
-"""Patience with what has arrived, s; callbacks between two looks whether more does."""
+"""Longest time (s) to take in messages that have arrived at the end; callbacks between two checks
+for more."""
 _SEGMENT_S = 20.0
-"""A killed recorder loses at most so much."""
+"""Length of a segment, s. A killed recorder loses at most one segment."""
 
 
 class Recorder:
@@ -61,7 +62,7 @@ class Recorder:
         self._since = time.monotonic()
         self.counts: dict[str, int] = {}
         self.newest: dict[str, int] = {}
-        """The latest time (ns) that a message of a topic was about."""
+        """The latest time (ns) to which a message of each topic refers."""
         for topic in topics:
             name, message = node.resolve_topic_name(topic.name), topic.type
             kind = f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
@@ -71,13 +72,17 @@ class Recorder:
             topic.subscription(node, partial(self.put, name, kind), depth=2000, raw=True)
 
     def put(self, topic: str, kind: str, raw: bytes) -> None:
-        """Take a serialised message that was just received; ``topic`` is its full name."""
+        """Add a serialised message that was just received; ``topic`` is its full name."""
         received = time.time_ns()
         self.waiting.append((topic, kind, received, raw))
         self.newest[topic] = max(self.newest.get(topic, 0), self._find_moment(topic, received, raw))
 
     def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
-        """Write the waiting messages `about` a time; ``finish``: so that they can be read now."""
+        """Write the waiting messages that `about` returns, and forget all others.
+
+        Args:
+            finish: end the segment, so that the messages can be read at once.
+        """
         for topic, kind, received, raw in self.about(since_ns):
             self._bag.write(topic, kind, received, raw)
             self.counts[topic] = self.counts.get(topic, 0) + 1
@@ -95,7 +100,7 @@ class Recorder:
         ]
 
     def _find_moment(self, topic: str, received: int, raw: bytes) -> int:
-        """Return the time (ns) that a message is about."""
+        """Return the time (ns) to which a message refers."""
         if topic not in self._stamped:
             return received
         return moment(stamp_of_raw(raw), received)
@@ -105,7 +110,7 @@ class Recorder:
         self.waiting = list(last.values())
 
     def waits_for(self) -> list[str]:
-        """List topics of `HELD_TOPICS` that another node publishes and that were not heard."""
+        """List the `HELD_TOPICS` that another node publishes, but of which no message has come."""
         heard = {topic for topic, *_ in self.waiting} | set(self.counts)
         return [
             name
@@ -125,7 +130,7 @@ def record(
     segment_s: float = _SEGMENT_S,
     duration_s: float | None = None,
 ) -> dict[str, int]:
-    """Record until the event is set or the time is over. Returns message counts by topic."""
+    """Record until the event is set or the time is over; return the message counts by topic."""
     end = None if duration_s is None else time.monotonic() + duration_s
     with GraphClient(namespace, stop, "recorder") as client:
         recorder = Recorder(client.node, bag, topics, segment_s)

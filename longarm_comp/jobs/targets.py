@@ -1,5 +1,7 @@
-"""Targets through the `compensate` service, and where the tip came to rest: once, or twice to
-compare a method with none."""
+"""Drives targets through the `compensate` service and measures the tip at rest.
+
+To verify a method, the same targets are driven without compensation and with it.
+"""
 
 from __future__ import annotations
 
@@ -30,27 +32,28 @@ from longarm_comp.workflows.verification import Verification, compare_runs
 from longarm_interfaces.srv import Compensate
 
 Witness = Callable[[int], np.ndarray]
-"""Gives the tip (3,), m, as another instrument sees it after a time (ns) at which it rests."""
+"""A function of a time (ns) from which the tip rests: the tip (3,), m, by another instrument."""
 Say = Callable[[str, float], None]
 Draw = Callable[[int], np.ndarray]
-"""Draws so many further targets, (n, 3) m; fewer where there are no more."""
+"""A function that returns n further targets (n, 3), m, or fewer if there are no more."""
 Refused = tuple[np.ndarray, str]
 """A target (3,), m, that the graph refuses, and why."""
 
 PLACING = 6
-"""Fewer targets that were seen do not place an unknown frame and judge the tips besides."""
+"""Fewest measured targets with which an unknown frame can be placed and the errors still judged."""
 WITHOUT, COMPENSATED = "without compensation", "with compensation"
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Targets (N, 3) that were driven one after another, and where the tip came to rest, m.
+    """A run over N targets, and where the tip came to rest.
 
     Attributes:
         name: what was compensated, in words.
-        seen: (N, 3) mean sighting of the cameras; NaN where the marker was lost.
-        true: (N, 3) what another instrument saw; NaN without one.
-        status: (N,) of the service, as `core.compensation` numbers them.
+        target: (N, 3) m.
+        seen: (N, 3) mean sighting of the cameras, m; NaN where the marker was lost.
+        true: (N, 3) tip by another instrument, m; NaN without one.
+        status: (N,) status that the service returned, as a number of `Status`.
     """
 
     name: str
@@ -85,10 +88,14 @@ class Trial:
 
 
 class TargetRunner:
-    """Drives targets on a graph; ``witness``: another instrument that sees the tip.
+    """Drives targets on a graph.
+
+    Args:
+        witness: another instrument that measures the tip, if there is one.
 
     Attributes:
-        placed_in: frame of the sightings, where each run had to place it by them; else empty.
+        placed_in: frame of the sightings, if its place was unknown, so that each run placed it by
+            its own sightings; else empty.
     """
 
     def __init__(self, client: ArmClient, pace: Pace, witness: Witness | None = None) -> None:
@@ -115,7 +122,7 @@ class TargetRunner:
 
     @contextmanager
     def method(self, method: Method) -> Iterator[None]:
-        """Set what kinematics compensates meanwhile; afterwards as before."""
+        """Set the method of kinematics within the block, and restore the earlier one after it."""
         (before,) = self._client.parameters("kinematics", "method")
         self._client.set_parameter("kinematics", "method", method.value)
         try:
@@ -125,7 +132,10 @@ class TargetRunner:
                 self._client.set_parameter("kinematics", "method", before)
 
     def refusals(self, targets: np.ndarray, methods: Sequence[Method]) -> list[str]:
-        """Ask why each of (N, 3) targets, m, would be refused with a method; "" if none would."""
+        """Say for each target (N, 3), m, why the graph refuses it with one of these methods.
+
+        A target that it accepts with all of them has "".
+        """
         why = [""] * len(targets)
         for method in methods:
             with self.method(method):
@@ -146,7 +156,13 @@ class TargetRunner:
         return Trial(name, targets, self._in_base(seen, targets), true, status)
 
     def _in_base(self, seen: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """Carry sightings (N, 3), m, to the base; of an unknown frame, lay them on the targets."""
+        """Return sightings (N, 3), m, in the base frame.
+
+        If the place of their frame is unknown, they are registered to the targets.
+
+        Raises:
+            JobError: fewer than `PLACING` targets were seen in an unknown frame.
+        """
         frame = self._client.seen_in
         if frame in ("", self._frame, prefix_of(self._client.node) + self._frame):
             return seen
@@ -159,7 +175,7 @@ class TargetRunner:
         return np.asarray(seen @ rotation.T + offset)
 
     def ask(self, target: np.ndarray, *, execute: bool) -> Compensate.Response:
-        """Return the answer for a target (3,), m; asked again where the request came too late."""
+        """Return the service's answer for a target (3,), m; ask again if the request came late."""
         pose = PoseStamped()
         pose.header.frame_id = self._frame
         pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = target.tolist()
@@ -195,8 +211,12 @@ class TargetRunner:
 def choose_targets(
     runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]
 ) -> tuple[np.ndarray, list[Refused]]:
-    """Return up to n targets (N, 3), m, that the graph accepts with every method, and those that it
-    refused; nothing moves.
+    """Return up to n targets (N, 3), m, that the graph accepts with every method.
+
+    Also return the targets that it refused. Nothing moves.
+
+    Raises:
+        JobError: fewer than two targets are accepted.
     """
     kept: list[np.ndarray] = []
     refused: list[Refused] = []
@@ -217,19 +237,19 @@ def choose_targets(
 
 
 def at_random(model: Model, rng: np.random.Generator) -> Draw:
-    """Return what draws where a model's tip is at random joints, in the base."""
+    """Return a function that draws targets: the tip of a model at random joints, base frame."""
     stands = base_of_graph(model)
     return lambda n: stands.carry_from_model(random_targets(model, n, rng))
 
 
 def one_by_one(targets: np.ndarray) -> Draw:
-    """Return what hands out (N, 3) targets of a file, m, in their order."""
+    """Return a function that hands out the given targets (N, 3), m, in their order."""
     left = iter(targets)
     return lambda n: np.array(list(itertools.islice(left, n))).reshape(-1, 3)
 
 
 def method_at_work(client: GraphClient) -> Method:
-    """Ask what kinematics compensates now; everything, where it compensates nothing."""
+    """Return the present method of kinematics; `BOTH` if it compensates nothing at present."""
     (name,) = client.parameters("kinematics", "method")
     return Method.BOTH if Method(name) is Method.NONE else Method(name)
 

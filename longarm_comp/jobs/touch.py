@@ -1,4 +1,4 @@
-"""Rows of touches: what the joints of a running graph read while somebody holds the tip still."""
+"""Records touches: the joint values of a running graph while somebody holds the tip still."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
 
 READINGS = 10
-"""Joint readings that a row is the mean of."""
+"""Number of joint readings that are averaged for a row."""
 PATIENCE_S = 30.0
-"""Patience with an arm that comes to rest under a hand."""
+"""Longest wait (s) for an arm that a hand brings to rest."""
 ENOUGH = 8
-"""Rows from which their spread says something."""
+"""Fewest touches whose distances from their points mean something."""
 
 
 @dataclass
@@ -83,7 +83,10 @@ class TouchLog:
         )
 
     def spread_m(self) -> np.ndarray | None:
-        """Fit the touches; return each one's distance from its point, m; None if they are few."""
+        """Fit the touches and return the distance (m) of each from its point.
+
+        None if there are fewer than `ENOUGH`, or the fit fails.
+        """
         whole = self.session()
         if np.isfinite(whole.reading(KINDS["touch"])).sum() < ENOUGH:
             return None
@@ -95,7 +98,7 @@ class TouchLog:
 
 
 def _is_seated(client: ArmClient) -> bool:
-    """Return whether the ball sits in a socket, as the graph says; true where it says nothing."""
+    """Tell whether the ball sits in a socket, by `contact`; True if nobody publishes it."""
     heard: list[str] = []
     felt = CONTACT.subscription(client.node, lambda message: heard.append(message.data))
     try:
@@ -110,7 +113,7 @@ def _is_seated(client: ArmClient) -> bool:
 def release_servos(client: GraphClient) -> Iterator[str]:
     """Switch the servos' torque off within the block, so that a hand can guide the arm.
 
-    Yields what the driver answered. A stop that somebody else asked for stays.
+    Yields the driver's answer. A stop that somebody else requested stays in force.
 
     Raises:
         JobError: the arm is stopped already, or was stopped again within the block.
@@ -125,9 +128,12 @@ def release_servos(client: GraphClient) -> Iterator[str]:
 
 
 def wait_for_rest(client: ArmClient) -> np.ndarray:
-    """Return the mean of the next joint readings that hardly differ, (n,).
+    """Wait until the joints rest, and return the mean (n,) of `READINGS` readings, rad and m.
 
-    Readings that were waiting to be heard are as old as the last move: they are passed over.
+    Readings that were waiting in the queue are skipped, because they may be from the last move.
+
+    Raises:
+        JobError: the joints do not rest within `PATIENCE_S`.
     """
     client.joints = None
     client.until(lambda: client.joints is not None, PATIENCE_S, "no joint_states")

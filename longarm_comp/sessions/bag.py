@@ -1,7 +1,7 @@
 """Reads a session from a rosbag2 folder (mcap or sqlite3); docs/sessions.md has its topics.
 
 A row is a command and the mean of the sightings after the arm has settled, up to the next command.
-Topics are found by the last part of their name; others and unknown types are ignored.
+Topics are recognised by the last part of their name and their type; all others are ignored.
 """
 
 from __future__ import annotations
@@ -67,7 +67,13 @@ class Rows:
         self._restless: Counter[int] = Counter()  # by joint, commands at whose end it still moved
 
     def close(self, *, everything: bool = False) -> None:
-        """Finish commands whose time is over: a sighting may be recorded `CLOCKS_APART` later."""
+        """Make the rows of the commands that no later message can change.
+
+        A sighting may be recorded up to `CLOCKS_APART` s after it was taken.
+
+        Args:
+            everything: the recording has ended, so make the rows of all commands.
+        """
         commands = self._buffer.commands
         while len(commands) > 1 and (
             everything or commands[-1][0] >= commands[1][0] + CLOCKS_APART
@@ -77,7 +83,7 @@ class Rows:
             self._finish_command(math.inf)
 
     def _finish_command(self, end: float) -> None:
-        """Make the row of the oldest command, which the next one followed at `end` (s)."""
+        """Make the row of the oldest command; the next command came at `end` (s)."""
         buffer, n = self._buffer, self._buffer.arm.n
         begin, points = buffer.commands.popleft()
         sightings, rows = (between(each, begin, end) for each in (buffer.sightings, buffer.rows))
@@ -113,7 +119,12 @@ class Rows:
         buffer.forget(end)
 
     def session(self, touch_distances: tuple[KnownDistance, ...] = ()) -> Session:
-        """Return the rows as a session. Raises InputError where there are none or of two arms."""
+        """Return the rows as a session.
+
+        Raises:
+            InputError: there are no rows, two arms publish `joint_states` in turn, or a
+                `session_row` holds an unknown kind of reading.
+        """
         buffer, rows = self._buffer, self._rows
         if 2 * self._rivals > self._with_joints:
             value = f"two publishers in turn, after {self._rivals} of {self._with_joints} commands"
@@ -172,14 +183,17 @@ class Rows:
 
 
 def _in_every_row(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Return the columns that every row has; an inclination may lack."""
+    """Return the columns (N,) that every row has; inclinations may be missing in some (NaN)."""
     every = dict.fromkeys(name for row in rows for name in row)
     names = [n for n in every if INCLINATION.match(n) or all(n in row for row in rows)]
     return {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}
 
 
 def bag_info(path: str | Path) -> dict[str, Any]:
-    """Summarise a bag; times in s. A topic's `read`: it is used for a session."""
+    """Return a summary of a bag: storage, start and duration in s, number of messages, topics.
+
+    `read` of a topic tells whether a session is made from it.
+    """
     with open_bag(path) as reader:
         topics = [
             {
@@ -209,7 +223,7 @@ def last_part(topic: str) -> str:
 
 
 Message = tuple[str, str, int, bytes]
-"""Topic, type, time of recording (ns), serialised."""
+"""A recorded message: topic, type, time of recording (ns), serialised content."""
 
 
 def read_bag(
@@ -221,8 +235,8 @@ def read_bag(
     """Read a session from a bag: its folder or a file.
 
     Args:
-        namespace: of one arm of several.
-        touch_distances: known distances between the points that it touched.
+        namespace: namespace of the arm, if the bag holds several arms.
+        touch_distances: known distances between the points that the session touches.
     """
     where = str(path)
     with open_bag(path) as reader:
@@ -240,7 +254,7 @@ def read_bag(
 
 @contextmanager
 def open_bag(path: str | Path) -> Iterator[Reader]:
-    """Open a bag; a damaged one is an `InputError`."""
+    """Open a bag for reading. Raises InputError if it is incomplete or damaged."""
     where, metadata = str(path), Path(path) / "metadata.yaml"
     if Path(path).is_dir():
         if not metadata.is_file():
@@ -264,7 +278,7 @@ def _make_broken(where: str, error: Exception) -> InputError:
 
 
 def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
-    """Read the last command of a bag, and what was recorded after it."""
+    """Return a buffer that holds the last command of a bag and the messages after it."""
     where = str(path)
     with open_bag(path) as reader:
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=True)
@@ -280,7 +294,11 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
 
 
 def _topics_of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Connection]:
-    """Return the topics of one arm that are read."""
+    """Return the connections of the topics from which one arm's session is read.
+
+    Raises:
+        InputError: no topic is known, or known topics are in several namespaces.
+    """
     known = (c for c in reader.connections if TYPES.get(last_part(c.topic)) == c.msgtype)
     chosen = [c for c in known if in_namespace(c.topic, namespace)]
     spaces = sorted({c.topic.rpartition("/")[0] or "/" for c in chosen})
@@ -293,18 +311,18 @@ def _topics_of_one_arm(reader: Reader, namespace: str | None, where: str) -> lis
 
 
 def in_namespace(topic: str, namespace: str | None) -> bool:
-    """Tell whether a topic is of this namespace; None: of any."""
+    """Tell whether a topic is in this namespace; True for every topic if `namespace` is None."""
     return namespace is None or topic.rpartition("/")[0].strip("/") == namespace.strip("/")
 
 
 def raw_messages(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
-    """Read the messages of these topics; none of an empty list."""
+    """Iterate over the messages of the chosen topics; there are none if `chosen` is empty."""
     raw = reader.messages(connections=chosen) if chosen else ()
     return ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
 
 
 def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
-    """Read messages of one namespace that are not in a bag yet, as `read_bag` does."""
+    """Return a session, as `read_bag`, from messages of one namespace that are not in a bag yet."""
     known = [m for m in messages if TYPES.get(last_part(m[0])) == m[1]]
     begin = min((received for _, _, received, _ in known), default=0)
     return _rows(known, MessageBuffer(arm, "recording", begin, every_command=True)).session()
@@ -321,7 +339,10 @@ def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
 
 
 def decode(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
-    """Yield last part of the topic's name, time of recording (ns), message; by time."""
+    """Yield the last part of the topic's name, the time of recording (ns) and the message.
+
+    A message of `joint_states` is the pair that `JointStates` returns.
+    """
     types = message_types()
     joint_states = JointStates(arm.joint_names, types)
     try:

@@ -53,7 +53,7 @@ class SegmentedBag:
         self.messages = 0
         """Number of messages in the current segment."""
         self.offers: dict[str, Qos] = {}
-        """Quality of service of topics by name, where it is not the usual one."""
+        """Quality of service by topic; all other topics have `publisher_quality()`."""
 
     def _begin_folder(self, resume: bool, held: ExitStack) -> dict[str, Any] | None:
         if not resume and not self._new:
@@ -95,7 +95,7 @@ class SegmentedBag:
                 shutil.rmtree(self._path, ignore_errors=True)
 
     def discard(self) -> None:
-        """Leave no folder where an error ends the recording, unless it was there before."""
+        """Mark the recording as useless: if an error ends it, its new folder is removed."""
         self._discarded = True
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
@@ -140,7 +140,7 @@ class SegmentedBag:
 
 
 def _merge_metadata(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
-    """Merge metadata: files in order, counts added, total time span."""
+    """Return the metadata of two bags as one: files in order, counts added, whole time span."""
     if one is None or not one["message_count"]:
         return two
     first, second = (part["starting_time"]["nanoseconds_since_epoch"] for part in (one, two))

@@ -1,7 +1,7 @@
 """A session as a CSV file; docs/sessions.md has its columns.
 
-A further column is kept as context, numbers as numbers and text as labels, unless its name
-comes close to a known one: then it is an error that says which.
+Columns with other names are kept too: numbers among the session's columns, text among its labels.
+A name that is close to a known one is refused, because it is probably misspelt.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _FURTHER = tuple(kind for name, kind in KINDS.items() if name != "position")
 READ = tuple(
     cell for kind in _FURTHER for cell in (*kind.cells, *([kind.sigma] if kind.sigma else []))
 )
-"""Columns of the readings beside x, y, z, and of their standard deviations."""
+"""Columns of all measurements except x, y, z, and of their standard deviations."""
 
 
 def _check_measured(table: Table, known: Collection[str]) -> None:
-    """Raise `InputError` where a table measures nothing, or a coordinate's name is misspelt.
+    """Raise `InputError` if a table measures nothing, or a coordinate's name is misspelt.
 
-    Where a coordinate has no column, an unknown one that may be it is refused: `zz`, `x1`, `pos_y`.
+    If some of x, y, z are missing, unknown columns that may be them are refused: `zz`, `pos_y`.
     """
     first = [(*kind.cells, kind.label)[0] for kind in _FURTHER]
     others = [n for n in table.header if n not in known and not INCLINATION.match(n)]
@@ -61,9 +61,9 @@ def _check_measured(table: Table, known: Collection[str]) -> None:
 
 
 def _read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Read the other kinds and their standard deviations, by kind.
+    """Return the measurements (N, c) other than positions, and their standard deviations (N,).
 
-    What the session refuses of a row is refused here by its line.
+    Both are by kind. Rows that `Session` would refuse are refused here, with their line number.
     """
     readings, sigmas = {}, {}
     joints = (KINDS[name] for name in table.header if re.fullmatch(r"read_q[1-9]\d*", name))
@@ -99,10 +99,10 @@ _COVARIANCE = (*_VARIANCE, "cov_xy", "cov_xz", "cov_yz")
 def read_csv(
     path: str | Path, arm: Arm, touch_distances: tuple[KnownDistance, ...] = ()
 ) -> Session:
-    """Read a session from a CSV file; effects count the time from its first row.
+    """Read a session from a CSV file. Its time is counted from `t_s` of the first row.
 
     Args:
-        touch_distances: known distances between the points that it touched.
+        touch_distances: known distances between the points that the session touches.
     """
     table = read_table(path)
     joints = joint_names(arm.n)
@@ -178,7 +178,10 @@ def joint_names(n: int) -> tuple[str, ...]:
 def read_further_columns(
     table: Table, known: set[str]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Read further numbers and texts; a column that is blank throughout is absent."""
+    """Return circumstances and unknown columns by name: numbers (N,) and texts (N,).
+
+    A column that is blank in every row is left out.
+    """
     columns: dict[str, np.ndarray] = {}
     labels: dict[str, np.ndarray] = {}
     for name in table.header:
@@ -207,7 +210,7 @@ def approach_names(n: int) -> tuple[str, ...]:
 
 
 def read_approach(table: Table, n: int) -> np.ndarray:
-    """Read sides of arrival: (N,) for all joints or (N, n), as a table has them; 0 where none."""
+    """Return sides of arrival: (N,) if all joints share a column, else (N, n); 0 if unknown."""
 
     def is_side(value: float) -> bool:
         return value in (-1.0, 0.0, 1.0)
@@ -224,7 +227,11 @@ def read_approach(table: Table, n: int) -> np.ndarray:
 
 
 def _read_run_up(table: Table, q: np.ndarray, sides: np.ndarray) -> np.ndarray | None:
-    """Read where the last approaches began; a side of arrival that contradicts one is refused."""
+    """Return the joint values (N, n) at which the last approaches began; None without columns.
+
+    Raises:
+        InputError: an approach began on the other side than the side of arrival says.
+    """
     names = [f"run_up_{name}" for name in joint_names(q.shape[1])]
     if not table.has(names):
         return None
@@ -247,11 +254,11 @@ def make_approach_columns(sides: np.ndarray) -> dict[str, Sequence[object] | np.
 # ------------------------------------------------------------------ touched points
 
 _TOUCHES = "touches.yaml"
-"""Known distances between the points that the session beside it touched."""
+"""File of the known distances between touched points, in a bag's folder or beside a session."""
 
 
 def read_touches(session: Path) -> tuple[KnownDistance, ...]:
-    """Read the file in a bag's folder, or beside a session; nothing where there is none."""
+    """Return the known distances in the file of a bag's folder or beside a session; else ()."""
     for folder in (session, session.parent):
         path = folder / _TOUCHES
         if path.is_file():
@@ -261,7 +268,11 @@ def read_touches(session: Path) -> tuple[KnownDistance, ...]:
 
 
 def write_touches(distances: tuple[KnownDistance, ...], folder: Path) -> None:
-    """Write the file of known distances, if there are any."""
+    """Write the file of known distances, if there are any.
+
+    Raises:
+        InputError: the folder has a file with other distances.
+    """
     path = folder / _TOUCHES
     if not distances:
         return

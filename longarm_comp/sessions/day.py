@@ -1,4 +1,4 @@
-"""A day of work from its bag: what was asked, where the tip came to rest, what the nodes said."""
+"""Reads a day of work from its bag: targets, errors at rest, refusals, messages of the nodes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,14 @@ _ASKED, _SAID = "compensation", "diagnostics"
 
 @dataclass(frozen=True)
 class Notice:
-    """A text of a part of a node, from its first time to its last; numbers as they were at last."""
+    """A diagnostic message. Messages that differ only in their numbers are one notice.
+
+    Attributes:
+        first_s, last_s: times of its first and last occurrence, s since the bag began.
+        part: name of the diagnostic status, which ends in the part of the node.
+        level: level of the last occurrence, as in DiagnosticStatus.
+        message: text of the last occurrence.
+    """
 
     first_s: float
     last_s: float
@@ -32,13 +39,15 @@ class Notice:
 
 @dataclass(frozen=True, eq=False)
 class Day:
-    """A bag of work that lasts some hours.
+    """Summary of a bag of work that lasts some hours.
 
     Attributes:
-        t_s: (N,) when each target was asked for, since the bag began.
-        error_mm: (N,) distance from it at which the tip came to rest; NaN where it was not seen.
-        refused: how often, by reason; of reasons that differ in numbers alone the last.
-        said: warnings, faults and what was learned, in the order of their beginning.
+        hours: duration of the bag.
+        t_s: (N,) time at which each accepted target was requested, s since the bag began.
+        error_mm: (N,) distance of the resting tip from each target; NaN if it was not measured.
+        refused: number of refused targets by reason. Reasons that differ only in their numbers
+            count as one, worded as the last of them.
+        said: diagnostic messages of the nodes, by their first occurrence.
     """
 
     hours: float
@@ -48,7 +57,10 @@ class Day:
     said: tuple[Notice, ...] = ()
 
     def by_hour(self) -> list[dict[str, Any]]:
-        """Return a row an hour and one of the whole: targets, those seen, errors in mm."""
+        """Return one row for each hour with targets, and one for all hours.
+
+        A row has the numbers of accepted targets and of those measured, and the errors in mm.
+        """
         hour = (self.t_s // 3600).astype(int)
         parts = [(f"{h}-{h + 1} h", self.error_mm[hour == h]) for h in np.unique(hour)]
         rows = []
@@ -71,11 +83,12 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
     """Read a day from a bag that `longarm record` made.
 
     Args:
-        namespace: of the arm, where the bag holds several.
-        parts: of the diagnostics that are told whatever their level; others from a warning on.
+        namespace: namespace of the arm, if the bag holds several arms.
+        parts: parts of nodes whose diagnostics are kept at every level. Of all other parts, only
+            warnings and errors are kept.
 
     Raises:
-        InputError: no bag, or it holds no `compensation` or no sighting.
+        InputError: there is no bag, or it holds no `compensation` message or no sighting.
     """
     session = read_bag(path, arm, namespace)
     told: dict[tuple[str, str], Notice] = {}

@@ -27,7 +27,7 @@ from longarm_comp.sessions.message_types import moment
 
 T = TypeVar("T", bound=tuple[Any, ...])
 _time = itemgetter(0)
-"""The time (s) of a sighting or row."""
+"""Function that returns the time (s) of a sighting or row, as a key for sorting."""
 
 TYPES = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
@@ -90,8 +90,8 @@ class MessageBuffer:
     where: str  # name of the bag for error messages
     start_ns: int
     every_command: bool
-    """Whether a repeated command counts. Otherwise it is the same command while the arm is at it
-    or on its way."""
+    """Whether a command that repeats the last one counts. If False, it is ignored, unless it has
+    several points."""
     commands: deque[tuple[float, np.ndarray]] = field(default_factory=deque)
     """Time and points (k, n), oldest first."""
     sightings: list[Sighting] = field(default_factory=list)  # by the time they were taken
@@ -106,7 +106,12 @@ class MessageBuffer:
         self._received_ns = self.start_ns
 
     def take(self, topic: str, stamp_ns: int, message: Any) -> None:
-        """Read one message of the topic whose name ends in this."""
+        """Store one message.
+
+        Args:
+            topic: last part of the topic's name.
+            stamp_ns: time of recording.
+        """
         self._received_ns = stamp_ns
         t = (stamp_ns - self.start_ns) * 1e-9
         if topic == "temperature":
@@ -117,7 +122,7 @@ class MessageBuffer:
             getattr(self, f"_take_{topic}")(t, message)
 
     def _message_time(self, stamp_ns: int) -> float:
-        """Return the time (s) of the message at hand."""
+        """Return the time (s) of the message being stored, from its own stamp."""
         return (moment(stamp_ns, self._received_ns) - self.start_ns) * 1e-9
 
     def states_between(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +164,10 @@ class MessageBuffer:
             self.sent = q[-1]
 
     def _take_joint_states(self, t: float, message: tuple[int, tuple[float, ...] | None]) -> None:
-        """Take stamp and positions in the arm's order, from `JointStates`; None: of another arm."""
+        """Store a stamp (ns) and positions in the arm's order, as `JointStates` returns them.
+
+        Positions of None (a joint is missing) and those before the first command are ignored.
+        """
         stamp_ns, positions = message
         if positions is not None and self.commands:
             at = self._message_time(stamp_ns)
@@ -189,7 +197,7 @@ class MessageBuffer:
         self.frames.add(message.header.frame_id)
 
     def _take_inclination(self, t: float, message: Any) -> None:
-        """Take the tilt about x and y of the named frame, from its orientation."""
+        """Store the tilt about x and y of the frame in the header, from its orientation."""
         if message.orientation_covariance[0] < 0:  # it measures none
             return
         o = message.orientation

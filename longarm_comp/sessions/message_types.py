@@ -1,8 +1,8 @@
-"""ROS messages in bags, without ROS: their types, and the time that a message speaks of.
+"""Types of ROS messages in bags, without ROS, and the time to which a message refers.
 
-That is its stamp, where that is of the recorder's clock. Receipt is later by what the middleware
-and a busy machine take, which differs between topics: only stamps put commands, joints and
-sightings in the order in which they happened.
+That time is the message's stamp, if the stamp is of the recorder's clock.  The time of receipt is
+later, by a delay of middleware and machine that differs between topics.  So only the stamps give
+the order in which commands, joint states and sightings happened.
 """
 
 from __future__ import annotations
@@ -33,8 +33,10 @@ _NEVER = QosTime(9223372036, 854775807)
 
 
 def publisher_quality(depth: int = 10, *, latched: bool = False) -> Qos:
-    """Return the quality of service of the graph's publishers: reliable; if latched, late ones get
-    the last messages."""
+    """Return the quality of service of the graph's publishers, which are reliable.
+
+    If latched, late subscribers get the last `depth` messages.
+    """
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=depth,
@@ -53,7 +55,7 @@ INTERFACES = "longarm_interfaces"
 
 @cache
 def message_types() -> Typestore:
-    """Return Jazzy's types and, where its message text is found, those of `longarm_interfaces`."""
+    """Return the types of ROS 2 Jazzy, and those of `longarm_interfaces` if its files are found."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in interface_files():
         name = f"{INTERFACES}/msg/{path.stem}"
@@ -75,9 +77,10 @@ CLOCKS_APART = 60.0
 
 
 def moment(stamp_ns: int, received_ns: int) -> int:
-    """Return the time (ns) of a message, stamped and received then; a stamp of 0 is none.
+    """Return the time (ns) to which a message refers: its stamp, else the time of receipt.
 
-    What a message tells was before it came: a later stamp is of a clock that is ahead.
+    The stamp is not used if it is later than the receipt, as of a clock that is ahead, or earlier
+    by `CLOCKS_APART` or more, as a stamp of 0 is.
     """
     return stamp_ns if 0 <= received_ns - stamp_ns < CLOCKS_APART * 1e9 else received_ns
 
@@ -101,7 +104,7 @@ class _Layout(NamedTuple):
     head: bytes
     begin: int
     numbers: struct.Struct
-    order: list[int]  # places of the arm's joints; empty where one of them lacks
+    order: list[int]  # indices of the arm's joints; empty if one of them is missing
 
 
 class JointStates:
@@ -116,7 +119,7 @@ class JointStates:
         self._layouts: deque[_Layout] = deque(maxlen=8)  # the latest first
 
     def __call__(self, raw: bytes) -> tuple[int, Numbers | None]:
-        """Read stamp (ns) and positions (n,) in the arm's order; None where a joint lacks."""
+        """Return stamp (ns) and positions (n,) in the arm's order; None if a joint is missing."""
         stamp_ns = stamp_of_raw(raw)
         for known in self._layouts:
             if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:

@@ -38,7 +38,7 @@ def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
 
 
 def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -> None:
-    """Write a plan, whole or not at all; ``write`` may write another form."""
+    """Write a plan, whole or not at all; ``write`` may be a writer of another table format."""
     columns: dict[str, Sequence[object] | np.ndarray] = {
         "index": range(len(plan)),
         **make_approach_columns(plan.approach),

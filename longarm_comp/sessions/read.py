@@ -1,4 +1,4 @@
-"""Reads what was recorded, a session or a ring, from any supported format."""
+"""Reads a session, or the free vibration after a move (a ring), from any supported format."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from longarm_comp.sessions.table import read_table
 def read_session(path: str | Path, arm: Arm) -> Session:
     """Read a CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
 
-    ``touches.yaml`` beside it holds known distances of the points that it touched.
+    ``touches.yaml`` beside it holds known distances between the points that it touches.
 
     Raises:
-        InputError: it cannot be read in the format of its name.
+        InputError: the file cannot be read in the format that its name says.
     """
     path = Path(path)
     touch_distances = read_touches(path)
@@ -37,7 +37,13 @@ def _is_bag(path: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _RecordedRing:
-    """A ring, seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
+    """A free vibration after a move.
+
+    Attributes:
+        times: (N,) s.
+        seen: tip (N, 3), m, or joints (N, n), rad and m, at these times.
+        of_joints: whether `seen` holds joints.
+    """
 
     times: np.ndarray
     seen: np.ndarray
@@ -46,10 +52,11 @@ class _RecordedRing:
 
 
 def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
-    """Read a ring after a move: a CSV with t_s and x, y, z of the tip, or read_q1..qn; or a bag.
+    """Read the free vibration after a move from a CSV or a bag.
 
-    Rows with a blank are left out. Of a bag it is the ring after the last command, from where the
-    joints stand: of the tip, or of the joints where it was not seen often enough.
+    A CSV has t_s, and x, y, z of the tip or read_q1..qn; rows with a blank are left out. From a
+    bag, the time after the last command is read, beginning when the joints stand still. The joints
+    are returned if there are fewer than `LEAST` sightings of the tip.
     """
     path = Path(path)
     if not _is_bag(path):

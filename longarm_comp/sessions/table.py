@@ -1,4 +1,4 @@
-"""Reads a CSV file as columns of text that know their lines for errors, and writes one."""
+"""Reads CSV files as columns of text, with line numbers for error messages; writes CSV files."""
 
 from __future__ import annotations
 
@@ -19,24 +19,31 @@ from longarm_comp.core.yaml_file import RANGES
 from longarm_comp.sessions.foreign.units import split_name
 
 FARTHEST = RANGES["_m"][1]
-"""Largest joint (rad, m) and coordinate (m)."""
+"""Largest allowed size of a joint value (rad, m) and of a coordinate (m)."""
 
 
 Test = Callable[[float], bool]
 
 MOST_CELLS = 20_000_000
-"""Of a table: as text these take some 2 GB."""
+"""Most cells of a table; as text they take about 2 GB."""
 
 
 def check_cells(path: str | Path, cells: int) -> None:
-    """Refuse a table of more than `MOST_CELLS`."""
+    """Raise InputError if a table has more than `MOST_CELLS` cells."""
     if cells > MOST_CELLS:
         raise InputError(path, "cells", f"more than {MOST_CELLS}", "a smaller table: split it")
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of a CSV file as text, by column; `lines`: number of every row in the file."""
+    """Cells of a CSV file as text.
+
+    Attributes:
+        where: name of the file for error messages.
+        header: names of the columns.
+        lines: (N,) line number in the file of each row.
+        cells: the N texts of each column, by its name.
+    """
 
     where: str
     header: tuple[str, ...]
@@ -59,7 +66,11 @@ class Table:
     def numbers(
         self, column: str, unit: str, blanks: bool = False, test: Test | None = None
     ) -> np.ndarray:
-        """Return (N,) numbers that pass a test; an empty cell is NaN where `blanks` are allowed."""
+        """Return the (N,) numbers of a column; an empty cell is NaN if `blanks` are allowed.
+
+        Raises:
+            InputError: a cell holds no finite number, or one that fails the `test`.
+        """
         allowed = f"a finite number ({unit})" + (", or blank" if blanks else "")
         values = np.empty(len(self))
         for row, cell in enumerate(self.cells[column]):
@@ -78,7 +89,7 @@ class Table:
     def block(
         self, columns: Sequence[str], unit: str, blanks: bool = False, test: Test | None = None
     ) -> np.ndarray:
-        """Return (N, k) numbers of columns that all must be there."""
+        """Return the (N, k) numbers of k columns; InputError if one of them is missing."""
         check_header(self.where, self.header, columns)
         return np.stack([self.numbers(name, unit, blanks, test) for name in columns], axis=-1)
 
@@ -87,7 +98,7 @@ class Table:
         return not set(columns).isdisjoint(self.cells)
 
     def lengths(self, columns: Sequence[str], unit: str = "m", blanks: bool = False) -> np.ndarray:
-        """Return (N, k) coordinates or joints, as `block` does, up to `FARTHEST`."""
+        """Return (N, k) coordinates or joints, as `block`; none may be larger than `FARTHEST`."""
         unit = f"{unit}, up to {FARTHEST:g}"
         return self.block(columns, unit, blanks, lambda v: abs(v) <= FARTHEST)
 
@@ -109,7 +120,7 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a comma-separated file with a header, up to `MOST_CELLS`."""
+    """Read a comma-separated file in UTF-8 with a header and at most `MOST_CELLS` cells."""
     where = str(path)
     check_regular(path)
     check_size(path)
@@ -147,7 +158,7 @@ def read_table(path: str | Path) -> Table:
 
 
 WriteTable = Callable[[str | Path, Sequence[str], Iterable[Sequence[Any]]], None]
-"""Writes rows in SI under a header."""
+"""A function that writes a header, and rows in SI units, to a file."""
 
 
 def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -157,7 +168,7 @@ def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence
 
 
 def fill_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write what `write_table` writes, into a file that is made whole by others."""
+    """Write a CSV file as `write_table`, but not atomically: an error leaves a partial file."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")  # None is blank; NaN, unequal to itself, too
         writer.writerow(header)
@@ -171,7 +182,7 @@ _FOREIGN = re.compile(r"(?i)(q|j|joint|axis|a|theta)[ _]?\d+|[xyz]|(p|pos|tip|tc
 
 
 def check_header(where: str, header: Sequence[str], required: Collection[str]) -> None:
-    """Raise `InputError` for a column that is empty, doubled or missing."""
+    """Raise `InputError` if a column has no name, occurs twice, or is required and missing."""
     for place, name in enumerate(header, 1):
         if not name:
             raise InputError(where, f"header, column {place}", name, "a name")
@@ -188,7 +199,7 @@ def check_header(where: str, header: Sequence[str], required: Collection[str]) -
 
 
 def _suggest_conversion(where: str, header: Sequence[str]) -> str:
-    """Return the call that converts a table of another program, where its names look like one's."""
+    """Return a hint to `longarm import-data`, if the column names look like another program's."""
     split = [split_name(name) for name in header]
     suffixed = [unit for name, unit in split if unit is not None and _FOREIGN.fullmatch(name)]
     bare = [name for name, unit in split if unit is None and _FOREIGN.fullmatch(name)]
@@ -200,11 +211,11 @@ def _suggest_conversion(where: str, header: Sequence[str]) -> str:
 
 
 def check_unknown(where: str, names: Collection[str], known: Collection[str]) -> None:
-    """Raise `InputError` for an unknown name that comes close to a known one.
+    """Raise `InputError` for an unknown name that is close to a known one.
 
-    Close: the same but for case, blanks and punctuation; without its unit or with another
-    (`temperature`, `x_mm`); one letter wrong, or two of eight or more.  A column with any other
-    name is kept as context.
+    A name is close if it differs in case, blanks and punctuation only; if its unit is missing or
+    another (`temperature`, `x_mm`); or if one letter is wrong (two in names of eight or more).
+    Columns with any other name are kept by the caller.
     """
     for name in names:
         meant = None if name in known else nearest(name, known)

@@ -1,4 +1,4 @@
-"""Targets (targets.csv)."""
+"""Reads targets from a CSV file (targets.csv) or the command line."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Targets:
         return len(self.xyz)
 
     def context(self, n: int) -> Context:
-        """Return circumstances of the targets for an arm of n joints: scalars are (N,) arrays."""
+        """Return the circumstances of the targets for an arm of n joints, as (N,) arrays."""
         return Context(
             approach=(self.approach,) * n if self.approach.any() else (),
             columns=self.columns,
@@ -65,7 +65,7 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
     """Read ``x,y,z[,qx,qy,qz,qw][,frame][,temperature_c,payload_kg,t_s,approach][,index]``.
 
     A row with a blank quaternion leaves the orientation free; other columns are kept as
-    circumstances, as in a session. ``read`` may read another form of the table.
+    circumstances, as in a session. ``read`` may be a reader of another table format.
 
     Raises:
         InputError: names file, line and column, what was found and what is allowed.

@@ -1,9 +1,9 @@
-"""Puts a diagnosis to work: replaces model and predictor together, and takes this back.
+"""Applies a diagnosis: replaces the model and the predictor in use together, and can undo this.
 
-A predictor belongs to one version of the model. Beside `predictor.npz`, which is at work, others
-are kept under the model that they were trained with, `predictor.of_<hash>.npz`. What is new is
-written first, what no longer fits is set aside last. So a change that was interrupted leaves a
-model and a predictor that fit, or the model alone, and the next change finishes it.
+A predictor belongs to one version of the model. `predictor.npz` is in use. Others are kept beside
+it as `predictor.of_<hash>.npz`, with the hash of the model that they were trained with. New files
+are written first, and a predictor that no longer fits is set aside last. So an interrupted change
+leaves a model with a predictor that fits, or a model alone, and the next change finishes it.
 """
 
 from __future__ import annotations
@@ -41,11 +41,12 @@ class _Change:
     """One effect of the new version that the old one lacks, or has with other values.
 
     Attributes:
-        what, where: canonical name of the effect, and its place; `geometry` and `camera`, without a
-            place, stand for all of their terms.
+        what, where: canonical name of the effect, and its place. `geometry` and `camera`, without a
+            place, stand for all effects of the geometry and of the measuring side.
         kind: ``added``, ``changed`` or ``removed``.
-        values: (parameter, unit, before, after), NaN where it was or is not there.
-        tip_mm: RMS by which it moves the seen tip, 3-D, over the poses given.
+        values: (parameter, unit, before, after) of each changed parameter; NaN where the effect is
+            missing.
+        tip_mm: RMS displacement (3-D) of the measured tip by this change, over the given poses.
     """
 
     what: str
@@ -70,13 +71,13 @@ class Applied:
     """The result of `apply`.
 
     Attributes:
-        model, version: file of the model at work, and its version.
-        changes: what changed, largest at the tip first.
-        predictor: file of the predictor that was trained; None: none, so physics only.
-        refused: why a network that was trained is not put to work; empty if it is.
-        set_aside: file of the predictor that no longer fits.
-        commanded_mm, seen_mm: mean held-out error before and after, as a command would have it and
-            as seen; None where it was not recorded.
+        model, version: file of the model in use, and its version.
+        changes: changes of the model, the largest displacement of the tip first.
+        predictor: file of the new predictor; None if there is none, so that physics is used alone.
+        refused: why a trained network is not used; empty if it is used or none was trained.
+        set_aside: copy of the predictor that was in use before; None if there was none.
+        commanded_mm, seen_mm: mean held-out error before and after, as commanded and as seen
+            (docs/report.md); None if it was not recorded.
     """
 
     model: Path
@@ -106,19 +107,19 @@ def apply(
     note: inputs.Note = inputs.log_note,
     progress: inputs.Telling = False,
 ) -> Applied:
-    """Put a diagnosis to work.
+    """Apply a diagnosis: put its model, and a predictor trained for it, to use.
 
     Args:
         diagnosis: folder of the diagnosis.
-        model: file at work; it may not exist yet, then the declared arm is at work.
-        predictor: file at work; ``predictor.npz`` beside the model by default.
+        model: file of the model in use. If it does not exist yet, the declared arm is in use.
+        predictor: file of the predictor in use; by default ``predictor.npz`` beside the model.
         session: session that was diagnosed; by default the one that the diagnosis names.
         network: whether to train a predictor on the residual of the model in the session.
         seed, note, progress: as in `train`.
 
     Raises:
-        InputError: there is no diagnosis, or half of one; it is of another arm, or was not made
-            with the model at work; the session is missing or another one; another process changes
+        InputError: the diagnosis is missing or incomplete; it is of another arm, or was not made
+            with the model in use; the session is missing or another one; another process changes
             the model.
         JobError: the diagnosis adds nothing.
     """
@@ -166,14 +167,14 @@ def apply(
 
 
 def take_back(diagnosis: Path, model: Path) -> None:
-    """Undo a diagnosis at work, because the job that put it there was interrupted."""
+    """Undo a diagnosis if its model is in use: a job that applied it was interrupted."""
     made = diagnosis / inputs.MODEL
     if model.is_file() and made.is_file() and model.read_bytes() == made.read_bytes():
         undo(model)
 
 
 def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
-    """Say why a diagnosis adds nothing to the model at work; empty if it adds something."""
+    """Say why a diagnosis adds nothing to the model in use; empty if it adds something."""
     if report.verdict == "bad_data":
         return report.summary
     found = report.findings or any(d.kept for d in report.discovered)
@@ -212,7 +213,11 @@ def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
 def _read_before(
     provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm
 ) -> Model:
-    """Return the model at work, which must be the one that was diagnosed."""
+    """Return the model in use.
+
+    Raises:
+        InputError: it is not the model that was diagnosed, or the diagnosis is in use already.
+    """
     diagnosed = provenance.get(inputs.MODEL_BEFORE)
     if diagnosed is None:
         raise InputError(made, f"provenance.{inputs.MODEL_BEFORE}", "missing", "diagnose again")
@@ -238,10 +243,10 @@ def _read_before(
 def list_changes(
     before: Model, after: Model, q: np.ndarray, context: Context | None
 ) -> list[_Change]:
-    """List what changed from one model to another of the same arm, largest at the tip first.
+    """List the changes from one model to another of the same arm, the largest first.
 
-    Each change is judged by itself at joints q (N, n), rad and m: the new model against the new
-    model without this change. One that does not move the tip is left out.
+    The size of a change is the displacement of the tip when it alone is taken back from the new
+    model, at joints q (N, n), rad and m. Changes that hardly move the tip are left out.
     """
     old, new = ({(t.name, t.place): t for t in model.terms} for model in (before, after))
     differing: dict[tuple[str, str], list[Key]] = {}
@@ -282,12 +287,15 @@ _KEPT = re.compile(rf"\.of_[0-9a-f]{{{_HASH}}}$")
 def put_to_work(
     model: Path, content: bytes, predictor: Path, trained: TrainedPredictor | None = None
 ) -> Path | None:
-    """Replace the model at work by a new version's content, and the predictor by its `trained` one.
+    """Replace the model in use by a new version, and the predictor in use by the `trained` one.
 
-    Without a trained predictor none is at work afterwards.
+    Without a trained predictor, none is in use afterwards.
+
+    Args:
+        content: the new model file.
 
     Returns:
-        The file in which the predictor before is kept, if there was one.
+        The file that keeps the earlier predictor, if there was one.
     """
     finish(model, predictor)
     aside = _keep_predictor(predictor)
@@ -313,11 +321,11 @@ def undo(model: Path) -> Path | None:
     """Restore the previous version of a model, byte for byte, and the predictor that belonged to
     it.
 
-    Predictors are sought beside the model. One that belonged to the version taken back is set
+    Predictors are looked for beside the model. One that belonged to the undone version is set
     aside. An interrupted undo is finished by calling it again.
 
     Returns:
-        The file of the predictor that came back, if any.
+        The file of the predictor that was restored, if any.
 
     Raises:
         InputError: there is no previous version; another process changes the model.
@@ -341,7 +349,7 @@ def undo(model: Path) -> Path | None:
 
 
 def finish(model: Path, predictor: Path) -> bool:
-    """Finish a change that was interrupted; return whether that puts a predictor to work again."""
+    """Finish an interrupted change; return whether this puts a predictor that was kept to use."""
     file_versions.settle(model)
     fits = _kept_as(predictor, inputs.file_hash(model)) if model.is_file() else None
     if fits is None or not fits.is_file():
@@ -352,7 +360,7 @@ def finish(model: Path, predictor: Path) -> bool:
 
 
 def _keep_predictor(predictor: Path) -> Path | None:
-    """Copy the predictor at work to a file named after its model; None without one."""
+    """Copy the predictor in use to a file named after its model, and return that; None if none."""
     if not predictor.is_file():
         return None
     aside = _kept_as(predictor, _trained_with(predictor) or inputs.file_hash(predictor))

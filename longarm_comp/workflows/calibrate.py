@@ -39,7 +39,7 @@ from longarm_comp.workflows.evaluate import ErrorTable
 
 
 def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, str]:
-    """Derive the prior of a further arm from models of arms of its kind, and name these models."""
+    """Return a prior for an arm from models of other arms of its kind, and these models' names."""
     models, names, origins = [], [], []
     noise: dict[str, list[float]] = {}
     for number, each in enumerate(given, 1):
@@ -65,7 +65,10 @@ def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, s
 class _FittedParameter:
     """One fitted parameter with its 95 % interval.
 
-    `geometry`: whether it belongs to the geometry, not to another effect.
+    Attributes:
+        effect, where: effect of the parameter, and its place.
+        value, ci95: in `unit`.
+        geometry: whether the effect belongs to the geometry.
     """
 
     effect: str
@@ -86,8 +89,8 @@ class Calibration:
             `effect_rungs` add an effect each.
         held_out_rows: number of held-out rows, including those without a marker.
         fit: fit of the last rung to all rows.
-        set_aside: rows that it set aside, and what they share.
-        kind_of: models of other arms of the kind that it was expected to be like, with hashes.
+        set_aside: rows that this fit set aside as outliers, and the traits that they share.
+        kind_of: names and hashes of the models of other arms that gave the prior; empty if none.
     """
 
     rungs: tuple[Rung, ...]
@@ -101,7 +104,7 @@ class Calibration:
 
     @cached_property
     def model(self) -> Model:
-        """The calibrated model, with the record of how good it is."""
+        """The calibrated model, with its uncertainty."""
         return with_uncertainty(self.fit)
 
     @property
@@ -115,17 +118,17 @@ class Calibration:
 
     @property
     def placed(self) -> bool:
-        """True where the rows placed the nominal arm first: they show it elsewhere."""
+        """True if the nominal arm was placed by the rows, because they show it elsewhere."""
         return any(isinstance(e, BasePose) for e in self.rungs[0].model.effects)
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Parts of the placement that the rows do not tell; they were left as declared."""
+        """Parts of the placement that the rows do not determine; they were left as declared."""
         return list_undetermined(self.fit)
 
     @property
     def far_off(self) -> tuple[str, ...]:
-        """Parts that the rows put far from their drawing, so that arm.yaml may be wrong there."""
+        """Parameters, in words, that lie so far from arm.yaml that the file may be wrong there."""
         said, factors = [], dict(self.fit.model.beyond)
         for slot in self.fit.slots:
             if factors.get(slot.identity) == SIZES[-1]:
@@ -136,7 +139,7 @@ class Calibration:
 
     @property
     def places(self) -> tuple[Place, ...]:
-        """The places of base and sensors by the rows, with their uncertainty."""
+        """The places of base and sensors as fitted to the rows, with their uncertainty."""
         return list_places(self.fit)
 
     @property
@@ -213,7 +216,7 @@ def calibrate(
 ) -> Calibration:
     """Fit geometry and declared effects of an arm to a session.
 
-    Models that know more and more are fitted without the held-out rows and compared at them. The
+    Models of growing complexity are fitted without the held-out rows and compared on these. The
     last model is then fitted to all rows.
 
     Args:
@@ -223,8 +226,8 @@ def calibrate(
         deflection: whether the declared beams sag.
         fraction: share of the rows to hold out.
         kind_of: calibrated models of other arms of the kind, or their files. This arm is then
-            expected to differ from its drawing as they do. An arm.yaml beside a file declares that
-            arm; without one, it is declared as this arm.
+            expected to differ from its drawing as they do. An arm.yaml beside a file declares the
+            other arm; without one, the other arm is declared as this arm.
         note: called with each finding of the admission.
         progress: True: print each step; or a function, called with the step and the share done.
 
@@ -277,7 +280,11 @@ def calibrate(
 def _usable_places(
     terms: tuple[Term, ...], session: Session, note: inputs.Note
 ) -> tuple[Term, ...]:
-    """Keep the places of an effect whose inputs were recorded and moved."""
+    """Return the places of an effect whose inputs were recorded and change during the session.
+
+    Raises:
+        InputError: there is none, or a sensor of the effect has no row in arm.yaml.
+    """
     context = session.context()
     usable, why = [], None
     for term in terms:

@@ -1,6 +1,6 @@
 """Runs work on the workers of a dask cluster; needs the extra ``cluster``.
 
-joblib's backend for dask is not used: it waits for ever for a task whose worker died.
+joblib's backend for dask is not used, because it waits forever for a task whose worker died.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from longarm_comp.core.errors import InputError, JobError
 
 ANSWER_S, WORKER_S = 20.0, 60.0
-"""Time within which a scheduler must answer, and have a worker, s."""
+"""Times (s) within which a scheduler must answer, and have a worker."""
 
 Task = TypeVar("Task", bound=tuple)
 Made = TypeVar("Made")
@@ -23,9 +23,9 @@ Made = TypeVar("Made")
 def run_tasks(
     work: Callable[..., Made], tasks: Sequence[Task], address: str, *, workers: int, asked: str
 ) -> Iterator[tuple[Task, Made | JobError]]:
-    """Work off tasks on the workers of a cluster; yield each with its result as it is done.
+    """Run tasks on the workers of a cluster; yield each task with its result when it is done.
 
-    A task that ends every worker it is given to has a `JobError` in its place.
+    The result is a `JobError` if every worker that was given the task died.
 
     Args:
         work: called with a task's items. An exception in it is raised here.

@@ -41,13 +41,13 @@ from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Commands(Sequence[Compensation]):
-    """The results for several targets, in their order; an index gives that of one.
+    """A sequence of the results for N targets, in their order.
 
     Attributes:
         numbers: (N,) number of each target.
-        arrivals: result of each target, and the move for which it holds, in the frame of the model;
-            for a calibrated model that is the frame of the measurements.
-        placements: frame of each target, and where it lies for the model.
+        arrivals: result of each target and the move for which it holds, in the frame of the model.
+            For a calibrated model that is the frame of the measurements.
+        placements: frame of each target, and its pose in the frame of the model.
     """
 
     numbers: np.ndarray
@@ -118,15 +118,18 @@ class Commands(Sequence[Compensation]):
         return f"Commands({self.summary}{self.promise})"
 
     def lines(self) -> list[dict[str, Any]]:
-        """Return the lines of commands.csv by column; places are in the frame of the target.
+        """Return the lines of commands.csv, by column; positions are in the frame of the target.
 
-        None: not known, or of a target that failed.
+        A value is None if it is not known or the target failed.
         """
         rows = zip(self.numbers, self.arrivals, self.placements, strict=True)
         return [_line_of(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
-        """Write commands.csv, or another format with ``write``, with why a target failed."""
+        """Write commands.csv, or another format with ``write``, and return the path.
+
+        A target that failed has the reason in its line.
+        """
         lines = self.lines()
         write(path, list(lines[0]), [list(line.values()) for line in lines])
         return Path(path)
@@ -240,7 +243,11 @@ def compensate(
 def placements_of(
     model: Model, targets: ArrayLike | Targets, contexts: list[Context], frame: str
 ) -> tuple[Placement, ...]:
-    """Find the placement of every target, in the frame that it states or that the call states."""
+    """Return the placement of each target, for the frame that the target or the call states.
+
+    Raises:
+        InputError: both state a frame and these differ, or the frame is needed and not stated.
+    """
     own = targets.frame if isinstance(targets, Targets) else ()
     where = targets.source if isinstance(targets, Targets) else "targets"
     other = next((said for said in own if said and frame and said != frame), "")
@@ -256,7 +263,7 @@ def placements_of(
 
 
 def complete_after_move(given: Context, arrived: History) -> Context:
-    """Complete the given circumstances by the history that the move leaves in the joints."""
+    """Return the circumstances; history that they lack is taken from the joints after a move."""
     fields = {k: getattr(given, k) or v for k, v in arrived.fields().items()}
     return dataclasses.replace(given, **fields)
 
@@ -271,7 +278,9 @@ def find_last_rest(history: SessionLike, model: Model) -> tuple[np.ndarray, Hist
 def method_of(given: Method | str | None, predictor: Predictor | None) -> Method:
     """Return a method by its name; without a name, the one that uses all that was given.
 
-    A learned method uses the physics that the predictor was trained with. Raises InputError.
+    Raises:
+        InputError: there is no such method, or it needs a predictor, or another physics beside the
+            network than the predictor was trained with.
     """
     usual = Method.DEFLECTION
     if predictor is not None:
@@ -292,9 +301,10 @@ def method_of(given: Method | str | None, predictor: Predictor | None) -> Method
 def goals_of(
     model: Model, targets: ArrayLike | Targets, context: Context | None
 ) -> tuple[list[np.ndarray], Context, np.ndarray]:
-    """Return positions (3,) or poses (4, 4), the circumstances of all, and the numbers of targets.
+    """Return the targets, each (3,) or (4, 4), their common circumstances, and their numbers (N,).
 
-    The times of targets belong to no session: every target comes after it (`Context.as_left`).
+    Times of the targets are not used: a command comes after the model's session, whose clock has
+    stopped (`Context.as_left`).
     """
     if isinstance(targets, Targets):
         if context is not None:
@@ -321,7 +331,7 @@ def goals_of(
 
 
 def _usable_context(told: Context, model: Model, where: str) -> Context:
-    """Keep the circumstances that a command may use; refuse those that the arm cannot have."""
+    """Return the circumstances that a command may use; refuse values that the arm cannot have."""
     for name, values in told.columns.items():
         check_circumstance(model.arm, name, values, where)
     return told.as_left(model.ended_s)

@@ -37,7 +37,7 @@ class PathCommands(points.Commands):
     Attributes:
         timed: times (s), joints (rad, m) and velocities (rad/s, m/s) at the way-points.
         correction_m: (N,) by how much the declared arm's tip is moved, m.
-        notes: doubts of way-points, each once.
+        notes: warnings about way-points, without repetition.
     """
 
     timed: CubicPath
@@ -87,13 +87,13 @@ def compensate_path(
             m/s^2.
         max_correction_m: largest correction of a way-point, m.
         max_turn_rad: largest error of the orientation where the joints cannot hold it.
-        max_longer: share of time that may be added, so that play is taken up smoothly where joints
-            turn; 0: exact times.
+        max_longer: largest fraction of time that may be added to take up play smoothly where joints
+            reverse; 0: the times are kept.
         seed: (n,) joints to start the first search from.
         position_only: leave the orientation free.
 
     Raises:
-        PathRefused: a way-point cannot be reached, or a limit or a box is in the way.
+        PathRefused: a way-point cannot be reached, or a limit or a keep-out box is in the way.
         InputError: as `compensate`; shapes or times are not allowed.
     """
     if predictor is not None:

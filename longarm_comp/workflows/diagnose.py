@@ -41,17 +41,19 @@ from longarm_comp.workflows.evaluate import ErrorTable
 from longarm_comp.workflows.train import training_rows
 
 POSES = 20
-"""Poses that a diagnosis needs, unless arms of the kind are known: of fewer, little is left that
-could contradict what explains them."""
+"""Fewest poses of a diagnosis without `kind_of`: fewer could hardly contradict any explanation."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DiagnosisResult:
     """The result of a diagnosis; `save` writes all files of the command.
 
-    `diagnosis`: results of all steps. `session_hash`: hash of the diagnosed rows. `facts`: further
-    provenance for the page. `model_before`, `session_file`: their files, where they came from
-    files.
+    Attributes:
+        diagnosis: results of all steps.
+        session_hash: hash of the diagnosed rows.
+        facts: further provenance for the page.
+        model_before, session_file: files of the model before and of the session; None if they were
+            given in memory.
     """
 
     diagnosis: Diagnosis
@@ -77,7 +79,7 @@ class DiagnosisResult:
 
     @cached_property
     def model(self) -> Model:
-        """The model to use from now on, with the record of how good it is."""
+        """The model to use from now on, with its uncertainty."""
         found = self.diagnosis
         of_it = [r for r in (found.train, found.held_out) if r.source == found.train.source]
         ends = [ended for rows in of_it if (ended := rows.ended_s) is not None]
@@ -103,14 +105,15 @@ class DiagnosisResult:
 
     @cached_property
     def report(self) -> DiagnosisReport:
-        """The record that report.json holds."""
+        """The content of report.json."""
         return build_report(self.diagnosis, self.session_hash)
 
     def save(self, folder: inputs.FilePath) -> Path:
-        """Write report.json, report.html, plots and model.yaml; predictor.npz where a network
-        helped, and next_poses.csv where more poses would tell two effects apart.
+        """Write all files of the diagnosis to a folder, and return the folder.
 
-        `undo` restores the model before, if one was given. Files of an earlier diagnosis are
+        They are report.json, report.html, plots and model.yaml; predictor.npz if a network helped;
+        and next_poses.csv if more poses would tell effects apart or settle a doubt. `undo` restores
+        the earlier model, if its file was given. Files of an earlier diagnosis are replaced or
         removed.
         """
         target = Path(folder)
@@ -161,7 +164,7 @@ class DiagnosisResult:
         )
 
     def _write_predictor(self, path: Path) -> bool:
-        """Write the network if it helped, bound to the model that was written beside it."""
+        """Write the network for use with the model beside it; return False if it did not help."""
         if self.predictor is None:
             return False
         origin = self.predictor.provenance
@@ -172,7 +175,7 @@ class DiagnosisResult:
         return True
 
     def _write_next(self, path: Path) -> bool:
-        """Write the poses that separate effects, or settle a doubt, if there are any."""
+        """Write the poses that separate effects or settle a doubt; tell whether there are any."""
         splits, more = self.diagnosis.splits, self.diagnosis.next_q
         if not splits and not len(more):
             return False
@@ -289,5 +292,5 @@ def diagnose_files(
 
 
 def _path_of(given: inputs.SessionLike) -> Path:
-    """Return the file of a session; the name of a session in memory."""
+    """Return the path of a session; for a session in memory, its source as a path."""
     return Path(given.source if isinstance(given, Session) else given)

@@ -29,10 +29,13 @@ from longarm_comp.workflows.train import expected_errors
 
 @dataclass(frozen=True, repr=False)
 class ErrorTable(Mapping[str, Errors]):
-    """Errors (m) as seen by model name, in the order of the ladder: ``table["calibrated"].mean``.
+    """Errors (m) of each model by its name, from the simplest on: ``table["calibrated"].mean``.
 
-    `commanded`: the same as a command would have them (`core/data/commanded.py`).
-    `set_aside`: how many of the fitted rows the fit of a model did not believe.
+    Attributes:
+        errors: errors as seen: the model uses everything that was measured (docs/report.md).
+        commanded: errors as commanded: it uses only what a command knows
+            (`core/data/commanded.py`).
+        set_aside: number of fitted rows that a model's fit set aside as outliers.
     """
 
     errors: Mapping[str, Errors]
@@ -84,7 +87,8 @@ class Evaluation(ErrorTable):
         elsewhere: whether the rows show it at another place, but are too few to place and judge it.
         outside: number of poses outside the network's domain, where physics is used alone.
         refused: number of further poses at which the network promises no gain over the physics.
-        fitted: ``model``, ``predictor`` where it was fitted to this session (known for files).
+        fitted: which of ``model`` and ``predictor`` were fitted to this session. It is not known
+            for a model in memory.
     """
 
     outside: int = 0
@@ -98,7 +102,7 @@ class Evaluation(ErrorTable):
 
     @property
     def notes(self) -> list[str]:
-        """Sentences that the reader of the table needs: the worst rows, and what was done."""
+        """Sentences to show with the table: the worst rows, and how the models were used."""
         last = list(self)[-1]
         worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
         said = [f"worst rows of {last}, by index: {', '.join(worst)}"]

@@ -33,7 +33,7 @@ WRITTEN, PAGE = "fleet.json", "fleet.html"
 
 ARM, MODEL = "arm.yaml", "model.yaml"
 _LONGEST_HEADER = 100_000
-"""Bytes of a header that are looked at; `csv` takes no longer cell."""
+"""Bytes of a header that are read; `csv` accepts no longer cell."""
 _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 
@@ -52,9 +52,10 @@ class FleetFinding:
     """An effect that was found at a place of an arm.
 
     Attributes:
-        effect: its name, or the names that no row tells apart, joined by "or"; or a text that says
-            that it is a cause without a name.
-        tip_mm: median size at the tip, of the effect at all of its places.
+        effect: its name; or the names that no row tells apart, joined by "or"; or the title of a
+            cause without a name.
+        tip_mm: displacement of the tip by the effect at all of its places; median, or RMS for a
+            cause without a name.
         of_kind: whether half of the arms of the kind, at least two, have it at that place.
     """
 
@@ -69,12 +70,12 @@ class Diagnosed:
     """The result of one arm's diagnosis.
 
     Attributes:
-        kind: number of its kind: arms of one table of rows share it.
-        verdict: as in report.json; ``failed`` where there is none, with the reason in `summary`.
-        in_use_mm: mean error of the model in use on the session; None where there is none.
+        kind: number of the arm's kind; arms with the same table of DH rows share it.
+        verdict: as in report.json; ``failed`` if there is none, with the reason in `summary`.
+        in_use_mm: mean error of the model in use on the session; None if no model is in use.
         calibrated_mm, diagnosed_mm: mean held-out error of a new calibration of the geometry, and
-            with what was found.
-        made_of: hash of the files and options that it was made of.
+            of the last model of the diagnosis.
+        made_of: hash of the files and options from which the result was made.
     """
 
     name: str
@@ -94,8 +95,8 @@ class Diagnosed:
         """True where the model in use errs by more than twice as much as a new calibration."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
-        # Error of a model in use, in that of a calibration of today, from which the arm is another:
-        # three quarters of the squared error came since
+        # Above twice the error of a new calibration, the arm counts as changed: three quarters of
+        # the squared error arose since the model was made
         return self.in_use_mm > 2.0 * self.calibrated_mm
 
     @property
@@ -137,7 +138,7 @@ def list_members(folder: Path) -> list[_Member]:
 
 
 def list_sessions(folder: Path) -> list[Path]:
-    """List bags, and tables with joints and something measured."""
+    """List the bags in a folder, and its CSV tables with joints and something measured."""
     found = [path.parent for path in folder.glob("*/metadata.yaml")]
     for path in folder.glob("*.csv"):
         check_regular(path)
@@ -161,8 +162,8 @@ def fleet(
 ) -> list[Diagnosed]:
     """Diagnose every arm of a folder (`list_members`), each into a folder of its own in `output`.
 
-    fleet.json is written after each arm. Arms that it holds from the same files and options are not
-    diagnosed again. An arm that cannot be diagnosed has the verdict ``failed``.
+    fleet.json is written after each arm. An arm whose result is in it already, from the same files
+    and options, is not diagnosed again. An arm that cannot be diagnosed has the verdict ``failed``.
 
     Args:
         jobs: number of processes.
@@ -203,7 +204,7 @@ def fleet(
 
 
 def _read_table(path: Path) -> object:
-    """Return the DH table, which arms of one kind share; the path of a file that is refused."""
+    """Return the DH table, which arms of one kind share; the path itself if it cannot be read."""
     try:
         return describe_table(Arm.load(path))
     except LongarmError:
@@ -230,7 +231,7 @@ def _diagnose_each(
     jobs: int,
     dask: str | None,
 ) -> Iterator[Diagnosed]:
-    """Yield each arm as it is done."""
+    """Diagnose the arms, in several processes if asked for; yield each result when it is done."""
     if dask is None and jobs == 1:
         yield from (look(*one) for one in left)
         return

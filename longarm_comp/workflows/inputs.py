@@ -36,23 +36,23 @@ ModelLike = Model | FilePath
 Note = Callable[[str], None]
 
 MODEL, PREDICTOR = "model.yaml", "predictor.npz"
-"""Files of a diagnosis, and beside it in use."""
+"""Names of a diagnosis's files, and of the files in use."""
 MODEL_BEFORE, SESSION = "model_before", "session"
 """Keys in the provenance of a diagnosis's model: SHA-256 of the model that was diagnosed, empty for
-the declared arm; path of the session, seen from the diagnosis, empty for a session in memory."""
+the declared arm; path of the session relative to the diagnosis, empty for a session in memory."""
 DIGEST = "model_digest"
-"""Key in a predictor's settings: digest of a model in memory that it was trained with."""
+"""Key in a predictor's settings: digest of the model in memory with which it was trained."""
 
 log_note: Note = logging.getLogger("longarm_comp").info
 """Default for notes: the log of the package, level INFO."""
 
 
 Telling = bool | Callable[..., None]
-"""True: a line a step on standard error, which notebooks show; a function: called instead."""
+"""True: print a line for each step on standard error; False: nothing; or a function to call."""
 
 
 def make_teller(progress: Telling) -> Callable[..., None]:
-    """Make the function that is called with each step, and perhaps with the share that is done."""
+    """Return a function to call with each step and, if known, the share done, 0 to 1."""
     if callable(progress):
         return progress
     if not progress:
@@ -79,10 +79,13 @@ def admit_session(
     *,
     judge: bool = False,
 ) -> Session:
-    """Read a session and admit it. Findings of the admission are passed to ``note``.
+    """Read a session, check it and return the admitted rows.
 
-    Run-ups of unknown length are taken to be as long as the model was fitted with. With ``judge``
-    the rows judge the model: rows that do not fit it are noted and not refused.
+    Args:
+        model: known model. Run-ups of unknown length get the length with which it was fitted.
+        min_poses: fewest poses.
+        note: called with each finding of the check.
+        judge: the rows are to judge the model: rows that do not fit it are noted, not refused.
     """
     session = given if isinstance(given, Session) else read_session(given, arm)
     if model is not None:
@@ -111,8 +114,8 @@ def import_table(
         names: name in a session by name in the file, ``{"A": "q1", "B": "q2:mm"}``.
         like: mapping of an earlier file of the same kind, instead of the other arguments.
         columns: names of the columns, if no line of the file has them.
-        told: ``rotation``, ``sheet``, ``decimal``, ``join`` and ``sort``, as the options of
-            `longarm import-data`.
+        told: ``rotation``, ``sheet``, ``decimal``, ``join`` and ``sort``: the options of
+            `longarm import-data` with these names.
     """
     from longarm_comp.sessions.foreign import convert
 
@@ -128,7 +131,7 @@ def import_table(
 
 
 def choose_physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model:
-    """Return the calibrated model, or the declared arm; without sag if ``deflection`` is False.
+    """Return the given model, else the declared arm's; without sag if ``deflection`` is False.
 
     Terms that belong to one session only, such as the place of a touched point, are left out.
     """
@@ -143,7 +146,7 @@ def choose_physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -
 
 
 def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, object]:
-    """Return the record by which a predictor names the physics that it was trained with."""
+    """Return the settings of a predictor that identify the physics with which it was trained."""
     if isinstance(given, Model):
         return {DIGEST: _digest_model(given), "deflection": deflection}
     digest = "" if given is None else file_hash(given)

@@ -36,7 +36,7 @@ def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarra
 
 
 def expected_errors(predictor: Predictor, session: Session) -> Prediction:
-    """Return the error that a predictor expects at the M rows that say where the tip is."""
+    """Return the errors that a predictor expects at the M rows with a measured tip."""
     seen = session.take(session.placed)
     return predictor.predict(seen.q, seen.context())
 
@@ -47,8 +47,8 @@ class TrainedPredictor(Predictor):
 
     Attributes:
         samples: number of training rows.
-        before, after: errors (m) of the physics alone on these rows, and with the predictor. On
-            other rows they are larger; see `evaluate`.
+        before, after: errors (m) on these rows of the physics alone, and with the predictor. With
+            the predictor, errors on other rows are larger; see `evaluate`.
     """
 
     samples: int = field(kw_only=True)
@@ -61,7 +61,11 @@ class TrainedPredictor(Predictor):
         return f"{self.samples} samples: {self.gain}"
 
     def save(self, path: given.FilePath) -> None:
-        """Write the predictor whole or not at all: as npz; another network as safetensors."""
+        """Write the predictor: the paper's network as npz, another network as safetensors.
+
+        Raises:
+            JobError: the predictor does not improve on the physics, so it is not written.
+        """
         if not self.gain.helps:
             raise JobError(f"not written: {self.gain}; compensate with the physics alone")
         predictor_file.save(self, path)
@@ -106,7 +110,7 @@ def train(
     Raises:
         InputError: the session was refused, has fewer than 20 rows with a marker or only one
             pose; the model is for another arm; an option is not allowed.
-        JobError: the arm does not stand where the model says.
+        JobError: the session shows the arm at another place than the model.
     """
     base, tell = given.choose_physics(arm, model, deflection), given.make_teller(progress)
     whole = given.admit_session(session, arm, None if model is None else base, note=note)

@@ -16,7 +16,7 @@ from longarm_comp.report.plots import draw_errors_at_tip
 from longarm_comp.report.style import rc, save
 
 LEAST = 2
-"""Fewer targets seen in both runs give no interval."""
+"""Fewest targets seen in both runs, for an interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Verification:
 
     Attributes:
         runs: (N, 3) tip - target, m, by name, at the targets that were seen in both runs.
-        gain_m, gain_ci95_m: mean ``|tip - target|`` without minus with compensation, and its 95 %
+        gain_m, gain_ci95_m: decrease of the mean ``|tip - target|`` by compensation, and its 95 %
             bootstrap interval.
     """
 
@@ -65,7 +65,11 @@ def compare_runs(
     """Compare two runs over the same targets, target by target.
 
     Args:
+        names: names of the two runs.
         without, compensated: (N, 3) tip - target, m; NaN where the marker was lost.
+
+    Raises:
+        JobError: fewer than `LEAST` targets were seen in both runs.
     """
     both = np.isfinite(without).all(axis=1) & np.isfinite(compensated).all(axis=1)
     if both.sum() < LEAST:
@@ -86,7 +90,10 @@ def compare_runs(
 
 
 def error_row(name: str, error: np.ndarray) -> dict[str, Any]:
-    """Make a table's row of (N, 3) tip - target, m, in mm; ``mean_x_mm`` is signed."""
+    """Return a table row, in mm, from the errors tip - target (N, 3), m.
+
+    ``mean_x_mm`` and its like are signed means.
+    """
     figures = Errors.of(error)
     told = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
     means = zip("xyz", error.mean(axis=0), strict=True)

@@ -1,1 +1,1 @@
-"""`longarm collect`: the job, its plan looked at beforehand, what it shows while it runs."""
+"""The job of `longarm collect`: the checks of its plan, the visits, and their progress."""

@@ -1,7 +1,7 @@
 """Runs a pose plan over the graph and records it: move, settle, look several times, next.
 
-A visit enters the bag when it is complete, with a ``session_row`` message that says which it
-was; so a session that was broken off anywhere is readable, and `collect` goes on from there.
+A visit is written to the bag when it is complete, with a ``session_row`` message that holds its
+index. So an interrupted session is readable, and `collect` can continue it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,11 @@ _READ = {ROW_TOPIC: ROW_TYPE, _COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajecto
 
 
 def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
-    """Return indices of the visits that a bag of an arm with n joints holds."""
+    """Return indices of the visits that a bag of an arm with n joints holds.
+
+    Raises:
+        InputError: the bag was not made by `longarm collect`, or its visits differ from the plan.
+    """
     planned = {visit.index: visit.path for visit in todo}
     done: set[int] = set()
     command = np.zeros((0, n))
@@ -70,12 +74,12 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
 
 
 _CIRCUMSTANCES_S = 5.0
-"""Patience with the first temperature, payload and tilt. They come about once a second."""
+"""Longest wait (s) for the first temperature, payload and tilt, which come about once a second."""
 _HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early"
 
 
 def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
-    """Name ``collect``; what is not known yet has no value (docs/ros.md)."""
+    """Return the diagnostic status ``collect`` (docs/ros.md), without values not known yet."""
     losing = WARN if now.lost_visits else OK
     values: dict[str, object] = {
         "state": now.state,
@@ -97,9 +101,9 @@ class Progress:
 
     Attributes:
         done, total: number of visits that are in the bag, and in the plan.
-        visit: index of the visit now; -1 while none is being made.
-        made: visits of this run by their index, the last one last: why the marker was lost there,
-            or "" where it was seen.
+        visit: index of the present visit; -1 if there is none.
+        made: why the marker was lost at each visit of this run, or "" where it was seen; by index,
+            the latest last.
         seconds_left: estimate of the time left, s; NaN while it is not known.
         state: "running", "waiting", "done" or "ended".
         why: the reason why the collection waits or has ended.
@@ -120,12 +124,12 @@ class Progress:
 
     @property
     def lost_visits(self) -> dict[int, str]:
-        """Visits of this run at which the marker was lost, and why."""
+        """The visits of this run at which the marker was lost, by index, with the reason."""
         return {index: why for index, why in self.made.items() if why}
 
     @property
     def seen_count(self) -> int:
-        """Visits of this run at which the marker was seen."""
+        """The number of visits of this run at which the marker was seen."""
         return len(self.made) - len(self.lost_visits)
 
     @property
@@ -146,9 +150,12 @@ class Progress:
 
 @dataclass(frozen=True)
 class Collected:
-    """The numbers of visits that were made now and before, and that are planned.
+    """The result of `collect`.
 
-    By index: `unseen`, why the marker was lost; `blocked`, which box every way there enters.
+    Attributes:
+        made, before, planned: numbers of visits made in this run, made before, and planned.
+        unseen: why the marker was lost, by index of the visit.
+        blocked: which box the way there enters, by index of each visit that was not driven.
     """
 
     made: int
@@ -171,12 +178,15 @@ def collect(
 ) -> Collected:
     """Visit every pose of a plan that the bag does not hold yet.
 
-    A visit to which the way from where the arm stands enters a keep-out box is put off until the
-    arm stands elsewhere. While the driver is held, the collection waits; the visit is made again.
+    If the way to a visit enters a keep-out box, the visit is postponed until the arm stands
+    elsewhere. While the driver is held, the collection waits; then the visit is made again.
 
     Args:
-        give_up: end when none of so many first visits saw the marker; 0: never.
-        view: what the cameras see by the files, to say why a marker is lost.
+        give_up: end if the marker was lost at all of this many first visits of a new bag; 0: never.
+        view: the cameras' view by their files, to say why a marker is lost.
+
+    Raises:
+        JobError: the marker is lost too often, or the driver stopped or refused a move.
     """
     begun = resume and (path / "metadata.yaml").is_file()
     done = visits_in_bag(path, todo, client.arm.n) if begun else set()
@@ -217,7 +227,7 @@ class _Run:
         self._driving_s = 0.0
         self._visit: Visit | None = None
         self.made: dict[int, str] = {}
-        """Visits in the bag, of this run: why the marker was lost there, or ""."""
+        """Why the marker was lost at each visit of this run in the bag, or ""; by index."""
         self.blocked: dict[int, str] = {}
 
     def drive(self, left: list[Visit], give_up: int) -> None:
@@ -241,12 +251,12 @@ class _Run:
         self.end("done")
 
     def end(self, state: str, why: str = "") -> None:
-        """Tell everybody how it ended, and why."""
+        """Publish the final state, and why the collection ended."""
         self._tell_progress(state, why)
         self._client.spin(0.2)  # s for it to be heard before the node ends
 
     def _make_visit(self, visit: Visit) -> None:
-        """Drive to one pose, look, and keep it; again where the driver was held meanwhile."""
+        """Drive to one pose, measure it and keep the row; repeat it if the driver was held."""
         begun_s = time.monotonic()
         while True:
             self._recorder.drop()
@@ -268,9 +278,10 @@ class _Run:
         self._tell_progress()
 
     def _describe_cause(self, q: np.ndarray, recorded: str) -> str:
-        """Say why the marker is likely lost at joints q (n,).
+        """Say why the marker is probably lost at joints q (n,).
 
-        It is as the recording says, or by the cameras' geometry, or as `stereo_bridge` says.
+        The reason is that of the recording if the arm did not rest, else one by the geometry of
+        the cameras, else the last message of `stereo_bridge`.
         """
         if recorded == NO_REST:
             return recorded
@@ -283,10 +294,10 @@ class _Run:
         return near + (why.partition(" (")[0] if why != said else "not seen")
 
     def _visit_row(self, visit: Visit) -> Session:
-        """Drive to one pose, look, and keep it; the row as the bag holds it.
+        """Drive to one pose, measure it, keep it, and return the row as the bag holds it.
 
-        What counts is what was recorded: where the recorder has not heard as much as the client,
-        it is waited for.
+        The row is made from the recorded messages. So this waits until the recorder has received as
+        much as the client.
         """
         client, pace, recorder = self._client, self._pace, self._recorder
         client.driver_takes()
@@ -318,7 +329,7 @@ class _Run:
         return row
 
     def _choose_next(self, left: list[Visit]) -> Visit | None:
-        """Return the first visit whose way from here is free; without one all are blocked."""
+        """Return the first visit to which the way is free; None if there is none (`blocked`)."""
         here = self._client.joints
         if not self._client.arm.keep_out or here is None:
             return left[0]

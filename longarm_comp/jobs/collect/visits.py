@@ -1,4 +1,4 @@
-"""The visits of a plan of poses, in the order to drive them, and what speaks against them."""
+"""The visits of a plan of poses in the order to drive them, and checks that speak against them."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Visit:
     """One measurement to make.
 
     Attributes:
-        path: (k, n) rad and m: where the last approach begins, if it has a side, and the pose.
-        repeat_id: number of the pose that is visited more than once, else -1.
-        payload_kg: mass to carry, or None for as it is.
+        path: (2, n) start of the run-up and pose, or (1, n) pose alone; rad and m.
+        repeat_id: number of the pose if it is visited more than once, else -1.
+        payload_kg: mass to carry; None: as it is.
     """
 
     index: int
@@ -44,12 +44,13 @@ class Visit:
 def list_visits(
     plan: Plan, arm: Arm, *, repeats: int = 0, shuffle: bool = True, seed: int = 0
 ) -> list[Visit]:
-    """Return the visits of a plan; the same arguments always give the same ones, as resuming needs.
+    """Return the visits of a plan, always the same ones for the same arguments.
 
-    A joint whose planned side has no room at its limit arrives from the other side.
+    A joint that has no room for its run-up on the planned side arrives from the other side.
 
-    ``repeats``: this many poses, drawn, come twice more, anywhere in the session. ``shuffle``:
-    random order, so that time and pose are not confused.
+    Args:
+        repeats: number of poses, drawn at random, that are visited two more times.
+        shuffle: drive in random order, so that effects of time and pose can be told apart.
     """
     if not 0 <= repeats <= len(plan):
         raise InputError("collect", "--repeats", repeats, f"0 to {len(plan)} (poses of the plan)")
@@ -75,12 +76,12 @@ def list_visits(
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """One question that is asked of every visit of a plan.
+    """The result of one check on every visit of a plan.
 
     Attributes:
-        question: the question.
-        faults: for each visit why it does not pass, or "".
-        blocks: whether a visit that does not pass is not driven.
+        question: the condition that is checked.
+        faults: for each visit why it fails, or "".
+        blocks: whether a visit that fails is not driven.
     """
 
     question: str
@@ -104,7 +105,7 @@ def plan_checks(
     view: View | None = None,
     servos: ServoConfig | None = None,
 ) -> list[PlanCheck]:
-    """Return questions to the visits of a plan: those that can be asked with what is known."""
+    """Check the visits of a plan; checks that need missing data or cameras are left out."""
     model = declared_model(arm)
     q = np.array([visit.q for visit in visits])
     outside = tuple(_why_outside(arm.joint_names, v.path, arm.lower, arm.upper) for v in visits)
@@ -139,7 +140,7 @@ def plan_checks(
 
 
 def blocked_visits(checks: Sequence[PlanCheck], visits: Sequence[Visit]) -> dict[int, str]:
-    """Return visits that may not be driven, by index, and why."""
+    """Return by its index, for each visit that must not be driven, the first reason."""
     found: dict[int, str] = {}
     for check in checks:
         for visit, fault in zip(visits, check.faults, strict=True):
@@ -149,7 +150,7 @@ def blocked_visits(checks: Sequence[PlanCheck], visits: Sequence[Visit]) -> dict
 
 
 def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
-    """Return the servos in the folder of an arm.yaml, where they are this arm's joints."""
+    """Return the servos in the folder of an arm.yaml; None without a file or for other joints."""
     file = arm.absolute().parent / "servo_driver.yaml"
     if not file.is_file():
         return None

@@ -1,6 +1,6 @@
-"""The cells of a text table or XLSX sheet, its header lines joined, its separators found.
+"""Reads the cells of a text table or XLSX sheet; finds its separator, header and decimal sign.
 
-pandas reads; ours is only what is a header, a number, a column.
+pandas and openpyxl parse the file. This module only decides what is a header, a number, a column.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
 _DATED = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d:\d\d")
 _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
 _REMARK = re.compile(r"^\s*(?:#+|%+|//)\s*(?=[^\s,;|#%])")
-"""The sign before a line that NumPy, MATLAB and C take for a remark; ``#`` alone is a name."""
+"""Comment sign of NumPy, MATLAB or C at the start of a line; a cell ``#`` is a column's name."""
 _CELLS = re.compile(r"[\s,;|]+")
 _JSON = re.compile(rb"\s*(\{|\[\s*[\[{\"\d-])")
 _OTHER_FILES = (
@@ -38,16 +38,18 @@ _OTHER_FILES = (
     (re.compile(rb"SQLite format 3|\x89MCAP|#ROSBAG"), "a bag", "longarm bag to-csv ARM BAG"),
     (re.compile(rb"\xd0\xcf\x11\xe0"), "XLS", "XLSX: save it as such"),
 )
-"""How files begin that are no table, what they are, and the export that makes one of them."""
+"""First bytes of files that are not tables, their kind, and how to export a table from them."""
 _HEADER_LINES = 12
-"""Lines of names that may stand below a line of numbers (ids, channels) in a header."""
+"""Lines from the first line of numbers (ids, channels) on in which a header line may stand."""
 
 
 @dataclass(frozen=True)
 class Cells:
+    """A table of another program: its cells as text, and how they were found in the file."""
+
     where: str
     names: tuple[str, ...]
-    """Columns; header lines are joined, a line of units is put behind the names."""
+    """Names of the columns: header lines are joined, and a line of units is put behind them."""
     rows: tuple[tuple[int, tuple[str, ...]], ...]  # (line in the file, cells) of each row
     separator: str  # between cells; empty for a sheet
     decimal: str  # the sign before decimals
@@ -59,10 +61,10 @@ class Cells:
         return [row[place] for _, row in self.rows]
 
     def place(self, key: str, field: str) -> int:
-        """Find the place of a column by its name: whole, without its unit, or without a title.
+        """Return the index of a column by its name: whole, without unit, or without heading.
 
         Raises:
-            InputError: about the option ``field``; there is none, or more than one.
+            InputError: no column has this name, or several have. It names the option ``field``.
         """
         stems = [split_name(name)[0] for name in self.names]
         for called in (
@@ -79,7 +81,7 @@ class Cells:
         return found[0]
 
     def number(self, text: str) -> float | None:
-        """Return the number in a cell; None where the cell holds no number. Raises nothing."""
+        """Return the number in a cell; None if the cell holds no number."""
         plain = text.strip()
         if (_COMMA if self.decimal == "," else _POINT).fullmatch(plain) is None:
             return None
@@ -97,8 +99,13 @@ Lines = list[tuple[int, list[str]]]
 def read_cells(
     path: Path, sheet: str | None = None, decimal: str | None = None, columns: Sequence[str] = ()
 ) -> Cells:
-    """Read a table; by default of the only sheet, with the decimal sign that the cells show and the
-    names of its header, in whose place `columns` may be told."""
+    """Read a table from a text file or a workbook.
+
+    Args:
+        sheet: name of the workbook's sheet; by default its only one.
+        decimal: decimal sign of a text file; by default the one that the cells show.
+        columns: names of the columns, instead of those in the header.
+    """
     where = str(path)
     if path.suffix.lower() in WORKBOOK:
         separator, lines, sign = "", _read_sheet(path, sheet), "."  # its numbers are no text
@@ -142,10 +149,11 @@ def _read_text(path: Path) -> str:
 
 
 def _split_text(where: str, text: str) -> tuple[str, Lines]:
-    """Split a text by the separator that makes the most lines of its beginning rows of numbers.
+    """Return the separator that fits a text best, and the lines of the text split by it.
 
-    Those count that have one and the same number of cells above 1: first by how many of them are
-    mostly numbers, then by how many there are.
+    Each separator is tried on the first 200 lines. It is rated by its largest group of lines with
+    the same number of cells, at least 2: first by how many of these are mostly numbers, then by
+    how many there are.
     """
     sample = "\n".join(text.splitlines()[:200])
     best, most = "", (0, 0)
@@ -165,10 +173,10 @@ def _split_text(where: str, text: str) -> tuple[str, Lines]:
 def _split_lines(where: str, text: str, mark: str) -> Lines:
     """Return number and cells of each line that is not blank.
 
-    Lines above the numbers lose the sign of a remark.
+    Comment signs are removed from the lines above the first numbers.
 
     Raises:
-        InputError: a remark stands between numbers: a row that somebody took out, or not?
+        InputError: a comment stands below the first numbers. It may be a row that was taken out.
     """
     import pandas as pd
 
@@ -215,7 +223,7 @@ def _find_decimal_sign(where: str, separator: str, lines: Lines) -> str:
 
 
 def _read_sheet(path: Path, name: str | None) -> Lines:
-    """Read the lines of a sheet that have a filled cell, without what is empty beside them."""
+    """Return number and cells of each line with a filled cell, up to the last filled column."""
     import openpyxl
 
     rows, count = [], 0
@@ -248,7 +256,7 @@ def _read_sheet(path: Path, name: str | None) -> Lines:
 
 
 def _text_of(cell: Any) -> str:
-    """Return the text of a sheet's cell: a whole number without a point, an error as nothing."""
+    """Return the text of a sheet's cell: a whole number without a point, "" for an error."""
     value = cell.value
     if value is None or cell.data_type == "e":
         return ""
@@ -258,19 +266,23 @@ def _text_of(cell: Any) -> str:
 
 
 def _is_numeric(row: Sequence[str], number: re.Pattern[str]) -> bool:
-    """Tell whether most filled cells of a row, and more than one, are numbers or times."""
+    """Tell whether more than half of a row's filled cells, at least two, are numbers or times."""
     filled = [c for c in row if c.lower() not in _NONE]
     count = sum(bool(number.fullmatch(c) or _DATED.search(c)) for c in filled)
     return len(filled) > 1 and 2 * count > len(filled)
 
 
 def _find_first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
-    """Find the first line of which most filled cells are numbers, and the first below it that no
-    header line follows: the former may hold ids, which are whole numbers beside a word.
+    """Find the first line of numbers, and the first line of numbers below the whole header.
+
+    The two differ if the header has a line of ids: whole numbers beside a word.
+
+    Returns:
+        The indices of both in `lines`.
 
     Raises:
-        InputError: there is no such line, or one of measured numbers stands above a header, or
-            below the same one.
+        InputError: there is no line of numbers, measured numbers stand above a header line, or
+            the same header stands above and below numbers.
     """
     number = _COMMA if decimal == "," else _POINT
     widths = Counter(len(row) for _, row in lines)
@@ -296,7 +308,7 @@ def _find_first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
 
 
 def _is_heading(row: Sequence[str], width: int) -> bool:
-    """Tell whether a row of a table of this width reads as names: words, and no number."""
+    """Tell whether a row looks like names: `width` cells, more than half filled, no number."""
     filled = [c for c in row if c.lower() not in _NONE]
     numeric = any(_POINT.fullmatch(c) or _COMMA.fullmatch(c) or _DATED.search(c) for c in filled)
     return len(row) == width and not numeric and len(filled) > max(1, width // 2)
@@ -305,8 +317,8 @@ def _is_heading(row: Sequence[str], width: int) -> bool:
 def _join_names(lines: Lines, width: int, ids: int) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """Join the names of the columns from the heading lines above the numbers.
 
-    Headings end, upwards, at a blank line, at a line of a single cell, and at one that holds a
-    number in the columns before `ids`.
+    The lines are read upwards. Headings end at a blank line, at a line with fewer than two filled
+    cells, and, above the line with index `ids`, at a line that holds a number.
 
     Returns:
         The names, and the numbers of the lines that they come from.

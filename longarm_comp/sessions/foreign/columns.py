@@ -1,4 +1,4 @@
-"""Finds which column of a session a column of another program is."""
+"""Finds the session column that each column of another program's table stands for."""
 
 from __future__ import annotations
 
@@ -47,7 +47,13 @@ _TURNED = re.compile(
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the session: its name, which column of the file it is, and that one's unit."""
+    """A column of the session, and where it comes from.
+
+    Attributes:
+        name: its name in the session.
+        source, place: name and index of the file's column.
+        unit: unit of the file's column; None if it has none.
+    """
 
     name: str
     source: str
@@ -56,7 +62,10 @@ class Column:
 
 
 def kind_of(name: str, arm: Arm | None = None) -> str:
-    """Return the kind of unit of a session's column, `JOINT`, or nothing."""
+    """Return the kind of unit of a session's column; "" if it has none.
+
+    It is `JOINT` for a joint of which it is not known whether it is revolute or prismatic.
+    """
     joint = re.fullmatch(r"(?:run_up_|read_)?q(\d+)", name)
     if joint:
         number = int(joint.group(1))
@@ -76,7 +85,7 @@ def find_meaning(name: str, arm: Arm | None = None, *, headings: bool = True) ->
     """Return the session's column that a name without its unit means, or None.
 
     Args:
-        headings: a heading over several columns may stand before it.
+        headings: whether a heading over several columns may stand before the name.
     """
     if _EXACT.fullmatch(name):
         return name
@@ -113,12 +122,12 @@ def find_columns(
     """Find the columns of the session that a file holds.
 
     Args:
-        given: by name of a column, with or without its unit: a session's column, or one and its
-            unit (``q3:mm``).
-        defaults: by kind, the unit of columns that name none.
-        arm: names its joints and says which slide; None: joints without a unit turn.
-        apart: columns that are read otherwise (an orientation).
-        axes: coordinate of columns, by place, where more than the name says it.
+        given: session column by name in the file, perhaps with its unit: ``{"A": "q3:mm"}``. The
+            name may be without the unit that it has in the file.
+        defaults: unit of columns that state none, by kind.
+        arm: tells names and types of the joints; None: joints without a unit are revolute.
+        apart: names of columns to leave out, because they are read as an orientation.
+        axes: ``x``, ``y`` or ``z`` by index of a column that was recognised as a coordinate.
     """
     where = cells.where
     mapped = {cells.place(key, "--map"): key for key in given}
@@ -156,7 +165,7 @@ def find_columns(
 def _choose_unit(
     cells: Cells, column: Column, defaults: Mapping[str, Unit], arm: Arm | None
 ) -> Unit | None:
-    """Return the unit of a column; None where it has none, as times of the day."""
+    """Return the unit of a column; None if it needs none, such as a text or a time of day."""
     name, source, unit = column.name, column.source, column.unit
     kind = kind_of(name, arm)
     if not kind or (name == "t_s" and seconds(cells.column(column.place)) is not None):

@@ -1,5 +1,7 @@
-"""Joins the tables of one session into one: those of several days, of joints and of the tracker's
-points, of markers side by side, and rows in the order of a column."""
+"""Combines tables into one session's table: rows of several days, or joints and tracker points.
+
+It also makes rows of markers that stand side by side, and sorts rows by a column.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,13 @@ _COUNTED = re.compile(r"\d+|\b[A-Za-z]\b")
 
 
 def append_tables(tables: Sequence[Cells]) -> Cells:
-    """Put the rows of tables of the same columns one after the other."""
+    """Append the rows of tables that have the same columns.
+
+    A number is left out between their indices, because the history of the joints breaks off there.
+
+    Raises:
+        InputError: a table has other columns.
+    """
     first, *others = map(_with_points, tables)
     rows, index = list(first.rows), list(range(len(first.rows)))
     for table in others:
@@ -38,11 +46,10 @@ def append_tables(tables: Sequence[Cells]) -> Cells:
 
 
 def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
-    """Put rows of tables side by side where a column says the same number or text, or where its
-    times are nearest.
+    """Join tables side by side: rows with the same number or text in a column, or nearest times.
 
     Returns:
-        The table, and in words how near, and which rows have no partner.
+        The table; and notes that say how near the times are, and which rows have no partner.
     """
     made, *others = map(_with_points, tables)
     notes: list[str] = []
@@ -84,7 +91,7 @@ def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str,
 
 
 def sort_rows(cells: Cells, column: str) -> Cells:
-    """Sort the rows by a column: of numbers, of times, else of the texts."""
+    """Sort the rows by a column: as times or numbers if all its cells are such, else as text."""
     place = cells.place(column, "--sort")
     texts = [row[place] for _, row in cells.rows]
     numbers = [cells.number(text) for text in texts]
@@ -98,7 +105,10 @@ def sort_rows(cells: Cells, column: str) -> Cells:
 def find_marker_headings(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
     """Find the headings of markers whose x, y and z stand side by side; empty where there are none.
 
-    Their headings are alike but for a number or a letter: M1, M2; prism A, prism B.
+    These headings differ in a number or a letter only: M1, M2; prism A, prism B.
+
+    Args:
+        told: columns that the user mapped. If one of them is a marker's, there are no headings.
     """
     found = find_forms(cells.names)
     names = [cells.names[k] for each in found if not each.turn for k in each.places]
@@ -110,11 +120,14 @@ def find_marker_headings(cells: Cells, told: Collection[str]) -> tuple[str, ...]
 
 
 def melt_markers(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
-    """Make a row for each marker, with its name in a column `marker`, and its orientation if it has
-    one and `turns` are wanted.
+    """Make one row for each marker, with its name in a column `marker`.
+
+    Args:
+        markers: their headings, as `find_marker_headings` returns them.
+        turns: whether to keep their orientations.
 
     Raises:
-        InputError: the markers' orientations or units are several.
+        InputError: the markers' orientations or units differ in form.
     """
     found = find_forms(cells.names)
     positions = headings(found)
@@ -149,7 +162,10 @@ def melt_markers(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
 
 
 def _read_clocks(tables: Sequence[Cells], places: Sequence[int], column: str) -> list[np.ndarray]:
-    """Read times (s, or as written without a unit) of a column of two tables; empty where none."""
+    """Return the times in a column of each of two tables; empty if they hold no times.
+
+    They are in s, or as written if no unit is stated.
+    """
     texts = [table.column(place) for table, place in zip(tables, places, strict=True)]
     both = seconds([*texts[0], *texts[1]])
     if both is not None:
@@ -170,10 +186,11 @@ def _read_clocks(tables: Sequence[Cells], places: Sequence[int], column: str) ->
 
 
 def _pair_nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
-    """Find for each entry of ``one`` the place of the nearest of ``two`` that has none nearer.
+    """Pair each time of ``one`` with the nearest time of ``two`` that has no nearer one itself.
 
-    It is -1 where none is within the tolerance, which is half the shorter of both median steps and
-    returned as well.
+    Returns:
+        The index in ``two`` for each time of ``one``, -1 if none is within the tolerance; and the
+        tolerance, which is half of the smaller of both median steps.
     """
     near, back = _find_closest(one, two), _find_closest(two, one)
     steps = [np.diff(np.unique(times)) for times in (one, two)]
@@ -184,7 +201,7 @@ def _pair_nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
 
 
 def _find_closest(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    """Return for each number of ``one`` (N,) the place in ``two`` of the number closest to it."""
+    """Return for each number of ``one`` (N,) the index in ``two`` of the number closest to it."""
     order = np.argsort(two, kind="stable")
     after = np.searchsorted(two[order], one).clip(1, max(len(two) - 1, 1))
     pair = order[np.stack([after - 1, np.minimum(after, len(two) - 1)])]

@@ -1,4 +1,4 @@
-"""Finds the convention of an orientation's numbers: the one that the arm's own tip bears out."""
+"""Finds the convention of measured orientations: the one that fits the tip of the arm's model."""
 
 from __future__ import annotations
 
@@ -14,15 +14,19 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.foreign.units import CONVENTIONS, Rotation
 
 _FEWEST = 10
-"""Rows: thirty coordinates place base and tool, which have nine unknowns."""
+"""Fewest rows: their thirty coordinates determine the nine unknowns of base and tool."""
 _CLEAR = 2.0
-"""A convention is told where every other one leaves so many times its error."""
+"""A convention is clearly worse than the best if its error is above this many times the best."""
 
 
 @dataclass(frozen=True)
 class Conventions:
-    """Mean angle (rad) between the arm's tip and the numbers, by convention as the user says it,
-    the least first; ``wxyz`` read as ``-xyzw`` is another."""
+    """How well each convention fits an arm.
+
+    Attributes:
+        errors: mean angle (rad) between the arm's tip and the measured orientations, by
+            convention as the user writes it (`Rotation.spelt`), the smallest first.
+    """
 
     errors: Mapping[str, float]
 
@@ -37,7 +41,7 @@ class Conventions:
         return next(iter(self.errors.values())) < SUSPECT_TURN
 
     def describe(self, columns: str) -> str:
-        """Say which convention fits, with its columns, and what others leave; or that none does."""
+        """Say which conventions fit, with their error and that of the others; or that none does."""
         best, *others = self.errors.items()
         if not self._is_clear:
             return f"no convention fits (the best leaves {1e3 * best[1]:.3g} mrad)"
@@ -51,12 +55,15 @@ class Conventions:
 def try_conventions(
     arm: Arm, q: np.ndarray, xyz: np.ndarray, labels: Mapping[str, np.ndarray], values: np.ndarray
 ) -> Conventions | None:
-    """Fit each convention of so many numbers to the arm; None for too few rows or none.
+    """Compare measured orientations with the arm in each convention with as many columns.
 
     Args:
         q, xyz: (N, n) joints, rad and m; (N, 3) positions, m.
         labels: `group` and `marker` of the rows, if they have them.
         values: (N, 3, 4 or 9) numbers of the orientation, angles in rad.
+
+    Returns:
+        None if fewer than `_FEWEST` rows are complete, or no convention can be applied.
     """
     whole = np.isfinite(values).all(axis=1) & np.isfinite(xyz).all(axis=1)
     if whole.sum() < _FEWEST:

@@ -54,15 +54,16 @@ _MAY_BE_BLANK = re.compile(
 
 @dataclass(frozen=True)
 class Options:
-    """The user's words about a file.
+    """The user's options for reading a file.
 
     Attributes:
-        units: of columns that name none, such as ``mm`` and ``deg``.
+        units: units of columns that state none, such as ``mm`` and ``deg``.
         given, arm: see `find_columns`.
-        rotation: ``CONVENTION:COLUMNS``, ``none`` to leave an orientation out, or nothing.
+        rotation: ``CONVENTION:COLUMNS``; ``none`` to leave an orientation out; None to find it.
         sheet, decimal, columns: see `read_cells`.
-        join: column that says which rows of several files belong together; None: they follow.
-        sort: column in whose order the rows were measured; None: in the file's.
+        join: column that tells which rows of several files belong together; None: the files are
+            appended.
+        sort: column by which to sort the rows; None: they stay in the file's order.
     """
 
     units: tuple[str, ...] = ()
@@ -76,7 +77,7 @@ class Options:
     columns: tuple[str, ...] = ()
 
     def like(self, mapping: Path) -> Options:
-        """Add what an earlier mapping says; what is told here goes before it."""
+        """Return these options, completed from an earlier mapping; those set here have priority."""
         form = Like(mapping)
         own = {name.partition(":")[0] for name in self.given.values()}
         kept = {
@@ -101,7 +102,7 @@ class _Imported:
     """Session columns by name, (N,) numbers or texts; `sources`: how each was read."""
     sources: tuple[Column, ...]
     left_out: tuple[str, ...]  # columns of the file that were not read
-    assumed: tuple[str, ...]  # joints that were taken to turn, as no arm says it
+    assumed: tuple[str, ...]  # joints that were assumed to be revolute, because no arm tells it
     rotation: Rotation | None
     options: Options
     files: tuple[Path, ...] = ()
@@ -216,9 +217,10 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
 
 
 def _find_poses(cells: Cells, options: Options) -> list[Found]:
-    """Find positions and orientations whose names are no joints and not given by the user.
+    """Find the positions and orientations; columns of joints, or mapped by the user, do not count.
 
-    Of ``q0`` to ``q3``, where their length is 1: numbers of joints have no such.
+    Columns such as ``q0`` to ``q3`` are a quaternion only if its length is 1 in all complete rows:
+    they may be joints.
     """
     known = {*options.given, *(() if options.arm is None else options.arm.joint_names)}
     names = enumerate(cells.names)
@@ -236,9 +238,10 @@ def _find_poses(cells: Cells, options: Options) -> list[Found]:
 
 
 def _find_rotation(cells: Cells, found: list[Found], read: Collection[int]) -> Rotation | None:
-    """Find the orientation of the marker whose position is read, in the convention of its names.
+    """Find the orientation of the marker whose position is in the columns `read` (indices).
 
-    It has no convention where they say none, or where columns look like one but are not whole.
+    Its convention is the one that the names of its columns tell. It is empty if the names tell
+    none, if several orientations come into question, or if columns only look like an orientation.
     """
     turns = find_orientations(found, read)
     known = [each for each in turns if each.form.convention]
@@ -300,13 +303,14 @@ def _read_orientation(
     defaults: Mapping[str, Unit],
     arm: Arm | None,
 ) -> dict[str, np.ndarray]:
-    """Read the columns of the quaternion.
+    """Return the columns of the quaternion, (N,) each.
 
     Args:
-        columns: of the session, which tell which convention an arm's rows fit.
+        columns: session columns. With their joints and positions, an arm's model shows which
+            convention fits.
 
     Raises:
-        InputError: its convention is not known, or clearly another than that which the rows fit.
+        InputError: the convention is not known, or the rows clearly fit another one.
     """
     parts = []
     for name in rotation.columns:

@@ -1,4 +1,4 @@
-"""Finds the columns of a table that are one marker's pose: `FORMS` is the list of their names."""
+"""Finds the columns of a table that hold a marker's pose. `FORMS` lists the names they may have."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _APART, _BEGIN = r"[\s_.:,/\-\[(]*", r"(?:^|(?<=[\s_.:,/\-]))"
 
 @dataclass(frozen=True)
 class Form:
-    """Names of the columns of a position or an orientation: one of `words`, then a part's name.
+    """Column names of a position or an orientation: one of `words`, then one of `parts`.
 
-    A word of one letter stands close before the part (``tx``, ``q_w``), so that a marker ``R`` with
-    ``R x`` is one.
+    Between a word of one letter and a lettered part, only ``_`` may stand (``tx``, ``q_w``). So
+    ``R x`` is the coordinate x of a marker ``R``.
     """
 
     convention: str
-    """`POSITION`; for an orientation how `Rotation` reads `parts`, or empty: names do not say."""
+    """`POSITION`, or the convention of `Rotation` for the parts; empty if names do not tell it."""
     words: tuple[str, ...]
     parts: tuple[str, ...]
 
     @cached_property
     def _name_pattern(self) -> re.Pattern[str]:
-        """Heading, word and part of a name."""
+        """The pattern of a name, with groups for heading, word and part."""
         digits = self.parts[0].isdigit()
         near = _APART if digits else "_?"
         words = [w.replace(" ", _APART) + ("", near, _APART)[min(len(w), 2)] for w in self.words]
@@ -39,7 +39,7 @@ class Form:
         return re.compile(f"(?i)(?P<heading>.*?)(?P<word>{word})(?P<part>{parts})[\\])]?")
 
     def read(self, name: str) -> tuple[str, str, int] | None:
-        """Return heading, word and number of the part that a name without unit means, or None."""
+        """Split a name without unit into heading, word and index in `parts`; None if not so."""
         found = self._name_pattern.fullmatch(name)
         if found is None:
             return None
@@ -77,12 +77,12 @@ FORMS = (
     Form("", ("",), ("a", "b", "c")),
     Form("", ("",), ("w", "p", "r")),
 )
-"""From the fullest form on. Words of headings (tip, tcp, M1, a body's name) are no part of it."""
+"""The forms, the most complete first. A heading (tip, tcp, M1, a body) may stand before a name."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """Columns that have one form: their places, in the order of its parts."""
+    """Columns of one form; `places` are their indices in the table, in the order of its parts."""
 
     form: Form
     heading: str
@@ -95,11 +95,13 @@ class Found:
 
 
 def find_forms(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]:
-    """Find all that a table holds in full, orientations before positions; no column is in two.
+    """Find the positions and orientations of which a table has every column.
+
+    Orientations are found first. No column belongs to two of them.
 
     Args:
-        names: of the columns, with their units.
-        apart: places of columns that are something else.
+        names: names of the columns, with their units.
+        apart: indices of columns that are something else.
     """
     whole: list[Found] = []
     used = set(apart)
@@ -115,7 +117,10 @@ def find_forms(names: Sequence[str], apart: Collection[int] = ()) -> list[Found]
 
 
 def unit_in(name: str) -> Unit | None:
-    """Return the unit that a part's name states: ``q_k`` is in no kelvin, ``tool C`` no Celsius."""
+    """Return the unit that a column's name states, or None.
+
+    A name that is a part of a form has none: ``q_k`` is not in kelvin, ``tool C`` not in Celsius.
+    """
     return None if any(form.read(name) for form in FORMS) else split_name(name)[1]
 
 
@@ -134,7 +139,11 @@ def _find_all(form: Form, names: Sequence[str]) -> Iterable[Found]:
 
 
 def _is_meant(found: Found, names: Sequence[str]) -> bool:
-    """Tell whether three turns about x, y, z are an orientation: only beside a position."""
+    """Tell whether columns are what their form says.
+
+    Names such as ``Rx``, ``Ry``, ``Rz`` are ambiguous. They count as an orientation only if their
+    heading also has a position.
+    """
     if found.form.convention or found.form.parts != ("x", "y", "z"):
         return True
     positions = (p for form in FORMS if form.convention == POSITION for p in _find_all(form, names))
@@ -151,8 +160,10 @@ def axis_of(name: str) -> str | None:
 
 
 def find_orientations(found: Sequence[Found], read: Collection[int]) -> list[Found]:
-    """Find the orientations of the marker whose position is in columns of these places: under its
-    heading, under none, or under one that has no position."""
+    """Find the orientations of the marker whose position is in the columns `read` (indices).
+
+    They are under its heading, under no heading, or under a heading without a position.
+    """
     own = {each.heading for each in found if not each.turn and set(read) & set(each.places)}
     others = set(headings(found)) - own
     return [
@@ -161,7 +172,7 @@ def find_orientations(found: Sequence[Found], read: Collection[int]) -> list[Fou
 
 
 def headings(found: Iterable[Found]) -> dict[str, Found]:
-    """Return the position of each marker by heading; the first where a heading has several."""
+    """Return the position of each marker by its heading; the first if a heading has several."""
     made: dict[str, Found] = {}
     for each in found:
         if not each.turn:

@@ -18,7 +18,7 @@ _OF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?")
 
 
 def seconds(texts: Sequence[str]) -> np.ndarray | None:
-    """Return seconds (N,) since the first of wall-clock times; None where a text is not one."""
+    """Return (N,) seconds since the first of N wall-clock times; None if a text is not a time."""
     import pandas as pd
 
     texts = [text.strip() for text in texts]
@@ -56,17 +56,20 @@ _EULER = tuple(
     for order in ("".join(axes), "".join(axes).upper())
 )
 CONVENTIONS = {3: (ROTATION_VECTOR, *_EULER), 4: tuple(_QUATERNIONS), 9: (MATRIX,)}
-"""By number of columns."""
+"""Conventions by their number of columns."""
 UNIT_LENGTH = 1e-2
-"""A quaternion printed with three digits is so far from length 1, and so are a matrix's rows."""
+"""Largest error of a quaternion's length, and of R R^T - I: numbers may have three digits only."""
 
 
 @dataclass(frozen=True)
 class Rotation:
     """A convention and the columns that are in it: ``wxyz:q0,q1,q2,q3``, ``ZYX:A,B,C``.
 
-    One of `CONVENTIONS`, or empty where it is not known. Euler axes are as scipy names them (lower
-    case fixed, upper case turned). `inverse`: the columns hold the base in the tool's frame.
+    Attributes:
+        convention: one of `CONVENTIONS`; empty if not known. Euler axes are named as in scipy:
+            lower case for fixed axes, upper case for rotating ones.
+        columns: names of the columns.
+        inverse: whether the columns hold the base's orientation in the tool's frame.
     """
 
     convention: str
@@ -86,19 +89,22 @@ class Rotation:
 
     @property
     def spelt(self) -> str:
-        """The convention as the user says it, without the columns."""
+        """The convention as the user writes it, with a minus if inverse, without the columns."""
         return "-" * self.inverse + self.convention
 
     @property
     def angles(self) -> bool:
-        """True if the columns are angles, with a unit."""
+        """True if the columns are three numbers in a unit of angle."""
         return len(self.columns) == 3
 
     def quaternions(self, values: np.ndarray) -> np.ndarray:
-        """Return x, y, z, w (N, 4) of unit length of values (N, 3, 4 or 9), rad; NaN rows stay NaN.
+        """Return unit quaternions x, y, z, w (N, 4) of values (N, 3, 4 or 9), angles in rad.
+
+        Rows of NaN stay NaN.
 
         Raises:
-            ValueError: a quaternion is not of length 1, a matrix no rotation, a row partly NaN.
+            ValueError: a quaternion's length is not 1, a matrix is no rotation, or a row is
+                partly NaN.
         """
         from scipy.spatial.transform import Rotation as Turn
 

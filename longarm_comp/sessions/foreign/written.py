@@ -1,6 +1,6 @@
-"""Targets, plans and commands in the form of the table that a session came from.
+"""Reads and writes targets, plans and commands in the format of the user's own table.
 
-Names, units and the kind of file are the user's.
+Names, units and the kind of file are those of the table from which a session was imported.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _SIDE = re.compile(r"approach_(q\d+)")
 
 
 class Like:
-    """The form of a table, as the mapping of `longarm import-data` tells it.
+    """The format of a table, from the mapping that `longarm import-data` wrote.
 
     Attributes:
-        columns: by session column, the name in the table and its unit.
+        columns: name in the table and unit, by session column.
         units, rotation, decimal: as in `convert.Options`.
-        names: of the columns, if the table itself has none.
+        names: names of the columns, if the table itself has none.
         workbook: whether the table was a workbook.
     """
 
@@ -60,7 +60,10 @@ class Like:
         return path.with_suffix(".xlsx") if self.workbook else path
 
     def read(self, path: str | Path) -> Table:
-        """Read a table in this form as one in SI; columns that the mapping does not know stay."""
+        """Read a table in this format and return it with session names, in SI units.
+
+        Columns that the mapping does not know keep their names.
+        """
         cells = read_cells(Path(path))
         known = {s: (n, u) for n, (s, u) in self.columns.items()}
         known = {split_name(s)[0]: form for s, form in known.items()} | known
@@ -79,7 +82,11 @@ class Like:
         return Table(str(path), tuple(made), tuple(line for line, _ in cells.rows), made)
 
     def write(self, path: str | Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Write rows whose columns are in SI, whole or not at all; by the ending of the path."""
+        """Write rows, given in SI units, with the user's names and units.
+
+        The path's ending decides between a workbook and text. The file is written whole or not at
+        all.
+        """
         import pandas as pd
 
         def convert(value: Any, unit: Unit | None, moved: bool) -> Any:
@@ -103,7 +110,7 @@ class Like:
             write_text(path, frame.to_csv(index=False, **form))
 
     def _read_form(self, name: str) -> tuple[str, Unit | None, bool]:
-        """Return the user's name of a column, its unit, and whether a zero point moves values."""
+        """Return the user's name of a column, its unit, and whether the unit's offset applies."""
         joint, side, point = (p.fullmatch(name) for p in (_JOINT, _SIDE, _POINT))
         if side and side[1] in self.columns:
             return f"approach {split_name(self.columns[side[1]][0])[0]}", None, False
