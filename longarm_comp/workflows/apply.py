@@ -310,7 +310,7 @@ def put_to_work(
         os.replace(predictor, aside)
     # Predictors of versions that `undo` no longer reaches
     versions = [path for path in (model, file_versions.previous(model)) if path.is_file()]
-    needed = {_kept_as(predictor, inputs.file_hash(path)) for path in versions}
+    needed = {aside, *(_kept_as(predictor, inputs.file_hash(path)) for path in versions)}
     for path in predictor.parent.glob(f"{predictor.stem}.of_*{predictor.suffix}"):
         if _KEPT.search(path.stem) and path not in needed and _trained_with(path):
             path.unlink()

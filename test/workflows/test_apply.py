@@ -240,6 +240,23 @@ def test_files_that_are_no_predictors_are_left_alone_by_undo(
         predictor_file.load(model.parent / "other.npz")
 
 
+def test_a_predictor_of_any_other_model_is_kept_where_apply_says(
+    diagnosed: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Put there by hand, it is of no version that `undo` knows: its only copy was deleted."""
+    model = at_work(tmp_path)
+    apply(diagnosed("first"), ARM, model)
+    others = (model.parent / "predictor.npz").read_bytes()
+    wider = diagnosed("second", before=model, model=FOUND.with_values(1.5 * FOUND.values))
+    apply(wider, ARM, model)
+    more = FOUND.with_values(1.7 * FOUND.values)
+    for name in ("third", "fourth"):
+        (model.parent / "predictor.npz").write_bytes(others)
+        done = apply(diagnosed(name, before=model, model=more), ARM, model)
+        more = FOUND.with_values(1.9 * FOUND.values)
+        assert done.set_aside is not None and done.set_aside.read_bytes() == others
+
+
 def test_two_changes_at_once_are_refused(
     diagnosed: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
