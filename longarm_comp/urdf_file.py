@@ -127,8 +127,7 @@ class UrdfRobot:
         return way[::-1]
 
     def leader(self, joint: UrdfJoint) -> dict[str, Any] | None:
-        """Return a joint's `mimic` of the commanded joint that its chain of mimics ends at, or None.
-        """
+        """Return a joint's `mimic` of the commanded joint at the end of its mimics, or None."""
         if joint.mimic is None:
             return None
         at, met, multiplier, offset = joint, [joint.name], 1.0, 0.0

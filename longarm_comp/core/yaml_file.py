@@ -39,7 +39,8 @@ such a value has a wrong unit, as gravity in mm/s^2."""
 
 
 class Closed(BaseModel):
-    """A frozen record that refuses non-finite numbers, and unknown keys with a list of the known."""
+    """A frozen record that refuses non-finite numbers and, with a list of the known, unknown keys.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -55,7 +56,8 @@ class Closed(BaseModel):
 
 
 class Declared(Closed):
-    """A `Closed` record that also refuses true or false for a number, and values beyond `RANGES`."""
+    """A `Closed` record that also refuses true or false for a number, and numbers beyond `RANGES`.
+    """
 
     @model_validator(mode="before")
     @classmethod

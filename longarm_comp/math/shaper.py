@@ -46,5 +46,5 @@ class Shaper:
         return way(since.ravel()).reshape(*since.shape, -1)
 
     def shape_motion(self, way: Way, seconds: float) -> Way:
-        """Return the shaped motion: the weighted sum of the parts. It stands still before time 0."""
+        """Return the shaped motion: the weighted sum of its parts; still before time 0."""
         return lambda times: np.tensordot(self.weights, self.parts(way, times, seconds), 1)
