@@ -43,7 +43,7 @@ def protocols_of_other_packages(group: str, base: type) -> Iterator[tuple[Any, s
 
 
 def check_name(entry: str, own: str, what: str, source: str) -> None:
-    """Raise InputError where an entry point has another name than what it brings."""
+    """Raise InputError if an entry point and the object behind it have different names."""
     if entry != own:
         raise InputError(source, "name", entry, f"the {what}'s own, {own}")
 

@@ -39,8 +39,7 @@ such a value has a wrong unit, as gravity in mm/s^2."""
 
 
 class Closed(BaseModel):
-    """A frozen record that refuses non-finite numbers and, with a list of the known, unknown keys.
-    """
+    """A frozen record that refuses non-finite numbers, and unknown keys (it lists the known)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -56,8 +55,7 @@ class Closed(BaseModel):
 
 
 class Declared(Closed):
-    """A `Closed` record that also refuses true or false for a number, and numbers beyond `RANGES`.
-    """
+    """A `Closed` record that also refuses a boolean for a number, and numbers beyond `RANGES`."""
 
     @model_validator(mode="before")
     @classmethod

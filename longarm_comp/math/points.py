@@ -30,7 +30,7 @@ def kabsch(
 
 
 ROUNDS = 6
-"""Times that outlying rows are weighed down: the weights change no more after it."""
+"""Rounds of `robust_kabsch`: after them the weights do not change any more."""
 
 
 def robust_weights(distance: np.ndarray) -> np.ndarray:

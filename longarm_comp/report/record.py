@@ -251,8 +251,7 @@ def read_report(folder: str | Path) -> DiagnosisReport:
 
 
 def text(report: DiagnosisReport) -> str:
-    """Return the text of report.json: keys in the order of the schema, numbers to `DIGITS` digits.
-    """
+    """Return the text of report.json: keys in the schema's order, numbers to `DIGITS` digits."""
     plain = report.model_dump(mode="json", by_alias=True)
     # + 0.0: no negative zero
     short = map_values(plain, float, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)

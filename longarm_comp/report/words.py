@@ -36,7 +36,7 @@ def interval(pair: tuple[float, float] | None, digits: int = 4) -> str:
 
 
 def millimetres(value: float) -> str:
-    """Write a length (mm) to a hundredth of a millimetre, or to three digits if it is larger."""
+    """Write a length (mm) to a hundredth of a millimetre; to a millimetre from 100 mm on."""
     return f"{value:.2f} mm" if abs(value) < 100 else f"{value:.0f} mm"
 
 
@@ -46,7 +46,7 @@ def to_three_places(value: float | None) -> str:
 
 
 def odds(log_bayes_factor: float) -> str:
-    """Write a Bayes factor as odds, ``20 : 1``; large ones as "more than" a power of ten."""
+    """Write a log Bayes factor as odds, ``20 : 1``; large ones as a power of ten."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"

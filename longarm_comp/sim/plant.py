@@ -37,7 +37,7 @@ _SAME = 1e-7  # rad or m: the arm has not moved
 _MOUTH_M = 0.009
 """Radius of a socket's mouth, from which the ball slides in."""
 _SEATED_M = 5e-5
-"""From the bottom of a socket, within which the ball touches all round."""
+"""Distance (m) from the bottom of a socket within which the ball touches all round."""
 
 
 def hidden_effects(
@@ -153,7 +153,7 @@ class Plant:
         return np.array([np.sign(j.travel) * turned[j.servo_id] for j in self._servos])
 
     def temperature_c(self, t_s: float) -> float:
-        """Return the temperature of the arm, which rises slowly."""
+        """Return the temperature of the arm at a time (s), degrees Celsius; it rises slowly."""
         start, rise = self.config.temperature_c
         return float(start - rise * np.expm1(-t_s / 5000.0))
 

@@ -110,7 +110,7 @@ class Listener:
 
 
 _TOLD = {RING_SAID: "After the last move", LEARNED_SAID: "At work"}
-"""Parts whose message the page repeats, and how it begins there."""
+"""By part of /diagnostics: the heading under which the page repeats its message."""
 _NONE = np.empty((0, 3))
 
 

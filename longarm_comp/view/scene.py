@@ -116,8 +116,7 @@ class Scene:
     def _draw_arrow(
         self, name: str, start: np.ndarray | None, error: np.ndarray | str, factor: float
     ) -> np.ndarray | None:
-        """Draw an error (3,), m, from `start`; return the end of its arrow (3,), or None if none.
-        """
+        """Draw an error (3,), m, from `start`; return the end of its arrow (3,), None if none."""
         handle = self._handles[name]
         handle.visible = start is not None and not isinstance(error, str)
         if start is None or isinstance(error, str):

@@ -28,8 +28,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class LastAnswer:
-    """The answer to the last target: status, reason, and the joints sent, by name (none: not sent).
-    """
+    """The answer to the last target: status, reason, and joints sent, by name (none: not sent)."""
 
     status: str
     message: str

@@ -234,8 +234,7 @@ class _Learner:
 
 
 def _draw_folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return (F, N) masks of the rows that each of F folds leaves out, repeats of a pose together.
-    """
+    """Return masks (F, N) of the rows that each fold leaves out, repeats of a pose together."""
     _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
     pose = pose.ravel()
     fold = (rng.permutation(pose.max() + 1) % _FOLDS)[pose]

@@ -27,7 +27,7 @@ from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 from longarm_comp.core.yaml_file import Declared, parse_declared
 
 _LARGEST = 1e6
-"""Inputs, weights and lengths (m) are far below it: no arm is a thousand kilometres long."""
+"""Largest input, weight or length (m) that is allowed: no arm is a thousand kilometres long."""
 _OTHERS = ".safetensors"
 """Ending of the file of a network from outside the package."""
 

@@ -131,8 +131,7 @@ class SparrowSearch:
         search = torch.arange(many, device=lower.device)[:, None]
 
         def land(position: Tensor) -> Tensor:
-            """Return positions clipped to the box, with their fitness as last column, (M, m, D+1).
-            """
+            """Return positions clipped to the box, with the fitness as last column, (M, m, D+1)."""
             position = position.nan_to_num(nan=torch.inf).clamp(low, high)
             value = fitness(position).to(position.dtype).nan_to_num(nan=torch.inf, posinf=torch.inf)
             return torch.cat((position, value[..., None]), dim=2)

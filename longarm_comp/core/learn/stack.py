@@ -77,8 +77,7 @@ class Stack:
 
 
 def _gram(basis: Tensor) -> Tensor:
-    """Return ``B'B`` (M, C, C) of B (M, N, C), only the lower triangle and blocks on the diagonal.
-    """
+    """Return ``B'B`` (M, C, C) of B (M, N, C); only its lower triangle is complete."""
     gram = basis.new_zeros(len(basis), basis.shape[2], basis.shape[2])
     for a in range(0, basis.shape[2], 64):
         gram[:, a : a + 64, : a + 64] = basis[..., a : a + 64].mT @ basis[..., : a + 64]

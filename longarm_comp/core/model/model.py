@@ -43,7 +43,7 @@ class Slot:
 
     @property
     def label(self) -> str:
-        """``joint_compliance / joint 2 / compliance``."""
+        """A name for people, such as ``joint_compliance / joint 2 / compliance``."""
         return f"{self.owner.name} / {self.owner.place} / {self.parameter.name}"
 
     @property
@@ -257,7 +257,7 @@ class Model:
 
     @property
     def load_passes(self) -> int:
-        """Number of load passes of `posture`: one if nothing depends on the loads."""
+        """Number of load passes of `posture`: 1 if no effect depends on loads, 0 without effects."""
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
 
     def posture_without_sag(self, q: Sequence[Scalar], context: Context) -> Posture:
@@ -296,16 +296,14 @@ class Model:
         return frame._replace(p=p)
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec:
-        """Return a point as a sensor of a kind of measurement reports it, with its biases in order.
-        """
+        """Return a point as a sensor of that kind of measurement reports it, with its biases."""
         for bias in self.biases:
             if kind in bias.sees:
                 point = bias.seen(point, context, self.arm)
         return point
 
     def seen_axes(self, tip: Frame, context: Context) -> Frame:
-        """Return the tip with axes as a sensor of poses reports them; they may not be unit vectors.
-        """
+        """Return the tip with its axes as a sensor of poses reports them, of any length."""
         for bias in self.biases:
             if "orientation" in bias.sees:
                 tip = bias.seen_pose(tip, context, self.arm)

@@ -187,8 +187,7 @@ def store(
 
 
 def _store_uncertainty(model: Model) -> _StoredUncertainty | None:
-    """Return the model's uncertainty with the parameters in the order in which `restore` has them.
-    """
+    """Return the model's uncertainty, with parameters in the order in which `restore` has them."""
     known = model.uncertainty
     if known is None:
         return None

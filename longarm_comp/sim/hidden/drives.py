@@ -80,8 +80,7 @@ class ServoQuantisation(HiddenEffect):
 
 @dataclass(frozen=True)
 class FrictionHysteresis(HiddenEffect):
-    """Friction: a joint stops `lag` (n,), rad or m, short of its command, on the side it came from.
-    """
+    """Friction: a joint stops `lag` (n,), rad or m, before it reaches its command."""
 
     lag: Array
 
@@ -108,8 +107,7 @@ class FrictionMemory(HiddenEffect):
 
 @dataclass(frozen=True)
 class ServoLag(HiddenEffect):
-    """The tip is measured before servos arrive: the share `left` (n,) of a motion is still to come.
-    """
+    """Measurements before the servos arrive: the share `left` (n,) of a motion is missing."""
 
     left: Array
 
@@ -150,7 +148,7 @@ class ServoDeadband(_Resting):
 
 @dataclass(frozen=True)
 class ServoDroop(JointCompliance):
-    """A proportional servo yields by torque / gain: `compliance` is 1 / gain, 0 where it slides."""
+    """A proportional servo yields by torque / gain: `compliance` is 1 / gain; slides do not."""
 
     def before(self, torques: Array, state: State) -> Array:
         return ~state.arm.slides * self.compliance * torques
@@ -158,7 +156,7 @@ class ServoDroop(JointCompliance):
 
 @dataclass(frozen=True)
 class CoggingBump(HiddenEffect):
-    """Outside every library: joint `joint` is pushed off by `height` (rad) near one angle."""
+    """Outside every library: joint `joint` is off by up to `height` (rad) near one angle."""
 
     doses = ("height",)
     joint: int

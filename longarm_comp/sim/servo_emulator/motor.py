@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 _FRICTION = 0.2  # share of full effort to turn freely at full speed
 _AMBIENT_C, _HEATING_C, _HEAT_TIME_S = 25.0, 60.0, 120.0
-"""Temperature at rest; its rise at full effort, and the time that this takes."""
+"""Temperature at rest, its rise at full effort, and the time constant of the rise."""
 _SHUTDOWN_C = 70.0
 """Temperature above which the servo raises an alarm and lets go: the default of Feetech servos."""
 _OVERLOAD = 0.8  # share of full effort, the default of Feetech servos
