@@ -1,8 +1,8 @@
 """An arm declared from a URDF: limits, masses, centres of mass, mimic joints.
 
 A joint between the base link and the tip link becomes a row with all lengths along its own a and d,
-where beams can be, after a fixed row that turns where one is needed.  A joint beside the chain that
-joints of it mimic becomes a row that does not move.  A URDF knows no beams.
+where beams can be; a fixed row precedes it if a rotation is needed.  A joint beside the chain that
+a joint of the chain mimics becomes a row that does not move.  A URDF has no beams.
 """
 
 from __future__ import annotations

@@ -155,7 +155,7 @@ def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
     names: list[str] = []
 
     def size(term: Term) -> float:
-        """Return the largest parameter in its prior standard deviations."""
+        """Return the largest parameter of a term, in prior standard deviations."""
         own = term.parameters(diagnosis.arm)
         return max((abs(getattr(term, p.name)) / p.prior for p in own if p.prior > 0), default=0)
 

@@ -178,7 +178,7 @@ class SharedInput(ReportPart):
 
 
 class ReportSetAside(ReportPart):
-    """Rows that the fit does not believe, their share of all, and what they share."""
+    """Rows that the fit set aside, their share of all rows, and properties that they share."""
 
     rows: int
     share: float

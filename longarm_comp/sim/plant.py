@@ -183,9 +183,8 @@ class Plant:
     def contact(self, t_s: float) -> str:
         """Return the name of the socket that the ball at the tip sits in, or blank.
 
-        A ball in the mouth of a socket slides towards its bottom where the servos let the arm go,
-        each joint by as little as it takes; after two or three calls it is there. Driven servos
-        keep it where they stand.
+        While all servos are off, a ball in the mouth of a socket slides to its bottom, within two
+        or three calls; the joints move as little as possible. Driven servos hold the arm.
         """
         for name, place in self.config.sockets.items():
             away = np.asarray(place) - self.tip_pose(t_s)[:3, 3]

@@ -87,7 +87,7 @@ def solve_compiled(
     """Search from a seed (default mid-range) in machine code.
 
     None if the request needs the general solver: the model is not compiled, a text column of the
-    context is not one text, or the input is invalid and needs an error message.
+    context has several values, or the input is invalid and needs an error message.
 
     Args:
         options: number of equations, tolerance, and weight of a radian (m).

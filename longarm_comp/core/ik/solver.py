@@ -164,8 +164,8 @@ def solve_many(
         seed: (n,) or (N, n) starts (rad, m), put inside the limits; default mid-range.
         context: circumstances of the targets, scalars or (N,) arrays.
         position_only: leave the orientation free (always so for (N, 3)).
-        near: reach the position of a pose that cannot be reached, with an orientation as near to
-            it as the joints allow.
+        near: if a pose cannot be reached, reach its position, with an orientation as near to that
+            of the pose as the joints allow.
         locked: joints that stay at their seed: 0-based numbers in q, or names.
         tol: tolerance of the search on the position (m) and on the angle (rad).
         max_starts: number of starts including the seed; 1 never leaves the seed's branch.

@@ -123,10 +123,10 @@ def describe_entry(model: Model, path: np.ndarray) -> str:
 def find_entry(model: Model, path: np.ndarray, most: int = _MOST_LOOKS) -> tuple[int, str]:
     """Return at which row a move through joints (N, n) enters a box, and `describe_entry`.
 
-    The entry is between the row before and this one. The move is cut into ever smaller pieces until
-    the arm cannot be in a box by `_LOOK_M` unnoticed: then no part of it moves farther in a piece
-    than its distances from the boxes at both ends together (adaptive collision checking, Schwarzer,
-    Saha and Latombe 2005).
+    The entry is between the row before and this one; without an entry it is 0 and "". The move is
+    cut into ever smaller pieces until the arm cannot be in a box by `_LOOK_M` unnoticed: then no
+    part of it moves farther in a piece than its distances from the boxes at both ends together
+    (adaptive collision checking, Schwarzer, Saha and Latombe 2005).
 
     Args:
         most: number of postures after which the check gives up; the text then says so.
@@ -223,8 +223,8 @@ def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray],
 def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
     """Say for each posture q (M, n) which box of arm.yaml the arm is in, and where, or "".
 
-    The foot may be inside a box, such as a floor above it. The arm may leave that box once; the
-    rest of the arm and the tip must be outside.
+    The foot may be inside a box, such as a floor whose surface is above the foot. The arm may leave
+    that box once; the rest of the arm and the tip must be outside.
     """
     return _entries(model, q)[0]
 

@@ -257,7 +257,10 @@ class Model:
 
     @property
     def load_passes(self) -> int:
-        """Number of load passes of `posture`: 1 if no effect depends on loads, 0 without effects."""
+        """The number of load passes of `posture`.
+
+        It is 1 if no effect depends on the loads, and 0 if there is no effect.
+        """
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
 
     def posture_without_sag(self, q: Sequence[Scalar], context: Context) -> Posture:

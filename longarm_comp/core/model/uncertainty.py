@@ -24,7 +24,7 @@ from longarm_comp.core.effects.effect import Effect
 LEVEL = 0.9
 """Probability that the tip is within the radius that a command states."""
 YIELDS = 0.5
-"""Prior of a compliance that no row was asked about yet, as a share of that of a soft part."""
+"""Prior of any part's compliance before a measurement, as a share of the prior of a soft part."""
 _NORMAL = NormalDist().inv_cdf(LEVEL)
 _log_gamma = np.frompyfunc(math.lgamma, 1, 1)  # SciPy loads for half a second
 _Identity = tuple[object, ...]
@@ -64,7 +64,7 @@ class ModelUncertainty:
         return {identity: k for k, identity in enumerate(self.slots)}
 
     def without(self, slots: Collection[_Identity]) -> ModelUncertainty:
-        """Return the uncertainty of the other parameters, with some marginalised out."""
+        """Return the uncertainty of the other parameters, with the given ones marginalised out."""
         kept = [k for k, identity in enumerate(self.slots) if identity not in slots]
         names = tuple(self.slots[k] for k in kept)
         return replace(self, slots=names, factor=triangular(self.factor[kept]))

@@ -1,9 +1,9 @@
 """Input shaping: a move becomes a sum of delayed copies whose vibrations cancel.
 
-(Singer and Seering 1990.)  All joints are shaped alike, so a straight move stays straight and
-within its limits of velocity and acceleration.  A copy begins with the move or later, and its end
-is delayed at least as much.  The weights, none negative, leave the least vibration at the tip, by
-the modes all along the motion and for frequencies that may be wrong.
+All joints are shaped alike, so a straight move stays straight and within its limits of velocity and
+acceleration.  A copy begins with the move or later, and its end is delayed at least as much.  The
+weights, none negative, leave the least vibration at the tip, by the modes all along the motion and
+for frequencies that may be wrong.  Source: Singer and Seering 1990.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class Dosed:
 
 
 class HiddenEffect(Dosed):
-    """An undeclared effect on the true arm. Every method of this class has no effect.
+    """An undeclared effect on the true arm. The methods of this class change nothing.
 
     Subclasses are frozen dataclasses and override the methods that they need.
     """
@@ -61,7 +61,7 @@ class HiddenEffect(Dosed):
     """Whether it acts on the command of a joint, before all effects on the joint."""
 
     def joints(self, q: Array, state: State) -> Array:
-        """Return true joint values (N, n) from those after the effects before it (`TrueArm`)."""
+        """Return the joint values (N, n) after this effect, from those before it."""
         return q
 
     def find_rest(self, torques: Array, state: State) -> Array | float:

@@ -1,4 +1,4 @@
-"""Between the command and the shaft: gears, encoders, servos, cables."""
+"""Hidden effects between the command and the joint: gears, encoders, servos, cables."""
 
 from __future__ import annotations
 

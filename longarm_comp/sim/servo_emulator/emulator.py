@@ -26,7 +26,7 @@ class WireFaults:
     silent: set[int] = field(default_factory=set)  # servos that hear and move but answer nothing
     drops: Counter[int] = field(default_factory=Counter)
     """drops, corrupt, cuts: how many of a servo's next replies are lost, have a damaged checksum,
-    or are sent by half."""
+    or end after their first half; by the servo's id."""
     corrupt: Counter[int] = field(default_factory=Counter)
     cuts: Counter[int] = field(default_factory=Counter)
 

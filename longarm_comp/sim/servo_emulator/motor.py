@@ -43,7 +43,7 @@ class Motor:
 
     Attributes:
         follows: share of a motion that the encoder sees: 0 is frozen, less than 1 slips.
-        seen: where the encoder stands, not rounded.
+        seen: position that the encoder shows, ticks, not rounded.
     """
 
     def __init__(self, spec: MotorSpec, position_ticks: float) -> None:

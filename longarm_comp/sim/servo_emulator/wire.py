@@ -46,7 +46,10 @@ class Wire(ABC):
         """Return a servo with this protocol's factory memory."""
 
     def power_cycle(self, device: Device) -> None:
-        """Take a servo's power away: kept registers stay, torque is off, alarms are cleared."""
+        """Take a servo's power away and give it back.
+
+        Kept registers stay, torque is off, and alarms are cleared as by `Motor.clear_alarms`.
+        """
         motor = device.motor
         fresh = self.device(device.servo_id, motor).memory
         device.memory[:] = device.kept[: self.kept_below] + fresh[self.kept_below :]
