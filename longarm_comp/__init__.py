@@ -83,5 +83,5 @@ else:
 
 
 def __dir__() -> list[str]:
-    """What the package has, whether it was used or not."""
+    """Return the names of the package, whether they were imported already or not."""
     return sorted({*globals(), *__all__})

@@ -15,7 +15,7 @@ NEEDED = {
     "OpenCV": ("opencv-python-headless>=4.10", "cv2"),
     "llvmlite": ("llvmlite>=0.43", "llvmlite"),
 }
-"""Of each library what pip installs, and the module that it brings."""
+"""By library: the requirement for pip, and the module to import."""
 
 
 def refuse_old_libraries() -> None:
@@ -29,7 +29,7 @@ def refuse_old_libraries() -> None:
 
 
 def _fault(name: str) -> str:
-    """Why a library cannot be used; empty where it can."""
+    """Return why a library cannot be used; empty if it can."""
     wanted, module = NEEDED[name]
     distribution, least = wanted.split(">=")
     try:

@@ -1,4 +1,4 @@
-"""Where the installed files of a package are: ``share/<package>`` of the prefix that holds it."""
+"""Finds the installed files of a package: in ``share/<package>`` of the prefix that holds it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SOURCES = Path(__file__).resolve().parents[1]
 
 
 def folder(name: str) -> Path:
-    """``config`` or ``launch`` of this package: of its checkout, else as installed."""
+    """Return the folder ``config`` or ``launch``: of this package's checkout, else installed."""
     places = [*_in_checkout(name), *_installed_files(PACKAGE, name)]
     for place in places:
         if place.is_dir():
@@ -24,7 +24,7 @@ def folder(name: str) -> Path:
 
 
 def interface_folders(package: str, kind: str) -> list[Path]:
-    """Where ``msg`` or ``srv`` files of a package may be: as installed, else of the checkout."""
+    """Return folders that may hold a package's ``msg`` or ``srv`` files: installed ones first."""
     return [*_installed_files(package, kind), *_in_checkout(package, kind)]
 
 
@@ -37,7 +37,7 @@ def _in_checkout(*names: str) -> list[Path]:
 
 
 def _prefixes() -> Iterator[Path]:
-    """This package's own prefix, the sourced workspaces (the ament index), Python's."""
+    """Yield this package's own prefix, then those of sourced workspaces (ament) and of Python."""
     yield from _prefix_of(_SOURCES)
     yield from map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
     for entry in sys.path:
@@ -46,6 +46,6 @@ def _prefixes() -> Iterator[Path]:
 
 
 def _prefix_of(packages: Path) -> Iterator[Path]:
-    """The prefix of ``prefix/lib/pythonX.Y/site-packages``; none of any other folder."""
+    """Yield the prefix of ``prefix/lib/pythonX.Y/site-packages``; nothing for any other folder."""
     if packages.name in ("site-packages", "dist-packages") and len(packages.parents) > 2:
         yield packages.parents[2]

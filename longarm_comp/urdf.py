@@ -1,8 +1,8 @@
 """An arm declared from a URDF: limits, masses, centres of mass, mimic joints.
 
 A joint between the base link and the tip link becomes a row with all lengths along its own a and d,
-where beams can be, after a fixed row that turns where one is needed.  A joint beside the chain that
-joints of it mimic becomes a row that does not move.  A URDF knows no beams.
+where beams can be; a fixed row precedes it if a rotation is needed.  A joint beside the chain that
+a joint of the chain mimics becomes a row that does not move.  A URDF has no beams.
 """
 
 from __future__ import annotations
@@ -18,20 +18,21 @@ from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.urdf_file import MOVING, UrdfJoint, UrdfRobot, resting, turn_z_to
 
 _NO_LENGTH = 1e-10
-"""m; less than this is the rounding of a file's digits."""
+"""A length (m) below this is the rounding of a file's digits."""
 
 
 def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
-    """What arm.yaml holds for the chain of a file from link `base` to link `tip`."""
+    """Return the contents of arm.yaml for the chain from link `base` to `tip` of a URDF file."""
     return read_chain(UrdfRobot(path), base, tip)
 
 
 def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
-    """What arm.yaml holds for the chain from link `base` to link `tip`. Raises InputError.
+    """Return the contents of arm.yaml for the chain from link `base` to link `tip`.
 
-    Continuous joints are endless.  Limits are the tighter ones of hard and soft limits.  Every
-    link's mass is lumped at its centre of mass; what hangs beside the chain (a gripper, another
-    arm) is carried with its own joints at zero.
+    Continuous joints are endless, unless a joint that mimics one stands elsewhere after a whole
+    turn.  Limits are the tighter ones of hard and soft limits.  Every link's mass is lumped at its
+    centre of mass.  Links beside the chain (a gripper, another arm) are carried with their joints
+    at zero, or at the limit nearest to it.  Raises InputError.
     """
     way = robot.path(base, tip)
     moving = {joint.name: joint for joint in way if joint.moves}
@@ -51,7 +52,7 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
         for number, (name, joint) in enumerate(beside.items(), 1)
     ]
     masses: list[dict[str, Any]] = []
-    at, frame = np.eye(4), 0  # the present link, in the frame of row `frame`
+    at, frame = np.eye(4), 0  # the link at hand, in the frame of row `frame`
     for joint, following in zip(way, [*way[1:], None], strict=True):
         if joint.type not in (*MOVING, "fixed"):
             allowed = "revolute, continuous, prismatic or fixed"
@@ -96,7 +97,7 @@ def read_drives(path: str | Path, data: Mapping[str, Any]) -> dict[int, UrdfJoin
 
 
 def describe_drive(joint: UrdfJoint) -> str:
-    """Say which limits of a joint are taken and how fast it may be; empty where neither is told."""
+    """Say whether a joint has soft limits, and its highest speed; empty if neither is given."""
     turns, said = MOVING[joint.type] == "revolute", []
     scale, unit = (math.degrees(1.0), "deg") if turns else (1e3, "mm")
     if joint.hard is not None and joint.hard != joint.limits:
@@ -108,8 +109,11 @@ def describe_drive(joint: UrdfJoint) -> str:
 
 
 def chain_ends(path: str | Path, base: str, tip: str) -> tuple[str, str]:
-    """Base and tip link of a chain: where one is blank the only root that carries links, and the
-    only end above the base."""
+    """Return base and tip link of a chain; a blank one is found if there is only one choice.
+
+    For a blank base it is the only root link that carries links, for a blank tip the only end above
+    the base.  Raises InputError if there are several.
+    """
     robot = UrdfRobot(path)
     if not robot.links:
         raise robot.error("link", "none", "links and joints")
@@ -129,8 +133,15 @@ def _only(robot: UrdfRobot, option: str, links: list[str]) -> str:
 
 
 def _along_own_axes(before: np.ndarray) -> tuple[np.ndarray | None, dict[str, float]]:
-    """What lies before an axis, (4, 4) from the frame before to the joint's at rest: a turn (4, 4),
-    None where the row's alpha is all of it, and the DH row's keys that are not 0."""
+    """Split the pose of a joint into a rotation, and lengths and angles of its DH row.
+
+    Args:
+        before: (4, 4) pose of the joint's frame at rest in the frame before it.
+
+    Returns:
+        The rotation (4, 4) of a fixed row before the joint, or None if the row's own alpha is
+        enough; and the keys of the DH row that are not 0.
+    """
     z, way = before[:3, 2], before[:3, 3]
     d = float(way @ z)
     across = way - d * z
@@ -158,8 +169,9 @@ def _row(
     """Return the row of `joints` in arm.yaml for a joint, without its lengths.
 
     Args:
-        mimic: the joint that it follows, if any.
-        geared: whether another joint follows this one; then it is never endless.
+        mimic: the joint that it follows, if any, with multiplier and offset.
+        geared: a joint that follows this one stands elsewhere after a whole turn; then this one is
+            not endless.
     """
     row: dict[str, Any] = {"id": number, "name": joint.name, "type": MOVING[joint.type]}
     if mimic is not None:
@@ -180,5 +192,5 @@ def _pose(matrix: np.ndarray) -> dict[str, list[float]]:
 
 
 def _tidy(value: float) -> float:
-    """Without the last digits' noise; never -0."""
+    """Return a value rounded to 12 decimals; never -0."""
     return round(float(value), 12) + 0.0

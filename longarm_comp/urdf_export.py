@@ -1,8 +1,8 @@
 """A calibrated arm as a URDF: the joint origins of the model's rigid part, exactly.
 
-Where a row's frame stands at two joint values gives the screw axis, so that whatever the geometry
-effects do to a row is in its joint's origin and axis.  A URDF is rigid: deflection, play and the
-like stay in model.yaml.
+A joint's screw axis is found from its row's frame at two joint values, so all geometry effects on a
+row are in its joint's origin and axis.  A URDF is rigid: deflection, play and the like stay in
+model.yaml.
 """
 
 from __future__ import annotations
@@ -24,16 +24,18 @@ from longarm_comp.core.model.link_frames import BASE_LINK, TIP, joint_name, link
 from longarm_comp.core.model.model import Model, unstack
 
 Placed = tuple[Joint, np.ndarray, np.ndarray]
-"""A row in the URDF: its joint, the joint's frame in the one before (4, 4), and its axis there."""
+"""A row in the URDF: joint, its frame (4, 4) in the link before, its axis (3,) in its own frame."""
 
 
 def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
-    """The rigid part of a model as URDF text, from `base_link` (the measuring frame) to `tip`.
+    """Return the rigid part of a model as URDF text, from `base_link` to `tip`.
+
+    The link `base_link` is the frame of the measurements.
 
     Args:
         model: arm and effects; those that are no geometry are left out.
-        group: base placement, where the model has several.
-        marker: marker that `tip` is, instead of the arm's tip.
+        group: which base placement to use, if the model has several.
+        marker: marker to export as `tip`, instead of the arm's tip.
     """
     arm, geometry = model.arm, model.rigid
     context = _context(geometry, group, marker)
@@ -59,9 +61,9 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
 
 
 def zero_offsets(model: Model) -> list[tuple[str, float, str]]:
-    """(joint, value, unit) where joints stand when they are commanded zero, rad or m.
+    """Return (joint name, value, unit): where joints with a zero error stand when commanded to 0.
 
-    It is in the origins already; a driver may correct it instead.
+    The joint origins of the URDF contain it already; a driver may correct it instead.
     """
     made = []
     for term in model.effects:
@@ -88,7 +90,7 @@ def _context(model: Model, group: str, marker: str) -> Context:
 
 
 def _rows(model: Model, context: Context) -> tuple[list[Placed], np.ndarray, dict[int, np.ndarray]]:
-    """Placed rows; the tip in the last one's link; each row's frame in its link."""
+    """Return the placed rows, the tip (4, 4) in the last link, and each row's frame in its link."""
     arm = model.arm
     reach = np.maximum(np.abs(arm.mixing[0]).max(axis=0), 1.0)
     start = arm.mid
@@ -124,11 +126,11 @@ def _rows(model: Model, context: Context) -> tuple[list[Placed], np.ndarray, dic
 def _bodies(
     model: Model, context: Context, inner: dict[int, np.ndarray]
 ) -> dict[int, list[tuple[float, np.ndarray]]]:
-    """The beams by the row whose link carries them, as masses (kg) at points (4,) of it.
+    """Return the beams as masses (kg) at points (4,) of a link, by the id of the link's row.
 
-    A uniform rod has the mass, centre and inertia of two halves at 1/sqrt(12) of its length off its
-    middle.  Beams along ``x_{i-1}``, and on a slide those before the one of length rest, stay with
-    the row before; the others move with the row's own frame.
+    A uniform rod has the same mass, centre and inertia as two halves at 1/sqrt(12) of its length on
+    either side of its middle.  Beams along ``x_{i-1}``, and on a slide those before the beam of
+    length ``rest``, stay with the row before; the others move with the row's own frame.
     """
     made: dict[int, list[tuple[float, np.ndarray]]] = {}
     posture = model.posture(unstack(model.arm.mid), context)
@@ -157,7 +159,7 @@ def _bodies(
 
 
 def _frames(model: Model, posture: Posture) -> list[np.ndarray]:
-    """(4, 4) frames of base, rows and tip."""
+    """Return the frames (4, 4) of base, rows and tip, in this order."""
     frames = [posture.frames[posture.frame(k)] for k in range(len(model.arm.joints) + 1)]
     return [frame.matrix() for frame in (*frames, model.tip_frame(posture))]
 
@@ -168,7 +170,12 @@ def _within(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
 
 
 def _find_screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Unit axis and a point on it of the motion that a row made, both in its frame."""
+    """Return the unit axis of a row's motion and a point on it, both in the row's frame.
+
+    Args:
+        turn: (4, 4) the motion.
+        moved: the change of the joint's value, rad or m.
+    """
     if slides:
         return turn[:3, 3] / moved, np.zeros(3)
     axis = quaternion.rotation_vector(quaternion.from_rotation(turn[:3, :3])) / moved

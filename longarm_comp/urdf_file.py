@@ -27,16 +27,16 @@ _LIMITS = {
     ),
     "prismatic": (100.0, "m, 100 to either side at most, not millimetres"),
 }
-"""Of joints on the chain: the farthest that is no mistake of the unit, and what is allowed."""
+"""By type of joint: the largest limit that can be in the right unit, and the text of an error."""
 
 
 @dataclass(frozen=True)
 class UrdfJoint:
     """A joint: origin (4, 4) in the parent's frame, unit axis (3,) in its own, limits (rad, m).
 
-    Limits are None where the file gives none, and may coincide: see `UrdfRobot.check_ranges`. They
+    `limits` are None if the file gives none, and may coincide: see `UrdfRobot.check_ranges`. They
     are the tighter ones of its hard limits (`hard`) and of the soft ones of its safety controller.
-    `velocity` is the highest in rad/s or m/s; infinite where the file tells none, or 0.
+    `velocity` is the highest in rad/s or m/s; infinite if the file gives none, or 0.
     """
 
     name: str
@@ -56,7 +56,7 @@ class UrdfJoint:
         return self.type in MOVING
 
     def at(self, value: float) -> np.ndarray:
-        """(4, 4) parent to child at a joint value (rad or m)."""
+        """Return the pose (4, 4) of the child in the parent at a joint value (rad or m)."""
         if not self.moves:
             return self.origin
         way, still = value * self.axis, (0.0, 0.0, 0.0)
@@ -66,7 +66,14 @@ class UrdfJoint:
 
 
 class UrdfRobot:
-    """The tree of a URDF file; `links`: mass (kg), and its centre (3,) in the link's frame (m)."""
+    """The tree of a URDF file.
+
+    Attributes:
+        links: mass (kg) and centre of mass (3,), m, in the link's frame, by name.
+        joints: all joints by name.
+        children: the joints below each link.
+        above: the joint above each link.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.where = str(path)
@@ -88,7 +95,7 @@ class UrdfRobot:
         self._check_masses()
 
     def _check_masses(self) -> None:
-        """Refuse a centre of mass that only a mistaken unit puts where it is."""
+        """Refuse a centre of mass that is so far off that its unit must be wrong."""
         extent = sum(float(np.linalg.norm(j.origin[:3, 3])) for j in self.joints.values())
         extent += sum(
             max(map(abs, j.limits))
@@ -106,7 +113,7 @@ class UrdfRobot:
         return InputError(self.where, field, value, allowed)
 
     def path(self, base: str, tip: str) -> list[UrdfJoint]:
-        """Joints from base to tip. Raises InputError."""
+        """Return the joints from link `base` to link `tip`. Raises InputError."""
         for option, link in (("--base", base), ("--tip", tip)):
             if link not in self.links:
                 raise self.error(option, link, f"a link: {', '.join(self.links)}")
@@ -120,7 +127,7 @@ class UrdfRobot:
         return way[::-1]
 
     def leader(self, joint: UrdfJoint) -> dict[str, Any] | None:
-        """`mimic` of a joint, of the commanded one at the end of whatever mimics lead to it."""
+        """Return a joint's `mimic` of the commanded joint at the end of its mimics, or None."""
         if joint.mimic is None:
             return None
         at, met, multiplier, offset = joint, [joint.name], 1.0, 0.0
@@ -136,7 +143,7 @@ class UrdfRobot:
         return {"joint": at.name, "multiplier": multiplier, "offset": offset}
 
     def check_ranges(self, joints: Iterable[UrdfJoint]) -> None:
-        """Refuse commanded joints whose limits leave no room, or can only be in another unit."""
+        """Refuse commanded joints whose limits leave no room, or must be in a wrong unit."""
         faults: dict[str, list[tuple[str, str]]] = {}
         for joint in joints:
             given = "missing" if joint.limits is None else "{:g} to {:g}".format(*joint.limits)
@@ -154,9 +161,13 @@ class UrdfRobot:
     def below(
         self, link: str, without: UrdfJoint | None, at: np.ndarray
     ) -> Iterator[tuple[str, np.ndarray]]:
-        """A link and all that hangs on it beside a joint, with their frames (4, 4).
+        """Yield a link and all links below it, with their frames (4, 4).
 
-        Side joints stand at zero, or at the limit nearest to it.
+        Side joints are at zero, or at the limit nearest to it.
+
+        Args:
+            without: a joint of the link; it and everything below it are left out.
+            at: (4, 4) frame of the link.
         """
         ahead = [(link, at)]
         while ahead:
@@ -191,7 +202,7 @@ class UrdfRobot:
         return root
 
     def _check_tree(self) -> None:
-        """Every link hangs, over however many joints, on one without a joint above it."""
+        """Refuse links in a cycle: every link must lead up to one without a joint above it."""
         try:
             TopologicalSorter({link: [j.parent] for link, j in self.above.items()}).prepare()
         except CycleError as error:
@@ -207,9 +218,13 @@ class UrdfRobot:
         needed: bool = False,
         most: float = 1e6,
     ) -> np.ndarray:
-        """An attribute of a part of a link or a joint, as many numbers as `usual` has.
+        """Return the numbers of an attribute of a part of a link or a joint.
 
-        `usual` stands for a part that is missing, and for its attribute unless that is needed.
+        There must be as many as `usual` has.
+
+        Args:
+            usual: the numbers if the part is missing, or if its attribute is and is not `needed`.
+            most: largest magnitude of a number.
         """
         found = node.find(part)
         text = usual if found is None else found.get(key, "" if needed else usual)
@@ -283,7 +298,7 @@ class UrdfRobot:
     ) -> tuple[float, float] | None:
         """Return the part of hard limits that lies within the soft ones, where they are given.
 
-        A safety controller whose two soft limits are 0, their default, has none.
+        A safety controller whose two soft limits are 0, their default, sets no limits.
         """
         controller = node.find("safety_controller")
         if controller is None or limits is None:
@@ -305,12 +320,12 @@ class UrdfRobot:
 
 
 def resting(joint: UrdfJoint) -> float:
-    """Zero, or the limit nearest to it."""
+    """Return the joint value 0, or the limit nearest to it."""
     return 0.0 if joint.limits is None else min(max(0.0, joint.limits[0]), joint.limits[1])
 
 
 def turn_z_to(axis: np.ndarray) -> np.ndarray:
-    """(4, 4) the smallest rotation that takes z to the axis."""
+    """Return the smallest rotation (4, 4) that takes z to a unit vector (3,)."""
     made = np.eye(4)
     x, y, z = axis
     if z < -1 + 1e-12:

@@ -1,3 +1,3 @@
-"""The version of the package; nothing else, so that every room may import it."""
+"""The version of the package; nothing else, so that every folder may import it."""
 
 __version__ = "0.1.0"

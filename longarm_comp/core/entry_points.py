@@ -1,4 +1,4 @@
-"""What others bring: objects of a group of entry points of a package, and files of Python."""
+"""Code from outside this package: objects of other packages' entry points, and Python files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from longarm_comp.core.errors import InputError
 
 
 def of_other_packages(group: str) -> Iterator[tuple[str, Any, str]]:
-    """Name, object and origin of each entry point of a group, in the order of their names."""
+    """Yield name, object and origin of each entry point of a group, in the order of the names."""
     for point in sorted(entry_points(group=group), key=lambda p: p.name):
         package = f"package {point.dist.name} {point.dist.version}" if point.dist else "a package"
         source = f"{package}, entry point {point.name}"
@@ -29,7 +29,11 @@ def of_other_packages(group: str) -> Iterator[tuple[str, Any, str]]:
 
 
 def protocols_of_other_packages(group: str, base: type) -> Iterator[tuple[Any, str]]:
-    """Class and origin of each entry point of a group; it must be a class of `base`."""
+    """Yield class and origin of each entry point of a group.
+
+    Raises:
+        InputError: an object is no concrete subclass of `base`, or has another name.
+    """
     for name, kind, source in of_other_packages(group):
         if not (isinstance(kind, type) and issubclass(kind, base)) or inspect.isabstract(kind):
             allowed = f"a class of {base.__name__}, nothing abstract"
@@ -39,16 +43,19 @@ def protocols_of_other_packages(group: str, base: type) -> Iterator[tuple[Any, s
 
 
 def check_name(entry: str, own: str, what: str, source: str) -> None:
-    """Raise InputError where an entry point has another name than what it brings."""
+    """Raise InputError if an entry point and the object behind it have different names."""
     if entry != own:
         raise InputError(source, "name", entry, f"the {what}'s own, {own}")
 
 
 def execute_file(path: Path, what: str) -> ModuleType:
-    """The module of a Python file, which is executed once for the same contents.
+    """Return the module of a Python file, which is executed once for the same contents.
+
+    Args:
+        what: what the file must define, for error messages.
 
     Raises:
-        InputError: field ``what``: no such file, or it cannot be executed.
+        InputError: there is no such file, or it cannot be executed.
     """
     if not path.is_file():
         raise InputError(path, what, "missing", f"a Python file that defines {what}")

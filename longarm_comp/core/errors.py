@@ -67,6 +67,6 @@ def _one_line(text: object) -> str:
 
 
 def _on_one_line(value: object) -> str:
-    """A value on one line and of bounded length; numbers without their wrapper type's name."""
+    """Return a value as one line of bounded length; numbers without their wrapper type's name."""
     text = repr(value) if isinstance(value, str) else _one_line(value)
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."

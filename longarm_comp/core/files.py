@@ -17,7 +17,7 @@ from typing import IO
 from longarm_comp.core.errors import InputError, JobError
 
 MOST_UNPACKED = 256_000_000
-"""Bytes of an archive: a sheet of 250,000 rows of 20 cells, more than any predictor."""
+"""Most bytes of an unpacked archive: a sheet of 250,000 rows of 20 cells; predictors need less."""
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
@@ -33,7 +33,7 @@ def file_hash(path: str | os.PathLike[str]) -> str:
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Refuse what is neither a file nor a folder: a pipe or a device has no end to read up to."""
+    """Raise InputError for a pipe, socket or device, whose reading might never end."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):  # missing or unreadable: who opens it says so
@@ -43,11 +43,11 @@ def check_regular(path: str | os.PathLike[str]) -> None:
 
 
 MOST_BYTES = 500_000_000
-"""Of a table: more than 20 million numbers of 20 characters."""
+"""Most bytes of a table: more than 20 million numbers of 20 characters."""
 
 
 def check_size(path: str | os.PathLike[str]) -> None:
-    """Refuse a table of more than `MOST_BYTES`, before it is read: it may be a single line."""
+    """Raise InputError for a table of more than `MOST_BYTES`, before it is read."""
     with suppress(OSError):  # who opens it says so
         if (size := os.stat(path).st_size) > MOST_BYTES:
             allowed = f"at most {MOST_BYTES} bytes: split it"
@@ -55,7 +55,7 @@ def check_size(path: str | os.PathLike[str]) -> None:
 
 
 def check_unpacked(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> None:
-    """Refuse what would unpack to more than `MOST_UNPACKED`, before anything is unpacked."""
+    """Raise InputError for an archive that would unpack to more than `MOST_UNPACKED` bytes."""
     size = sum(entry.file_size for entry in archive.infolist())
     if size > MOST_UNPACKED:
         raise InputError(path, "unpacked size", f"{size} bytes", f"at most {MOST_UNPACKED} bytes")
@@ -65,9 +65,10 @@ def check_unpacked(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> No
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on a clean exit it replaces ``path`` in one step.
 
-    It keeps the suffix of ``path``, for writers that go by it. When the block raises, ``path`` is
-    left as it was. Missing parent folders are made. What a killed writer left is removed. A link
-    stays one: what it leads to is replaced.
+    It keeps the suffix of ``path``, for writers that choose their format by it. When the block
+    raises, ``path`` is left as it was. Missing parent folders are made. Temporary files of writers
+    that were killed are removed. If ``path`` is a symbolic link, the file that it leads to is
+    replaced.
     """
     target = follow_link(path)
     try:
@@ -92,7 +93,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def follow_link(path: str | os.PathLike[str]) -> Path:
-    """The path itself, or the file that a link leads to, which need not exist."""
+    """Return the path itself, or the file that a symbolic link leads to, which need not exist."""
     target = Path(path)
     if not os.path.islink(target):
         return target
@@ -104,9 +105,9 @@ def follow_link(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def atomic_paths(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
-    """Do the same as `atomic_path` for files that belong together.
+    """Yield a temporary path for each of several files that belong together, as `atomic_path`.
 
-    None of them is replaced before all are written.
+    None of the files is replaced before all are written.
     """
     with ExitStack() as held:
         partials = [held.enter_context(atomic_path(path)) for path in paths]
@@ -117,8 +118,11 @@ def atomic_paths(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write bytes to ``path``, whole or not at all. Libraries write into memory first: some raise
-    anything on a full disk."""
+    """Write bytes to ``path``, whole or not at all.
+
+    For formats of other libraries, let the library write into memory first: on a full disk some
+    raise errors of any kind.
+    """
     with atomic_path(path) as partial:
         partial.write_bytes(content)
 
@@ -136,12 +140,13 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def lock_beside(path: Path) -> IO[bytes] | None:
-    """Lock a file against other processes that lock it too; it need not exist.
+    """Lock a file, which need not exist, against other processes that lock it too.
 
-    The lock is a hidden file beside it, and lasts until that is closed or the process ends.
+    The lock is a hidden file beside it. It lasts until the hidden file is closed or the process
+    ends.
 
     Returns:
-        The hidden file; None where none can be made.
+        The hidden file; None if it cannot be made, and then nothing is locked.
 
     Raises:
         InputError: another process holds the lock.
@@ -161,12 +166,12 @@ def lock_beside(path: Path) -> IO[bytes] | None:
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Hold a folder against other processes that hold it too; nothing is written there.
+    """Lock a folder within a ``with`` block, against other processes that lock it too.
 
-    Where it is missing or cannot be locked, nothing is held.
+    Nothing is written there. A folder that is missing or cannot be locked is not locked.
 
     Raises:
-        InputError: another process holds it.
+        InputError: another process has locked it.
     """
     try:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -189,7 +194,7 @@ def check_writable(folder: Path) -> None:
     """Make a folder if it is missing, and write a file there to see whether that is possible.
 
     Raises:
-        InputError: it is not.
+        InputError: nothing can be written there.
     """
     handle, partial = _partial_beside(folder / "file")
     partial.unlink()
@@ -197,7 +202,10 @@ def check_writable(folder: Path) -> None:
 
 
 def _partial_beside(target: Path) -> tuple[int, Path]:
-    """A new file beside ``target``, locked for as long as its writer lives; others' are removed."""
+    """Make a temporary file beside ``target``; return its handle and its path.
+
+    It is locked as long as its writer lives. Temporary files whose writer ended are removed.
+    """
     begin = f".{target.stem}.unfinished-"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

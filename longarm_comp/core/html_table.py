@@ -8,7 +8,7 @@ from typing import Any
 
 
 def html_table(said: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """HTML of a sentence above rows of the same keys; numbers with four digits."""
+    """Return the HTML of a sentence above a table; its rows have equal keys, floats four digits."""
     head = "".join(f"<th>{escape(str(key))}</th>" for key in rows[0]) if rows else ""
     body = ""
     for row in rows:

@@ -1,4 +1,4 @@
-"""The one reader of YAML: what could be read in two ways, or would not end, is refused.
+"""The only reader of YAML: it refuses files that are ambiguous, or too large when expanded.
 
 YAML 1.1 reads ``015`` as octal 13 and ``1:30`` as base 60, and lets the last of two equal keys win.
 Here each of these is an error that gives the field. Files are bounded in bytes, nesting and values,
@@ -71,12 +71,12 @@ _Loader.add_implicit_resolver(
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Parsed YAML of a file."""
+    """Return the parsed YAML of a file."""
     return parse_yaml(read_text(path), str(path))
 
 
 def read_text(path: str | Path) -> str:
-    """Text of a file that holds YAML: a regular file in UTF-8, of bounded length."""
+    """Return the text of a YAML file, which must be a regular file in UTF-8 of bounded length."""
     where = str(path)
     check_regular(path)
     try:
@@ -95,7 +95,7 @@ def read_text(path: str | Path) -> str:
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """Parsed YAML of a text; ``where`` names its source. Raises InputError as `read_yaml`."""
+    """Return the parsed YAML of a text; error messages name its source, ``where``."""
     loader: _Loader | None = None
     try:
         loader = _Loader(text)
@@ -116,7 +116,7 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def _check(root: yaml.Node) -> None:
-    """Refuse numbers that are not plain decimal, and keys that stand twice."""
+    """Refuse numbers that are not plain decimal, and duplicate keys."""
     seen: set[int] = set()
     ahead: list[tuple[yaml.Node, str]] = [(root, "")]
     while ahead:

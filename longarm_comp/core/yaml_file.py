@@ -34,12 +34,12 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "_c": (-273.15, 2000.0),
     "t_s": (-1e10, 1e10),
 }
-"""What any machine's quantity of a unit lies within, by the end of its key. Beyond it the unit is
-wrong (gravity in mm/s^2)."""
+"""Allowed range of a quantity, by the end of its key, which gives the unit. No machine is beyond:
+such a value has a wrong unit, as gravity in mm/s^2."""
 
 
 class Closed(BaseModel):
-    """Frozen. Unknown keys are errors that say the known ones, and so are non-finite numbers."""
+    """A frozen record that refuses non-finite numbers, and unknown keys (it lists the known)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -55,7 +55,7 @@ class Closed(BaseModel):
 
 
 class Declared(Closed):
-    """True or false for a number, and numbers beyond `RANGES`, are errors too."""
+    """A `Closed` record that also refuses a boolean for a number, and numbers beyond `RANGES`."""
 
     @model_validator(mode="before")
     @classmethod
@@ -80,12 +80,15 @@ class Declared(Closed):
 
 
 def range_of(key: str) -> tuple[float, float]:
-    """What a quantity lies within, by the unit at the end of its key; infinite without one."""
+    """Return the allowed range of a quantity, by the unit at the end of its key; else infinite."""
     return next((r for end, r in RANGES.items() if key.endswith(end)), (-math.inf, math.inf))
 
 
 def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Values of a field without those of the records in it, which check their own."""
+    """Yield path and value of every entry of a field's lists; records are not entered.
+
+    The records check their own values.
+    """
     if isinstance(value, (list, tuple)):
         for k, part in enumerate(value):
             yield from _leaves(f"{path}.{k}", part)
@@ -104,7 +107,10 @@ def parse_declared(cls: type[T], data: Any, where: str) -> T:
 
 
 def _fault(data: Any, error: ValidationError) -> tuple[str, Any, str]:
-    """(field, value, allowed) of the first fault; of a choice of shapes, the nearest one."""
+    """Return (field, value, allowed) of the first fault.
+
+    If a value may have one of several shapes, it is the fault of the shape that fits best.
+    """
     faults = error.errors(include_url=False)
     paths = [_path(data, fault) for fault in faults]
     same = [k for k, path in enumerate(paths) if path[: len(paths[0])] == paths[0]]
@@ -122,7 +128,7 @@ def _fault(data: Any, error: ValidationError) -> tuple[str, Any, str]:
 
 
 def _path(data: Any, fault: Mapping[str, Any]) -> tuple[int | str, ...]:
-    """The keys of a fault's place that stand in the file (not the names of a choice of shapes)."""
+    """Return the keys of a fault's place that are in the file, without names of allowed shapes."""
     kept: list[int | str] = []
     node = data
     for part in fault["loc"]:

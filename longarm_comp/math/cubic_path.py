@@ -18,9 +18,9 @@ class CubicPath:
 
     Attributes:
         times: (k,) s, increasing.
-        joints: (k, n) rad or m at these times. velocities: (k, n) rad/s or m/s.
-        stretch: by what the duration was multiplied to keep limits, or to take up play; 1 if it
-            was not.
+        joints: (k, n) rad or m at these times.
+        velocities: (k, n) rad/s or m/s at these times.
+        stretch: factor by which the duration was multiplied to keep limits, or to take up play.
     """
 
     times: Array
@@ -29,9 +29,9 @@ class CubicPath:
     stretch: float = 1.0
 
     def at(self, time_s: npt.ArrayLike, order: int = 0) -> Array:
-        """Return (..., n) joints at times (...), or their derivative of an order up to 3.
+        """Return the joints (..., n) at times (...), s, or their derivative of an order up to 3.
 
-        Before the path and after it they are those of its ends.
+        Before and after the path they are those at its ends.
         """
         t = np.clip(time_s, self.times[0], self.times[-1])[..., None]
         k = np.searchsorted(self.times[1:-1], t[..., 0], side="right")
@@ -89,8 +89,10 @@ class CubicPath:
         return np.asarray(ends.max(axis=0, initial=0.0))
 
     def chords(self, off: float) -> Array:
-        """List times, all way-points among them, between which no joint is farther than ``off``
-        from a straight line."""
+        """Return times (M,), s, between which every joint is within ``off`` of a straight line.
+
+        The times of all way-points are among them.
+        """
         (b, c), h = self._velocity_terms(), np.diff(self.times)
         bend = h * np.maximum(np.abs(b), np.abs(b + 2.0 * c)).max(axis=1)
         at = split(np.ceil(np.sqrt(np.maximum(bend / (8.0 * off), 1.0))).astype(int))
@@ -98,7 +100,7 @@ class CubicPath:
 
     @property
     def jerk(self) -> Array:
-        """(k - 1, n) of every segment, rad/s^3 or m/s^3."""
+        """The jerk of every segment, (k - 1, n) rad/s^3 or m/s^3."""
         return 2.0 * self._velocity_terms()[1] / np.diff(self.times)[:, None] ** 2
 
     def mean_square_jerk(self, unit: Array) -> float:
@@ -116,19 +118,24 @@ class CubicPath:
 
 
 def split(pieces: np.ndarray) -> Array:
-    """Return (sum + 1,) ends of equal pieces of intervals, so many of each: 1.5 is the middle of
-    the second interval."""
+    """Divide intervals of length 1 into equal pieces; return the ends of all pieces.
+
+    They are (sum(pieces) + 1,), from 0; 1.5 is the middle of the second interval.
+
+    Args:
+        pieces: number of pieces of each interval.
+    """
     k = np.repeat(np.arange(len(pieces)), pieces)
     begun = np.repeat(np.cumsum(pieces) - pieces, pieces)
     return np.append(k + (np.arange(len(k)) - begun) / pieces[k], float(len(pieces)))
 
 
 def smooth_slopes(times: Array, joints: Array) -> Array:
-    """Compute velocities (k, n) at way-points (k, n): 0 at both ends, in between of fourth order
-    in the steps, where these change slowly.
+    """Return velocities (k, n) at way-points (k, n), 0 at both ends.
 
-    They are those of parabolas through three way-points, brought nearer to a cubic spline's by one
-    round of its equations, of which a third is left out: their errors of third order cancel.
+    They are the slopes of parabolas through three way-points, plus two thirds of the correction
+    that one round of a cubic spline's equations gives: then errors of third order cancel. They are
+    accurate to fourth order in the time steps where these change slowly.
     """
     slopes = np.zeros_like(joints)
     if len(times) < 3:
@@ -146,8 +153,8 @@ def smooth_slopes(times: Array, joints: Array) -> Array:
 def monotone_slopes(times: Array, joints: Array) -> Array:
     """Return `smooth_slopes` reduced so that the path stays in the box of its way-points.
 
-    They are 0 wherever the direction turns, and at most three times the slower way beside them
-    (Fritsch and Carlson 1980).
+    They are 0 wherever a joint reverses, and at most three times the smaller mean velocity of the
+    two segments beside them (Fritsch and Carlson 1980).
     """
     slopes = smooth_slopes(times, joints)
     if len(times) > 2:

@@ -1,4 +1,4 @@
-"""The rigid motion from one set of points to another."""
+"""The rigid motion from one set of points to another, and lengths of vectors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
 def kabsch(
     points: np.ndarray, seen: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fit rotation (3, 3), offset (3,) of (N, 3) points to sightings, weighted (Kabsch 1976)."""
+    """Return the rotation (3, 3) and offset (3,) that best move points (N, 3) to `seen` (N, 3).
+
+    It is a least-squares fit with weights (N,) (Kabsch 1976).
+    """
     share = (weights / weights.sum())[:, None]
     a, b = (share * points).sum(0), (share * seen).sum(0)
     rotation = nearest_rotation((share * (seen - b)).T @ (points - a))
@@ -27,16 +30,16 @@ def kabsch(
 
 
 ROUNDS = 6
-"""Times that outlying rows are weighed down: the weights change no more after it."""
+"""Rounds of `robust_kabsch`: after them the weights do not change any more."""
 
 
 def robust_weights(distance: np.ndarray) -> np.ndarray:
-    """Return (N,) 1 for the closer half of N distances, beyond it falling with their square."""
+    """Return weights (N,): 1 up to the median of N distances, beyond it falling as 1 / d^2."""
     return 1.0 / np.maximum(1.0, distance / max(float(np.median(distance)), 1e-12)) ** 2
 
 
 def robust_kabsch(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit as `kabsch`, the rows weighed again by `robust_weights` after each of `ROUNDS`."""
+    """Fit as `kabsch`, in `ROUNDS` rounds, with `robust_weights` of the round before."""
     weights = np.ones(len(points))
     for _ in range(ROUNDS):
         rotation, offset = kabsch(points, seen, weights)

@@ -13,12 +13,12 @@ Way = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Shaper:
-    """Parts of a motion that takes some seconds from time 0 on.
+    """The parts (delayed, stretched copies) of a motion that begins at time 0.
 
     Attributes:
-        weights: (P,) shares above 0, which add up to 1.
-        begins, ends: (P,) s: by how much later a part begins and ends than the motion. None ends
-            less late than it begins: no part is faster than the motion.
+        weights: (P,) shares of the parts, none negative; they add up to 1.
+        begins, ends: (P,) s: delays of the beginning and of the end of each part. The end is
+            delayed at least as much, so no part is faster than the motion.
     """
 
     weights: np.ndarray
@@ -27,20 +27,24 @@ class Shaper:
 
     @property
     def duration(self) -> float:
-        """The time by which a motion takes longer, s."""
+        """The time (s) by which a shaped motion takes longer."""
         return float(self.ends.max(initial=0.0))
 
     def since(self, times: np.ndarray, seconds: float) -> np.ndarray:
-        """Return (P, M) s: what times of a motion of some seconds its parts reached at (M,) s."""
+        """Return (P, M), s: the time of the motion that each part has reached at times (M,), s.
+
+        Args:
+            seconds: duration of the motion without shaping.
+        """
         pace = seconds / (seconds + self.ends - self.begins)
         since = np.subtract.outer(times, self.begins) * pace
         return np.asarray(np.clip(since, 0.0, seconds).T)
 
     def parts(self, way: Way, times: np.ndarray, seconds: float) -> np.ndarray:
-        """Return (P, M, n) rad and m: the joints of every part at times (M,) s."""
+        """Return the joints (P, M, n), rad and m, of every part at times (M,), s."""
         since = self.since(times, seconds)
         return way(since.ravel()).reshape(*since.shape, -1)
 
     def shape_motion(self, way: Way, seconds: float) -> Way:
-        """Return the motion in parts; before its time 0 the arm stands still."""
+        """Return the shaped motion: the weighted sum of its parts; still before time 0."""
         return lambda times: np.tensordot(self.weights, self.parts(way, times, seconds), 1)

@@ -1,4 +1,4 @@
-"""Builds the record of report.json from a diagnosis, deterministically."""
+"""Builds the contents of report.json from a diagnosis, deterministically."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ from longarm_comp.version import __version__
 
 
 def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisReport:
-    """Build report.json of a diagnosis of rows with a hash."""
+    """Return the contents of report.json for a diagnosis.
+
+    Args:
+        data_sha256: hash of the diagnosed rows.
+    """
     structure, noise, proof = diagnosis.structure, diagnosis.search.noise, diagnosis.proof
     # Noise of the first sensor, m, where it tells all of a place
     sigma = noise.sigma[:3]
@@ -72,7 +76,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
 
 
 def refused_report(error: InputError, seed: int, data_sha256: str) -> record.DiagnosisReport:
-    """Build report.json of data that were not admitted."""
+    """Return the contents of report.json for data that were refused with an error."""
     return record.DiagnosisReport(
         schema="longarm/diagnosis/1",
         verdict="bad_data",

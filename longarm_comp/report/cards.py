@@ -27,12 +27,16 @@ class _Card:
 
     Attributes:
         names: canonical name, with those that cannot be told from it; empty without a name.
-        sizes: its parameters; `more` of them are not among these.
-        reading: what the effect says of itself.
-        sure: in a word or two; `because`: the figures behind it.
-        duty: one of `DUTIES`; `advice`: what decides it, and what to do at the arm.
+        sizes: the first of its parameters: place, name, value, interval.
+        more: number of further parameters.
+        reading: the effect's own description.
+        sure: how sure the finding is, in a word or two.
+        because: the figures behind `sure`.
+        duty: one of `DUTIES`.
+        advice: why it has this duty, and what to do at the arm.
         software: what a command does about it.
-        improves: held-out error without and with it; `figure`: which figure of the error that is.
+        improves: held-out error without and with it.
+        figure: which figure of the error `improves` gives.
     """
 
     title: str
@@ -59,7 +63,7 @@ def cards(report: record.DiagnosisReport) -> list[_Card]:
 
 
 def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
-    """Sort the cards by what is to be done, in the order of `DUTIES`; empty ones left out."""
+    """Return the cards by duty, in the order of `DUTIES`; duties without a card are left out."""
     made = cards(report)
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
 
@@ -67,7 +71,13 @@ def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
 def _choose_duty(
     gain_mm: float, first: str, action: str, report: record.DiagnosisReport
 ) -> tuple[str, str]:
-    """Choose duty and advice for a cause; ``first``: what must be known before, or ""."""
+    """Return the duty and the advice for a cause.
+
+    Args:
+        gain_mm: by how much the held-out error falls with the cause in the model.
+        first: sentence on what must be known before, or "".
+        action: what to do at the arm.
+    """
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):
         least = "the noise" if noise > WORTH_MM else f"{WORTH_MM:g} mm"
@@ -78,7 +88,7 @@ def _choose_duty(
 
 
 def _say_first(finding: Finding, report: record.DiagnosisReport) -> str:
-    """Say what would decide a doubt; empty where there is none."""
+    """Say what must be found out before a repair; empty if the finding is certain."""
     if len(finding.names) > 1:
         poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
         return f"{poses} that it is {finding.name}, not {join_names(finding.names[1:])}."

@@ -1,4 +1,4 @@
-"""The data of the page beyond report.json, in m and rad; error = measured - predicted.
+"""The data of the page that report.json does not hold, in m and rad; error = measured - predicted.
 
 All parts are optional: a verdict of noise has no guilty input, one of bad_data no rows.
 """
@@ -62,10 +62,10 @@ class SeenRows:
 
 
 class SetSplit(NamedTuple):
-    """Effects that these data cannot distinguish, and how many poses to measure would.
+    """Effects that these data cannot distinguish, and the number of further poses that would.
 
-    `reason`: why none would. `expected_log_bayes_factor`: between the two closest members after
-    measuring the poses.
+    `reason` says why no poses would. `expected_log_bayes_factor` is the one between the two closest
+    members once the poses are measured.
     """
 
     members: tuple[str, ...]
@@ -83,13 +83,16 @@ class Marked(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Detail:
-    """Everything the page draws beyond report.json.
+    """Everything on the page that report.json does not hold.
 
     Attributes:
+        title: title of the page.
+        held_out: the held-out rows.
         guilty: inputs that the findings, or the structure left, depend on; the worst first.
-        correlation: of each accepted parameter, the geometry that it is most correlated with.
+        correlation: the geometry that each parameter of a finding is most correlated with.
         detectable: the smallest size of each effect that these data would have shown, and its RMS
             at the tip (mm); None where no size would show, as the data do not excite it.
+        splits: the sets, and whether further poses would tell their members apart.
         encoders: reading - command of the joints over the fitted rows.
         marked: where each finding is on the arm, in the order of the cards.
         provenance: further facts, shown after those of report.json.
@@ -107,7 +110,11 @@ class Detail:
 
 
 def detail(diagnosis: Diagnosis, facts: Mapping[str, str]) -> Detail:
-    """Compute what report.html shows beyond report.json; `facts` go to its provenance."""
+    """Return what report.html shows and report.json does not hold.
+
+    Args:
+        facts: further facts for its provenance, by name.
+    """
     arm = diagnosis.arm
     units = tuple("m" if arm.joints[r - 1].type == "prismatic" else "rad" for r in arm.commanded)
     rows = _collect_rows(diagnosis, units)
@@ -129,7 +136,7 @@ def _collect_rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     predicted = diagnosis.model.measured(held.q, held.context())
     near = predicted + diagnosis.proof.errors[diagnosis.written]
     seen = np.where(held.has_position[:, None], held.xyz, near)
-    # So many arms are drawn in the scene
+    # Up to six arms are drawn in the scene
     shown = np.unique(np.linspace(0, len(held) - 1, min(6, len(held))).astype(int))
     context, model = held.context(), diagnosis.model
     arms = tuple(outline(model, held.q[k], context.take(int(k))) for k in shown)
@@ -143,12 +150,12 @@ def _collect_rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
 
 
 def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
-    """List inputs that the findings explain, then those that the structure left depends on."""
+    """Return up to four inputs: those of the findings, then those that the structure depends on."""
     commanded = list(diagnosis.arm.commanded)
     names: list[str] = []
 
     def size(term: Term) -> float:
-        """Return the largest parameter in its prior standard deviations."""
+        """Return the largest parameter of a term, in prior standard deviations."""
         own = term.parameters(diagnosis.arm)
         return max((abs(getattr(term, p.name)) / p.prior for p in own if p.prior > 0), default=0)
 
@@ -164,7 +171,7 @@ def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
 
 
 def _list_correlations(diagnosis: Diagnosis) -> PageTable | None:
-    """List the five strongest correlations of each parameter, by their posterior."""
+    """Return, for each parameter of a finding, its five strongest correlations with geometry."""
     found = {t.key for f in diagnosis.findings for t in f.terms}
     fit, called = diagnosis.fit, diagnosis.arm.names_for_people
     own = [k for k, s in enumerate(fit.slots) if s.owner.key in found]
@@ -185,7 +192,7 @@ def _list_correlations(diagnosis: Diagnosis) -> PageTable | None:
 
 
 def _list_detectable(diagnosis: Diagnosis) -> PageTable:
-    """List the smallest size that would show, by effect and place, without families."""
+    """Return the smallest size that would show, by effect and place, of effects with one term."""
     rows: list[Line] = []
     for (name, place), one in sorted(best_forms(diagnosis.smallest).items()):
         slots = one.candidate.slots(diagnosis.arm)
@@ -201,7 +208,7 @@ def _list_detectable(diagnosis: Diagnosis) -> PageTable:
 
 
 def _describe_split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
-    """Say how many poses split a set; no poses if none would."""
+    """Return how many poses would tell the names of a set apart, or why none would."""
     found = next(f for f in diagnosis.findings if f.name == by.between[0])
     if by.log_bayes_factor >= SPLITS:
         return SetSplit(found.names, by.log_bayes_factor, len(by.q))
@@ -222,7 +229,7 @@ def _describe_split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
 
 
 def _compare_encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
-    """Compare the encoders' readings with the commands; None where no joint is read."""
+    """Return a comparison of encoder readings with commands; None if no joint is read."""
     fit = diagnosis.fit
     rows, names = fit.session, diagnosis.arm.joint_names
     lines: list[Line] = []
@@ -247,7 +254,8 @@ def _compare_encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable |
 
 
 def _mark_places(diagnosis: Diagnosis) -> tuple[Marked, ...]:
-    """Place all that was found on the arm, at the held-out row that stretches it most."""
+    """Return where findings and causes are on the arm, at the held-out row whose tip is farthest
+    from the mean."""
     found = [f.terms for f in diagnosis.findings] + [c.terms for c in diagnosis.causes]
     if not found:
         return ()

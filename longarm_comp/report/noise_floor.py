@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 from longarm_comp.report.record import DiagnosisReport
 
 FIGURES = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
-"""Errors of 3-D lengths and of axes, mm and mm^2, as report.json's error rows name them."""
+"""Names of the errors in a row of report.json: of 3-D lengths and of axes, mm and mm^2."""
 Figures = Mapping[str, float]
 
 
@@ -26,9 +26,11 @@ class _NoiseFloor:
     """Errors that noise alone would show.
 
     Attributes:
-        sigma_mm: (3,) standard deviation per axis; the estimate, or less (`limited`).
-        figures: of n rows of it, with the mean sigma for all axes; max is the median of the
-            largest, or the smallest largest error of a model.
+        sigma_mm: (3,) standard deviation per axis.
+        limited: whether it is less than the estimate.
+        figures: errors of n rows of this noise, by the names in `FIGURES`, with the mean sigma for
+            all axes. ``max_mm`` is the median of the largest error, but never more than the
+            smallest ``max_mm`` of any model.
     """
 
     sigma_mm: tuple[float, float, float]
@@ -50,12 +52,13 @@ def floor_of(report: DiagnosisReport) -> _NoiseFloor | None:
 def noise_floor(
     sigma_mm: Sequence[float], n: int, rows: Mapping[str, Figures], written: str, structure: float
 ) -> _NoiseFloor | None:
-    """Compute the floor; None where the errors leave no room for noise of that kind.
+    """Return the floor; None if the errors leave no room for noise of that kind.
 
     Args:
         sigma_mm: (3,) estimated noise per axis of n held-out rows.
-        rows: figures of every model on them, by its name; `written`: of the model in use.
-        structure: RMS of the structure that it leaves, mm; 0 where it leaves none.
+        rows: the errors of every model on these rows, by name of the model.
+        written: name of the model in use.
+        structure: RMS of the structure that the model in use leaves, mm.
     """
     whole = _noise_of(sigma_mm, n)
     if not whole["rms_mm"]:
@@ -79,12 +82,13 @@ def noise_floor(
 
 
 def excess(rms_mm: float, floor: _NoiseFloor | None) -> float:
-    """Return the RMS beyond the noise, mm."""
+    """Return the part of an RMS error that is beyond the noise floor, mm."""
     return sqrt(max(0.0, rms_mm**2 - (0.0 if floor is None else floor.figures["rms_mm"] ** 2)))
 
 
 def normal_length(share: ArrayLike) -> np.ndarray:
-    """Return the length below which a share of all vectors of unit normal components stays."""
+    """Return the length that a share of all random vectors (3,) with unit normal components has at
+    most."""
     return np.asarray(np.sqrt(2.0 * gammaincinv(1.5, share)))
 
 

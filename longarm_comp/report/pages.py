@@ -103,7 +103,11 @@ def _draw_figures(report: record.DiagnosisReport, detail: Detail) -> dict[str, b
 
 
 def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) -> str:
-    """Write the page of a report `for_people`; ``plots``: SVG of the still figures by name."""
+    """Return the HTML page of a report that `DiagnosisReport.for_people` returned.
+
+    Args:
+        plots: SVG of the still figures, by name.
+    """
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
     stages = stages_of(rows) if rows else ()
     before = report.held_out.before
@@ -129,17 +133,22 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
 
 
 def place_name(number: int) -> str:
-    """Name the figure that shows where finding `number` (counted from 1) is."""
+    """Return the name of the figure that shows where finding `number` (counted from 1) is."""
     return f"place_{number}"
 
 
 def against(name: str) -> str:
-    """Name the figure of the errors over an input; a column may be called anything."""
+    """Return the name of the figure of the errors over an input, which may have any name."""
     return "against_" + re.sub(r"\W", "_", name)
 
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
-    """Write the page of a loop (loop.json) with errors (N, 3) tip - target, m, by run."""
+    """Return the HTML page of a loop.
+
+    Args:
+        data: the contents of loop.json.
+        errors: (N, 3) tip - target, m, by name of the run.
+    """
     with rc():
         picture = data_uri(svg(draw_errors_at_tip(errors)))
     return template("loop.html.j2").render(picture=picture, loop=data)
@@ -154,7 +163,12 @@ _ROW_IN = 0.22
 
 
 def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
-    """Write the page of a folder, with links to the diagnosis of each arm (row of fleet.json)."""
+    """Return the HTML page of a folder of arms, with links to the diagnosis of each.
+
+    Args:
+        name: name of the folder.
+        arms: the rows of fleet.json.
+    """
     with rc():
         figure = Figure(figsize=(7.6, 1.2 + _ROW_IN * len(arms)), layout="constrained")
         axes = figure.subplots()
@@ -181,7 +195,7 @@ def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _list_kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """List the kinds of several arms: their arms, and what is found at half of them."""
+    """Return the kinds that have several arms: names of the arms, and findings that they share."""
     made = []
     for kind in dict.fromkeys(arm["kind"] for arm in arms):
         mine = [arm for arm in arms if arm["kind"] == kind]
@@ -200,7 +214,11 @@ def _list_kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def day_page(arm: str, bag: str, day: Day) -> str:
-    """Write the page of a day; ``arm``, ``bag``: what they are called."""
+    """Return the HTML page of a day at work.
+
+    Args:
+        arm, bag: names of the arm and of the bag, for the page.
+    """
     changes = [s for s in day.said if s.level == 0]
     troubles = [s for s in day.said if s.level > 0]
     with rc():

@@ -25,7 +25,12 @@ Sigma = tuple[float, float, float]
 def draw_errors_over(
     rows: SeenRows, entry: Input, before: str, after: str, sigma_mm: Sigma | None
 ) -> Figure:
-    """Draw errors over one input, a row of panels per axis: before on the left, after beside."""
+    """Draw errors over one input: a row of panels per axis, before on the left, after on the right.
+
+    Args:
+        before, after: stages (`style.LOOKS`).
+        sigma_mm: noise along each axis, drawn as a band.
+    """
     drawn = Figure(figsize=(9, 6.4))
     panels = drawn.subplots(3, 2, sharex=True, sharey="row")
     spread = values = np.asarray(entry.values, dtype=float)
@@ -128,8 +133,11 @@ def draw_errors_at_tip(
 ) -> Figure:
     """Draw the share of rows below an error, and the error along each axis.
 
-    Errors are (N, 3) m by name of the run, without lost markers. ``rows``, ``error``: what they are
-    called; ``sigma_mm``: noise along each axis, drawn as a floor.
+    Args:
+        errors: (N, 3) m, by name of the run, without lost markers.
+        looks: the styles of the runs, in order.
+        rows, error: what the labels call them.
+        sigma_mm: noise along each axis, drawn as a floor.
     """
     drawn = Figure(figsize=(9, 3.8))
     left, right = drawn.subplots(1, 2, width_ratios=(1.15, 1))
@@ -171,7 +179,7 @@ def draw_errors_at_tip(
 
 
 MOST = 150
-"""Most arrows in one figure. Of more rows, this many are taken evenly along the session."""
+"""Most arrows in one figure. Of more rows, this many are drawn, evenly along the session."""
 _ROUND = np.array([1.0, 2.0, 5.0])
 
 
@@ -180,7 +188,7 @@ def stages_of(rows: SeenRows) -> tuple[str, ...]:
 
 
 def exaggeration(rows: SeenRows, stage: str) -> float:
-    """Choose the factor on a stage's arrows: 95 % of them become at most some 15 % of the scene.
+    """Return the factor on a stage's arrows: 95 % of them are then at most some 15 % of the scene.
 
     It is 1, 2 or 5 times a power of ten.
     """
@@ -195,9 +203,9 @@ def exaggeration(rows: SeenRows, stage: str) -> float:
 
 
 def scene_json(rows: SeenRows) -> str:
-    """Write what report.js draws and turns as JSON that is safe in a script element; m.
+    """Return the scene that report.js draws, in m, as JSON that is safe in a script element.
 
-    Every stage has its arrows at a scale of its own.
+    Every stage has its own factor on its arrows (`exaggeration`).
     """
     n = len(rows.index)
     taken = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))

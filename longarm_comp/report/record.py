@@ -20,7 +20,7 @@ DIGITS = 12
 
 
 def _read_as(choice: Any) -> GetPydanticSchema:
-    """Read one of some values from a file, though the package holds it as text."""
+    """Let a field of type text accept only the values of `choice` when a file is read."""
     return GetPydanticSchema(lambda _, handler: handler(choice))
 
 
@@ -60,7 +60,7 @@ class ReportNoise(ReportPart):
 
 
 class ErrorRow(ReportPart):
-    """Errors of one model on the hold-out."""
+    """Errors of one model on the held-out rows."""
 
     model: Stage
     mean_mm: float = Field(ge=0)
@@ -77,9 +77,9 @@ class ErrorRow(ReportPart):
 class HeldOut(ReportPart):
     """Errors on the held-out rows, which were never fitted.
 
-    The intervals are of what the mean error falls by from `before` to `after`, the stages that
-    the verdict compares: as seen, and as a command would have it. `not_commanded` says what the
-    latter leaves out.
+    `before` and `after` are the stages that the verdict compares. The two intervals are of the fall
+    of the mean error between them: as seen, and as a command would have it. `not_commanded` says
+    what the latter leaves out.
     """
 
     n: int = Field(ge=0)
@@ -92,7 +92,7 @@ class HeldOut(ReportPart):
 
 
 class Outlier(ReportPart):
-    """A row that was left out, and why; the user's own number of it where there is one."""
+    """A row that was left out, and why; `point` is the user's own name of the row, if any."""
 
     index: int
     why: str
@@ -117,8 +117,9 @@ class TipShift(ReportPart):
 
 
 class ReportDiscovered(ReportPart):
-    """A cause without a name. `set`: places that explain it alike; `kept`: it is in the model.
+    """A cause without a name.
 
+    `set` are the places that explain it equally well; `kept` says whether it is in the model.
     `names` are effects of the library that may be the cause instead, with their probability.
     """
 
@@ -143,7 +144,7 @@ class ReportDiscovered(ReportPart):
 
 
 class Written(ReportPart):
-    """Which model was written, and the error that a command may expect of each."""
+    """Which model was written, and the mean error that a command may expect of each model."""
 
     model: Stage
     expected_commanded_mm: dict[str, float]
@@ -158,7 +159,8 @@ class Doubtful(ReportPart):
 
 
 class ReportProof(ReportPart):
-    """The proof that what was found errs less, as commanded, at rows it was fitted without."""
+    """The proof that the model with the findings errs less as commanded, at rows that were not
+    fitted."""
 
     folds: int
     rows: int
@@ -167,7 +169,7 @@ class ReportProof(ReportPart):
 
 
 class SharedInput(ReportPart):
-    """A property that rows set aside share: an input, where in it, how many, by what chance."""
+    """A property that rows set aside share: an input, its value, how many rows, and a p-value."""
 
     input: str
     value: str
@@ -176,7 +178,7 @@ class SharedInput(ReportPart):
 
 
 class ReportSetAside(ReportPart):
-    """Rows that the fit does not believe, their share of all, and what they share."""
+    """Rows that the fit set aside, their share of all rows, and properties that they share."""
 
     rows: int
     share: float
@@ -249,7 +251,7 @@ def read_report(folder: str | Path) -> DiagnosisReport:
 
 
 def text(report: DiagnosisReport) -> str:
-    """Write report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
+    """Return the text of report.json: keys in the schema's order, numbers to `DIGITS` digits."""
     plain = report.model_dump(mode="json", by_alias=True)
     # + 0.0: no negative zero
     short = map_values(plain, float, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)
@@ -257,7 +259,11 @@ def text(report: DiagnosisReport) -> str:
 
 
 def map_values(value: Any, kind: type[T], to: Callable[[T], T]) -> Any:
-    """Apply `to` to every value of a kind, float or str, of records, lists and mappings."""
+    """Return a copy with `to` applied to every float or str in records, lists and mappings.
+
+    Args:
+        kind: the type of the values, float or str.
+    """
     if isinstance(value, kind):
         return to(value)
     if isinstance(value, BaseModel):

@@ -67,11 +67,11 @@ SIGNED: Any = {
     "png": {"Software": "longarm"},
     "pdf": {"CreationDate": None, "Creator": "longarm", "Producer": None},
 }
-"""Files that a command may overwrite tell that it wrote them."""
+"""Metadata by which a command knows that it wrote a picture and may overwrite it."""
 
 
 def is_signed(path: Path) -> bool:
-    """Return whether a picture tells that this package wrote it."""
+    """Return whether a picture's metadata show that this package wrote it."""
     with path.open("rb") as file:
         return b"longarm" in file.read(4096)
 
@@ -85,12 +85,15 @@ def rc() -> AbstractContextManager[None]:
 
 
 def svg(drawn: Figure) -> bytes:
-    """Write the figure as SVG; the same figure gives the same bytes."""
+    """Return the figure as SVG; the same figure gives the same bytes."""
     return _draw_content(drawn, "svg").replace(b"</style>", _DARK + b"</style>", 1)
 
 
 def save(drawn: Figure, path: Path) -> None:
-    """Write the figure as a file by its ending, whole or not at all; always the same bytes."""
+    """Write the figure to a file in the format of its ending, whole or not at all.
+
+    The same figure gives the same bytes.
+    """
     write_bytes(path, _draw_content(drawn, path.suffix.removeprefix(".").lower()))
 
 

@@ -15,7 +15,7 @@ from longarm_comp.report.record import DiagnosisReport, ErrorRow
 
 DASH = "–"
 _CERTAIN = 100
-"""Power of ten above which odds are given only as a bound."""
+"""Power of ten from which on odds are given only as a bound."""
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -36,17 +36,17 @@ def interval(pair: tuple[float, float] | None, digits: int = 4) -> str:
 
 
 def millimetres(value: float) -> str:
-    """Write a length (mm) to a hundredth of a millimetre, or to three digits if it is larger."""
+    """Write a length (mm) to a hundredth of a millimetre; to a millimetre from 100 mm on."""
     return f"{value:.2f} mm" if abs(value) < 100 else f"{value:.0f} mm"
 
 
 def to_three_places(value: float | None) -> str:
-    """Write a length in mm of a table; a dash for None."""
+    """Write a length (mm) for a table, to three decimals if below 100; a dash for None."""
     return DASH if value is None else f"{value:.3f}" if value < 100 else f"{value:.1f}"
 
 
 def odds(log_bayes_factor: float) -> str:
-    """Write a Bayes factor as odds, ``20 : 1``; large ones as "more than" a power of ten."""
+    """Write a log Bayes factor as odds, ``20 : 1``; large ones as a power of ten."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
@@ -162,13 +162,19 @@ def _count_of(n: int, what: str) -> str:
 
 
 def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
-    """Write the mean held-out errors of the arm as declared and of the verdict's last stage.
+    """Return texts on the mean held-out error, from the first stage to the verdict's last one.
 
-    `commanded`: as a command would have it; `between`: what a command leaves out, where it differs
-    from `seen`, which is else empty. `between_mm`: the error of the stage from which what was found
-    is counted, and its name. `proof`: what the interval says. `camera`: a finding is on the
-    measuring side. `expected`: the error that a command may expect, if that is right with the
-    probability of its name. None: there are no rows.
+    Returns:
+        None without these rows; otherwise the texts by name:
+
+        stages: names of the two stages; the first is the arm as declared.
+        commanded: the two errors as a command would have them.
+        seen: the two errors as seen; "" if they read the same.
+        between_mm: the error of the stage from which findings are counted; "" if it is the first.
+        proof: what the interval of the change says.
+        between: what a command leaves out, if `seen` differs.
+        camera: whether a finding is on the measuring side.
+        expected: the mean error that a command may expect.
     """
     held = report.held_out
     rows = {row.model: row for row in held.rows}

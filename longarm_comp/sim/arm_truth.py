@@ -28,8 +28,10 @@ class Walk:
     """The whole chain for given joint values, integrated from the last frame to the base.
 
     Attributes:
-        gravity: (3,) m/s^2. base: (6,) m and rad. rows: (4, R, N) alpha, a, theta, d.
-        masses: kg and position, m, of every mass at each frame.
+        gravity: (3,) m/s^2, base frame.
+        base: (6,) x, y, z, roll, pitch, yaw of the foot, m and rad.
+        rows: (4, R, N) alpha, a, theta, d, rad and m.
+        masses: mass (kg) and position (m) of every mass, by frame.
     """
 
     def __init__(self, true: TrueArm, state: State, held: Array | float = 0.0) -> None:
@@ -69,17 +71,21 @@ class Walk:
         self.base = base
 
     def rigid(self) -> Array:
-        """Return the gravity in the last frame's axes of the arm without weight, (3, N)."""
+        """Return gravity in the last frame's axes if the arm had no weight, (3, N), m/s^2."""
         small = 1e-9  # m/s^2 along each axis: it bends nothing
         gamma = np.broadcast_to(small * np.eye(3)[..., None], (3, 3, len(self._state.q)))
         return np.tensordot(self.gravity, self._walk_back(gamma)[0].gravity / small, 1)
 
     def solve(self, start: Array) -> Array:
-        """Return the gravity in the last frame's axes at rest, (3, N)."""
+        """Return gravity in the last frame's axes of the arm at rest, (3, N), m/s^2.
+
+        Args:
+            start: (3, N) first guess.
+        """
         return settle(lambda gamma: self._walk_back(gamma)[0], start, self.gravity)
 
     def finish(self, gamma: Array) -> Settled:
-        """Return the arm at rest for the solved gravity direction."""
+        """Return the arm at rest for the gravity (3, N) that `solve` found."""
         end, marks, torques = self._walk_back(gamma[:, None], tip=True)
         pose = np.zeros((gamma.shape[1], 4, 4))
         pose[:, 3, 3] = 1.0
@@ -245,7 +251,10 @@ class TrueArm:
         return pose if np.ndim(q) == 2 else pose[0]
 
     def shafts(self, q: Array, context: TrueContext | None = None) -> Array:
-        """Return where motors' encoders stand, (N, n), rad or m: effects behind them left out."""
+        """Return the joint values that motors' encoders see, (N, n), rad or m.
+
+        Effects behind the encoders are left out.
+        """
         state, torques = State.of(self.arm, q, context), self.settle(q, context).torques
         return state.q + sum((e.before(torques, state) for e in self.hidden), np.zeros(1))
 

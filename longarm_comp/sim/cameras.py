@@ -119,7 +119,7 @@ class CameraPair:
 
     @property
     def right_from_left(self) -> Array:
-        """Left-camera points to right-camera points, (4, 4)."""
+        """The transform (4, 4) of points from the left camera's frame to the right one's."""
         turn = cv2.Rodrigues(np.asarray(self.right_turn_rad, dtype=float))[0].T
         out = np.eye(4)
         out[:3, :3], out[:3, 3] = turn, turn @ [-self.baseline_m, 0.0, 0.0]
@@ -127,7 +127,7 @@ class CameraPair:
 
     @property
     def camera_in_base(self) -> Array:
-        """Pose (4, 4) of the left optical frame that `camera_infos` speak of (rectified)."""
+        """Pose (4, 4) of the rectified left optical frame, to which `camera_infos` refer."""
         out = self.left_in_base
         out[:3, :3] = out[:3, :3] @ self._compute_rectification()[0].T
         return out
@@ -237,7 +237,7 @@ def _find_window(
 def _fine_plate(
     window: Window, camera_T_marker: Array, plate: Plate, head: CameraPair, covered: float
 ) -> tuple[Light, Light]:
-    """Return the light from the plate and its share of every fine pixel of the window."""
+    """Return, for every fine pixel of a window, the light from the plate and the plate's share."""
     x0, y0, x1, y1 = window
     u = x0 - 0.5 + (np.arange((x1 - x0) * _FINE) + 0.5) / _FINE
     v = y0 - 0.5 + (np.arange((y1 - y0) * _FINE) + 0.5) / _FINE

@@ -22,14 +22,14 @@ class TrueContext:
     payload_kg: Array | float | None = None  # carried mass, (N,) or one number
     t_s: Array | float | None = None  # time since the session began, (N,) or one number
     behind: Array | None = None
-    """How far each joint stands behind its command by its own past, (N, n) or (n,), rad or m (a
-    stack of sliders)."""
+    """How far each joint is behind its command by its own past (friction as a stack of sliders),
+    (N, n) or (n,), rad or m."""
     wound: Array | None = None
     """How far each joint's gear train is wound up, (N, n) or (n,), -1 to +1: fully by motion
     downwards or upwards."""
     way: Array | None = None
-    """How far each joint has come since it last stood or turned, (N, n) or (n,), rad or m: upwards
-    positive."""
+    """Displacement of each joint since it last stood still or reversed, (N, n) or (n,), rad or m:
+    upwards positive."""
 
 
 @dataclass(frozen=True)

@@ -37,13 +37,17 @@ _SAME = 1e-7  # rad or m: the arm has not moved
 _MOUTH_M = 0.009
 """Radius of a socket's mouth, from which the ball slides in."""
 _SEATED_M = 5e-5
-"""From the bottom of a socket, within which the ball touches all round."""
+"""Distance (m) from the bottom of a socket within which the ball touches all round."""
 
 
 def hidden_effects(
     arm: Arm, sizes_mm: Mapping[str, float], rng: np.random.Generator
 ) -> tuple[HiddenEffect, ...]:
-    """Make hidden effects by canonical name, each scaled to shift the tip by so many mm rms."""
+    """Return hidden effects, each scaled to shift the tip by its size in mm rms.
+
+    Args:
+        sizes_mm: sizes by canonical name of the effect.
+    """
     return tuple(draw(name, arm, rng, size_mm) for name, size_mm in sizes_mm.items())
 
 
@@ -105,13 +109,16 @@ class Plant:
         self._swing, self._swings = np.zeros(3), threading.Lock()
 
     def ring(self, t_s: float) -> None:
-        """Let the arm vibrate on up to a time; call it often. It does nothing without damping."""
+        """Continue the arm's vibration up to a time (s); call it often.
+
+        It does nothing if the configuration has no damping.
+        """
         if self._ringing is not None:
             with self._swings:
                 self._swing = self._ringing.move_joints(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
-        """Make the play of some joints so much (rad, m) larger than at the start from now on."""
+        """Make the play of some joints larger by `play` (rad, m) than it was at the start."""
         names = self.config.arm.joint_names
         for joint, value in play.items():
             if joint not in names:
@@ -141,17 +148,17 @@ class Plant:
         return np.array([values[name] for name in self.config.arm.joint_names])
 
     def _signed_upwards(self, of: Callable[[Motor], float]) -> Array:
-        """Return (n,) signed by the joint's direction, from what servos have signed by theirs."""
+        """Return a signed quantity of all servos (n,) with the signs of the joints' directions."""
         turned = self.emulator.each(of)
         return np.array([np.sign(j.travel) * turned[j.servo_id] for j in self._servos])
 
     def temperature_c(self, t_s: float) -> float:
-        """Return the temperature of the arm, which rises slowly."""
+        """Return the temperature of the arm at a time (s), degrees Celsius; it rises slowly."""
         start, rise = self.config.temperature_c
         return float(start - rise * np.expm1(-t_s / 5000.0))
 
     def tip_pose(self, t_s: float) -> Array:
-        """Return (4, 4) true tip in the base frame. It is published only for evaluation."""
+        """Return the true pose of the tip (4, 4), base frame; published for evaluation only."""
         q, side = self.joints(), self._signed_upwards(lambda motor: motor.approach)
         wound = self._signed_upwards(lambda motor: motor.wound)
         ticks = self.emulator.each(lambda motor: motor.way)
@@ -176,9 +183,8 @@ class Plant:
     def contact(self, t_s: float) -> str:
         """Return the name of the socket that the ball at the tip sits in, or blank.
 
-        A ball in the mouth of a socket slides towards its bottom where the servos let the arm go,
-        each joint by as little as it takes; after two or three calls it is there. Driven servos
-        keep it where they stand.
+        While all servos are off, a ball in the mouth of a socket slides to its bottom, within two
+        or three calls; the joints move as little as possible. Driven servos hold the arm.
         """
         for name, place in self.config.sockets.items():
             away = np.asarray(place) - self.tip_pose(t_s)[:3, 3]
@@ -189,7 +195,7 @@ class Plant:
         return ""
 
     def _slide_joints(self, away: Array) -> None:
-        """Let the joints give way so that the tip moves by (3,) m."""
+        """Push the joints by the smallest motion that moves the tip by `away` (3,), m."""
         q, step = self.joints(), 1e-5
         turned = q + step * np.eye(len(q))
         tips = self._true.settle(np.vstack([q, turned])).pose[:, :3, 3]
@@ -213,7 +219,12 @@ def _servo_spec(
     effects: Sequence[ServoDroop | ServoDeadband],
     number: int,
 ) -> MotorSpec:
-    """Return the mechanics of a joint's servo: its data sheet, and a controller that gives way."""
+    """Return the mechanics of a joint's servo by its data sheet, with droop and dead band of
+    `effects`.
+
+    Args:
+        number: index of the joint in q.
+    """
     spec = replace(spec, **joint.sheet)
     tick = abs(joint.travel)
     for effect in effects:
@@ -227,7 +238,7 @@ def _servo_spec(
 
 
 def mount_plate(turn_rad: Sequence[float]) -> Array:
-    """Return (4, 4) pose on the tip of a plate centred there, turned by a rotation vector (rad)."""
+    """Return the pose (4, 4) on the tip of a plate centred there, rotated by a vector (3,), rad."""
     matrix = np.eye(4)
     matrix[:3, :3] = cv2.Rodrigues(np.asarray(turn_rad, dtype=float))[0]
     return matrix

@@ -1,8 +1,9 @@
 """The true arm's vibration: rigid segments joined by springs, driven by the motion of the joints.
 
-Every rod is cut into rigid pieces with a rotational spring in the middle of each; what yields at a
+Every rod is cut into rigid pieces with a rotational spring in the middle of each; a compliance at a
 bearing is a spring there (the finite segment method: Huston, *Multibody Dynamics*, 1990).  A spring
-answers as the hidden effects do beyond their play.  Vibration is small: about the unbent arm.
+has the stiffness of the hidden effects beyond their play.  The vibration is small, about the unbent
+arm.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from longarm_comp.sim.hidden.base import THETA, A, D, Place
 from longarm_comp.sim.rods import Walker, rpy_matrix
 
 PIECES = 6
-"""Of each rod: eight modes are right to 1 % of their frequency, the two lowest to 0.03 %."""
+"""Pieces of each rod: frequencies of eight modes are right to 1 %, of the two lowest to 0.03 %."""
 MODES = 8
-"""The slowest are followed: those of the demonstration's arm are 5 to 140 Hz."""
+"""Number of modes, the slowest ones: those of the demonstration's arm are 5 to 140 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ class _Vibration:
     tip: Array
     carried: Array  # (3 P, n) motion of all masses by a unit of each joint, the springs held
     driven: Array  # (k, n) by a unit of each joint's acceleration
-    turned: Array  # (n, k) what gives at each joint's own bearing: an encoder behind it sees that
+    turned: Array  # (n, k) turn of the spring at each joint's bearing; an encoder there sees it
 
 
 class _Build:
@@ -203,7 +204,7 @@ class Ringing:
         self._wave = np.zeros(0, complex)
 
     def move_joints(self, t_s: float, q: Array) -> Array:
-        """Put the joints at q (n,) at a time; return the tip's displacement then, (3,) m."""
+        """Move the joints to q (n,) by a time (s); return the tip's displacement then, (3,), m."""
         before, came, speed = self._last or (t_s, q, np.zeros_like(q))
         now = self._find_modes(q, speed)
         if t_s > before:
@@ -216,11 +217,14 @@ class Ringing:
         return np.asarray(now.tip @ self._wave.real)
 
     def tip_ring(self, since_s: Array) -> Array:
-        """Return the tip's displacement (N, 3), m, some times later, if the joints stay."""
+        """Return the tip's displacement (N, 3), m, after times (N,), s, at which joints rest."""
         return self._ring_later(since_s, lambda modes: modes.tip)
 
     def joint_ring(self, since_s: Array) -> Array:
-        """Return likewise (N, n), rad and m, what encoders at the joints' output see of it."""
+        """Return what encoders at the joints' output see of the vibration, (N, n), rad and m.
+
+        The times are as in `tip_ring`.
+        """
         return self._ring_later(since_s, lambda modes: modes.turned)
 
     def _ring_later(self, since_s: Array, part: Callable[[_Vibration], Array]) -> Array:
@@ -230,11 +234,14 @@ class Ringing:
         return np.real(self._wave * turns) @ part(modes).T
 
     def _complex_rate(self, modes: _Vibration) -> Array:
-        """Return (k,) complex 1/s of the modes' decay and turn."""
+        """Return the complex rates (k,), 1/s, of the modes: decay and angular frequency."""
         return modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
 
     def _find_modes(self, q: Array, speed: Array) -> _Vibration:
-        """Find the modes of the posture; a wave goes on in them with the masses' motion."""
+        """Return the modes near a posture; if they are new, express the present vibration in them.
+
+        The masses keep their positions and velocities.
+        """
         span = self._true.arm.upper - self._true.arm.lower
         # of a joint's range: so far the modes are those of the posture before
         if self._about is not None and (np.abs(q - self._about[0]) <= 0.02 * span).all():

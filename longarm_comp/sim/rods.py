@@ -61,7 +61,7 @@ class Walker:
 
     @property
     def force(self) -> Array:
-        """Force of all beyond, (3, B, N) N: weight, and what pushes besides."""
+        """Force of everything beyond, (3, B, N), N: weight and applied forces."""
         return self._add_force(self._v, self.mass)
 
     def _add_force(self, v: Array, mass: Array | float) -> Array:
@@ -69,11 +69,11 @@ class Walker:
         return weight if self._pushed is None else weight + v[:, 2 + self._pushed]
 
     def get_mark(self, index: int) -> Array:
-        """Return marked point or direction number `index` from here, (3, B, N)."""
+        """Return the marked point or direction number `index` in the present axes, (3, B, N)."""
         return self._v[:, 2 + index]
 
     def mark(self, vector: Sequence[float] | Array, *, point: bool) -> int:
-        """Follow a point (m) or a direction that is now `vector`; its number."""
+        """Follow a point (m) or direction `vector` (3,) from here on; return its number."""
         new = np.empty((3, 1, *self._v.shape[2:]))
         new[:] = np.reshape(vector, (3, 1, 1, 1))
         self._v = np.concatenate([self._v, new], axis=1)

@@ -20,12 +20,12 @@ from longarm_comp.view import words
 from longarm_comp.view.words import PageState
 
 _PATIENCE_S = 5.0
-"""After so long without an answer a call is given up."""
+"""Time (s) without an answer after which a call is given up."""
 
 
 @dataclass(frozen=True)
 class Button:
-    """A button: what it asks of which service, and what it looks like."""
+    """A button: the service that it calls, its request, and what it looks like."""
 
     label: str
     hint: str
@@ -56,7 +56,7 @@ class Buttons:
 
     def __init__(self, node: Node) -> None:
         self.said = ("", True)
-        """What came of the last press, in words, and whether it went well."""
+        """The result of the last press in words, and whether it went well."""
         self._node = node
         self._pressed: deque[Button] = deque()
         self._calls: list[tuple[Button, Call, float]] = []
@@ -104,7 +104,7 @@ _SIGNS = {words.WARNING: "#8a4b00", words.BAD: _BAD, words.SILENT: _BAD}
 
 
 class Panel:
-    """Handles of the panel. Texts of the graph are escaped: they may hold anything."""
+    """The panel. Texts from the graph are escaped, as they may hold anything."""
 
     def __init__(
         self, server: viser.ViserServer, press: Callable[[Button], None], namespace: str
@@ -138,7 +138,11 @@ class Panel:
     def show(
         self, state: PageState, now: float, lines: Mapping[str, Sequence[str]], *, well: bool
     ) -> None:
-        """Show what `words.list_lines` says; ``well``: how the last press of a button went."""
+        """Show the lines that `words.list_lines` returned.
+
+        Args:
+            well: whether the last press of a button went well.
+        """
         colours = {"state": _BAD if state.unread_s(now) else "", "said": "" if well else _BAD}
         # A line of a node's health is a sign, a blank, its name and how it is
         nodes = [line for line in lines["health"] if line[2:].partition(": ")[0] in state.nodes]

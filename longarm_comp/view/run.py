@@ -1,4 +1,4 @@
-"""The page: messages of an arm's graph become its record, which it draws.
+"""The program of the page: it collects the messages of an arm's graph and draws them.
 
 One thread listens to the graph and draws, viser's threads serve the browsers.
 """
@@ -37,7 +37,7 @@ from longarm_interfaces.msg import Compensation, DriverState
 
 
 class Listener:
-    """Subscribes to an arm's topics; `state` is what they have said last."""
+    """Subscribes to an arm's topics; `state` holds their latest messages."""
 
     def __init__(self, client: GraphClient) -> None:
         self.state, self._namespace = PageState(), client.node.get_namespace()
@@ -110,7 +110,7 @@ class Listener:
 
 
 _TOLD = {RING_SAID: "After the last move", LEARNED_SAID: "At work"}
-"""Parts whose message the page repeats, and how it begins there."""
+"""By part of /diagnostics: the heading under which the page repeats its message."""
 _NONE = np.empty((0, 3))
 
 
@@ -127,8 +127,8 @@ def view(
     """Show the graph of a namespace until ``stop`` is set.
 
     Args:
-        port: of the page, on the loopback address; the next free one where it is taken; 0: any.
-        open_link: gets what draws a link to the page; each opens it once.
+        port: port of the page on the loopback address; if it is taken, the next free one; 0: any.
+        open_link: called with a function that makes links to the page; each link works once.
     """
     with GraphClient(namespace, stop, "view") as client, ExitStack() as open_page:
         listener, commands = Listener(client), Buttons(client.node)

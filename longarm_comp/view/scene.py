@@ -19,7 +19,7 @@ _FAR = np.array([0.2, -0.9, 0.3])
 
 
 class Scene:
-    """Handles of what is drawn. They are made with the first picture, whose size they have."""
+    """The drawn objects. They are made when the first picture of the arm comes, in its size."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -29,7 +29,11 @@ class Scene:
         server.on_client_connect(self._aim_camera)
 
     def show(self, state: PageState, now: float, factor: tuple[float, float]) -> None:
-        """Draw a state, deflection and error arrows so many times larger; pale if not of now."""
+        """Draw a state; in pale colours if it is out of date.
+
+        Args:
+            factor: by how much deflection and error arrows are drawn larger.
+        """
         times, longer = factor
         picture = state.picture
         if picture is None:
@@ -112,7 +116,7 @@ class Scene:
     def _draw_arrow(
         self, name: str, start: np.ndarray | None, error: np.ndarray | str, factor: float
     ) -> np.ndarray | None:
-        """Draw an error (3,), where there is one; the end of its arrow (3,)."""
+        """Draw an error (3,), m, from `start`; return the end of its arrow (3,), None if none."""
         handle = self._handles[name]
         handle.visible = start is not None and not isinstance(error, str)
         if start is None or isinstance(error, str):

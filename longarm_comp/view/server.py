@@ -37,16 +37,16 @@ START = f"""<!doctype html><title>longarm view</title>
 <script>const c = document.createElement("canvas");
 location.replace(c.getContext("webgl2") || c.getContext("webgl") ? "/" : "{PATH}")</script>
 """
-"""Leads on to the scene where the browser can draw it, else to the plain page."""
+"""HTML that leads on to the scene if the browser can draw it, else to the plain page."""
 _STYLE = """body{font:16px sans-serif;max-width:40em;margin:1em auto}
 a{display:inline-block;padding:.8em 1.2em;margin:.3em .3em .3em 0;color:#fff;border-radius:.3em}"""
 
 
 class PlainPage:
-    """The page below `PATH`. A press has a drawn key in its address, which no other page knows.
+    """The page at `PATH`. The addresses of its buttons hold a random key that no other page knows.
 
     Attributes:
-        lines: of the state; the page asks for them once a second.
+        lines: the lines of the state; the page loads itself anew once a second.
     """
 
     def __init__(self, buttons: Sequence[Button], press: Callable[[Button], None]) -> None:
@@ -56,7 +56,10 @@ class PlainPage:
         self._buttons = {f"{PATH}/{key}/{k}": button for k, button in enumerate(buttons)}
 
     def answer(self, path: str) -> str | None:
-        """Return the page at a path; empty: a button was pressed, look at `PATH`; None: no page."""
+        """Return the HTML of the page at a path, or None if there is no page.
+
+        It is empty at the address of a button, which is pressed by that; the page is at `PATH`.
+        """
         if path in self._buttons:
             self._press(self._buttons[path])
             return ""
@@ -86,7 +89,7 @@ class Gate:
     _codes: set[str] = field(default_factory=set, repr=False)
 
     def link(self, port: int) -> str:
-        """Make an address to open once; it sets the cookie."""
+        """Return an address that works once; to open it sets the cookie."""
         code = secrets.token_urlsafe()
         self._codes.add(code)
         return f"http://{LOOPBACK}:{port}/?code={code}"
@@ -137,7 +140,7 @@ class Gate:
         return ""
 
     def _redeem_code(self, *given: str) -> bool:
-        """Use a code of a link up, and return whether it was one that was not used before."""
+        """Use up the code of a link; return whether it was known and not used before."""
         try:
             self._codes.remove(*given)
         except (KeyError, TypeError):  # unknown, another request was quicker; none or several
@@ -146,20 +149,20 @@ class Gate:
 
 
 def _make_redirect(to: str, headers: dict[str, str]) -> Response:
-    """Make the response that leads a browser on, which it must not keep or tell others."""
+    """Return a redirect that the browser must not store, nor name to others as its referrer."""
     private = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
     made = Headers(headers | private | {"Location": to, "Content-Length": "0"})
     return Response(HTTPStatus.SEE_OTHER, "See Other", made)
 
 
 def _read_cookies(headers: Headers, name: str) -> list[str]:
-    """Return a cookie's values. Other servers of this machine may have set others, of any form."""
+    """Return all values of a cookie. Other servers of this machine may have set cookies too."""
     given = [part.strip() for line in headers.get_all("Cookie") for part in line.split(";")]
     return [value for key, _, value in (part.partition("=") for part in given) if key == name]
 
 
 def _policy_headers(hosts: list[str]) -> dict[str, str]:
-    """Return the headers of every page: it talks to this server alone, and nobody frames it."""
+    """Return the headers of every page: it may connect to this server alone, and not be framed."""
     sockets = " ".join(f"ws://{host}" for host in hosts)
     return {
         "Content-Security-Policy": (
@@ -174,7 +177,7 @@ def _policy_headers(hosts: list[str]) -> dict[str, str]:
 
 
 class _Server(viser.ViserServer):
-    """A server without viser's public link, which any client may ask for."""
+    """A viser server without public share links, which any client could request."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         return None
@@ -182,10 +185,10 @@ class _Server(viser.ViserServer):
 
 @contextmanager
 def serve_page(port: int, gate: Gate) -> Iterator[viser.ViserServer]:
-    """Serve a page until the end of the context; on the next free port where this one is taken.
+    """Serve a page until the end of the ``with`` block, on the next free port if this one is taken.
 
-    viser has no option for a check of requests. So the function of `websockets` that it serves
-    with is wrapped while it starts.
+    viser has no option to check requests. So the function of `websockets` that it serves with is
+    wrapped while it starts.
     """
     serve, guarded = sockets.serve, []
 

@@ -12,12 +12,12 @@ import numpy as np
 from longarm_comp.core.data.rest import JOINT_REST
 
 _SILENT_S = 3.0
-"""Joints come many times a second: after so long without any message the graph is silent."""
+"""Time (s) without any message after which the graph is silent: joints come many times a second."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """The arm as `markers` shows it, true to scale, m: (k, 3) from foot to tip; targets (3,)."""
+    """The arm as topic `markers` shows it, to scale, m: (k, 3) from foot to tip; targets (3,)."""
 
     declared: np.ndarray
     hanging: np.ndarray
@@ -28,7 +28,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class LastAnswer:
-    """The fate of the last target: status, reason, joints sent by name (none: not sent)."""
+    """The answer to the last target: status, reason, and joints sent, by name (none: not sent)."""
 
     status: str
     message: str
@@ -54,7 +54,7 @@ class NodeHealth:
     every_s: float = 0.0
 
     def silent_s(self, now: float) -> float:
-        """Return for how long (s) it has said nothing that it should have said; 0: it speaks."""
+        """Return for how long (s) the node has been silent; 0 while it reports in time."""
         return _find_silence(self.at, now, max(5.0, 3.0 * self.every_s))
 
 
@@ -73,14 +73,16 @@ class PageState:
 
     Attributes:
         heard: when any message came last; None before the first.
-        tip: (3,) m, as the cameras saw it last, and when; NaN where the marker was lost.
+        tip: (3,) m, as the cameras saw it last; NaN if the marker was lost.
+        tip_at: when `tip` came.
         joints: last reading by name, rad and m.
         read: when the joints were read last; None before the first.
         moved: when a joint moved last by more than `JOINT_REST`.
         driver: state of the driver in a word, and its reason; empty before the first.
-        evidence: of drift, share of what warns; NaN where nothing judges.
-        told: in words, by what it is of: what was learned at work, the ring after the last move.
-        seed: reading that later ones are compared with for `moved`.
+        evidence: evidence of drift; at 1 or more a warning is given; NaN if nothing judges it.
+        told: further messages, by their heading: what was learned at work, the ring after the last
+            move.
+        seed: the joints at `moved`, with which later readings are compared.
     """
 
     heard: float | None = None
@@ -111,11 +113,14 @@ class PageState:
         )
 
     def silent_s(self, now: float) -> float:
-        """Return for how long (s) the graph has said nothing; 0: it speaks; infinite: never."""
+        """Return for how long (s) the graph has been silent.
+
+        It is 0 while messages come, and infinite if none ever came.
+        """
         return _find_silence(self.heard, now, _SILENT_S)
 
     def unread_s(self, now: float) -> float:
-        """Return for how long (s) no joints have come; as `silent_s`."""
+        """Return for how long (s) no joint readings have come, as `silent_s`."""
         return _find_silence(self.read, now, _SILENT_S)
 
     def is_old(self, now: float) -> bool:
@@ -131,7 +136,7 @@ class PageState:
 
     @property
     def resting(self) -> bool:
-        """True where picture and sighting are both of the arm at rest."""
+        """True if picture and sighting both show the arm at rest."""
         if self.picture is None:
             return False
         # A picture is a half second old, and a sighting some frames
@@ -160,13 +165,13 @@ class PageState:
 
 
 def _find_silence(last: float | None, now: float, allowed: float) -> float:
-    """Return the time since ``last`` where it is longer than allowed, else 0."""
+    """Return the time (s) since ``last`` if it is longer than allowed, else 0."""
     quiet = math.inf if last is None else now - last
     return quiet if quiet > allowed else 0.0
 
 
 def _same_joints(sent: Mapping[str, float], joints: Mapping[str, float]) -> bool:
-    """Return whether there are joints and all of them stand there, within `JOINT_REST`."""
+    """Return whether joints were sent and all of them stand there, within `JOINT_REST`."""
     return bool(sent) and all(
         name in joints and abs(joints[name] - value) <= JOINT_REST for name, value in sent.items()
     )
@@ -178,7 +183,7 @@ LEVELS = ((WELL, "well"), (WARNING, "warning"), (BAD, "error"), (SILENT, "stale"
 
 
 def say_headline(state: PageState, now: float, namespace: str) -> str:
-    """Say whether the graph speaks, and what the arm does."""
+    """Say whether the graph sends messages, and the state of the driver."""
     silent = state.silent_s(now)
     if math.isinf(silent):
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
@@ -197,7 +202,11 @@ def say_headline(state: PageState, now: float, namespace: str) -> str:
 
 
 def list_lines(state: PageState, now: float, namespace: str, said: str) -> dict[str, list[str]]:
-    """Write all that the page says, by place; ``said``: what came of the last press of a button."""
+    """Return all lines of the page, by place on the page.
+
+    Args:
+        said: the result of the last press of a button.
+    """
     lines = {
         "state": [say_headline(state, now, namespace), describe_target(state)],
         "said": [said],
@@ -255,7 +264,7 @@ def describe_drift(state: PageState) -> str:
 
 
 def describe_progress(state: PageState, now: float) -> str:
-    """Say how far a collection is; empty where none was heard of."""
+    """Say how far a collection is; empty if no collection reported."""
     job = state.progress
     if job is None:
         return ""
@@ -264,7 +273,10 @@ def describe_progress(state: PageState, now: float) -> str:
 
 
 def describe_health(node: NodeHealth, now: float) -> list[str]:
-    """Write a line on a node, and one on each of its parts that is not well; a sign first."""
+    """Return a line on a node, and one on each of its parts that is not well.
+
+    Each line begins with the sign of its level.
+    """
     if silent := node.silent_s(now):
         return [f"{SILENT} {node.name}: silent for {_format_ago(silent)}"]
     sign, word = LEVELS[max(part.level for part in node.parts)]

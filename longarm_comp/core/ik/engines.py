@@ -27,7 +27,7 @@ NOTHING = Context().layout
 
 
 class Engine(Enum):
-    """The ways to run the search; they differ in speed only."""
+    """The ways to run the search; they differ in speed, and in the last digits of the result."""
 
     AUTO = "machine code, for a model that is worth its compilation"
     COMPILED = "machine code"
@@ -39,7 +39,7 @@ _AT_ONCE: ContextVar[bool] = ContextVar("compile_at_once", default=False)
 
 @contextmanager
 def compile_at_once() -> Iterator[None]:
-    """Compile, within this context, every model that is solved; which takes a second each."""
+    """Compile every model at its first solve within this ``with`` block; each takes a second."""
     token = _AT_ONCE.set(True)
     try:
         yield
@@ -48,7 +48,7 @@ def compile_at_once() -> Iterator[None]:
 
 
 def warm_up(model: Model, context: Context | None = None) -> None:
-    """Compile a model now, for contexts of this layout."""
+    """Compile a model to machine code now, for contexts with the same fields as `context`."""
     kernel_of(model, (context or Context()).layout).code  # noqa: B018 - is kept
 
 
@@ -69,11 +69,15 @@ def run(
     Args:
         m: 3 for position tasks, 6 for poses.
         targets: position (m) and axes n, o, a, (N, 12).
-        starts, box: (N, n), and lower and upper limits alike; those of a locked joint are at its
-            start.
-        restarts: their number (`restart_points`).
-        tol: tolerance on position (m) and angle (rad); what fails `REACHED` too is restarted.
-        radian_m: what a radian of the tool's angle weighs, in metres.
+        starts: (N, n) joints, rad and m.
+        box: lower and upper limits, (N, n) each; both are at the start for a locked joint.
+        restarts: most restarts of a target (`restart_points`).
+        tol: tolerance on position (m) and angle (rad). A target has failed if a residual is above
+            both `tol` and `REACHED`.
+        radian_m: length (m) that a radian of the tool's angle counts as.
+
+    Returns:
+        The best joints (N, n) and the report (N, 4) of the module's docstring.
     """
     count, weights = len(targets), (1.0, radian_m)
     points = restart_points(model.arm.n, restarts)
@@ -113,7 +117,7 @@ def run(
 
 
 def _worth_compiling(model: Model, layout: Layout, count: int) -> bool:
-    """Tell whether machine code is there, or would soon have saved the time of its compilation."""
+    """Count the targets of a batch; tell whether machine code exists or would soon pay off."""
     if not layout.traceable:
         return False
     kernel = kernel_of(model, layout)
@@ -127,7 +131,10 @@ _Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints (K, n), residuals (
 
 
 class _Search:
-    """Searches by the model's own code; numbers of the state are floats of one, or (K,) arrays."""
+    """Searches by the model's own Python code.
+
+    The numbers of the state are floats for a single search, arrays (K,) for K searches.
+    """
 
     def __init__(self, model: Model, context: Context, state: Mapping[str, Sequence[Any]]) -> None:
         self._model, self._context, self.state = model, context, dict(state)
@@ -141,7 +148,10 @@ class _Search:
                 self._repeat(step)
 
     def _repeat(self, step: newton.Repeat) -> None:
-        """Run until a number of the state is 0 everywhere; others go on without what is done."""
+        """Run the steps of a loop until its row of the state is 0 in all searches.
+
+        Searches in which it is 0 are left out of the further rounds.
+        """
         while (todo := np.asarray(self.state[step.row][0], dtype=bool)).any():
             if todo.all():
                 self.run(step.body)
@@ -159,7 +169,7 @@ class _Search:
                 self.state[name] = whole
 
     def rows(self, name: str, count: int) -> np.ndarray:
-        """Return (count, k): a quantity of the state."""
+        """Return a quantity of the state by its name, (count, k)."""
         return np.stack([np.broadcast_to(v, count) for v in self.state[name]], axis=1)
 
 
@@ -195,7 +205,13 @@ def _search_compiled(model: Model, context: Context, m: int, given: _Given, coun
 
 
 def fill_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
-    """Fill states of K searches for machine code, (number, size, width); unused columns are 0."""
+    """Return the states of K searches as blocks for machine code, (blocks, size, width).
+
+    Args:
+        given: quantities by name: (K, k), or (k,) if all searches share them. Unused columns of
+            the last block are 0 in the former.
+        count: number of searches, K.
+    """
     width = kernel.code.width
     full, rest = divmod(count, width)
     blocks = np.zeros((full + (rest > 0), kernel.size, width))
@@ -211,7 +227,7 @@ def fill_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
 
 
 def rows_of(blocks: np.ndarray, kernel: Kernel, name: str, count: int) -> np.ndarray:
-    """Return (K, k): the quantity of a name in such states."""
+    """Return the quantity of a name, (K, k), from blocks as `fill_blocks` makes them."""
     groups, _, lanes = blocks.shape
     each = blocks[:, kernel.slice(name)].swapaxes(1, 2)
     return each.reshape(groups * lanes, len(kernel.place[name]))[:count]
@@ -221,7 +237,8 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
     """Return true tip poses as `Model.pose`, in machine code if the model is compiled.
 
     Args:
-        q: joints (M, n), rad or m. context: of the M postures, scalars or (M,) arrays.
+        q: joints (M, n), rad or m.
+        context: circumstances of the M postures, scalars or (M,) arrays.
 
     Returns:
         (M, 4, 4), base frame.
@@ -239,7 +256,10 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
 
 
 def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
-    """Return `Model.posture` at joints (n,) or (M, n), without load passes by a compiled model."""
+    """Return `Model.posture` at joints (n,) or (M, n), rad and m.
+
+    If the model is compiled, machine code runs the load passes.
+    """
     rows, kernel = np.atleast_2d(q), _compiled_kernel(model, context)
     if kernel is None or not len(rows):
         return model.posture(unstack(q), context)
@@ -255,7 +275,7 @@ def _compiled_kernel(model: Model, context: Context) -> Kernel | None:
 
 
 def _evaluate(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:
-    """Return rows (M, k) of the state of that name after an evaluation at joints and contexts."""
+    """Evaluate the model at joints (M, n); return a quantity of the state by its name, (M, k)."""
     c = kernel.layout.pack(context, len(q))
     blocks = fill_blocks(kernel, {"trial": q, "c": c}, len(q))
     kernel.code.function("many_evaluate")(blocks.ctypes.data, len(blocks))
@@ -264,10 +284,11 @@ def _evaluate(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.
 
 @cache
 def restart_points(n: int, count: int) -> np.ndarray:
-    """Return (count, n + 1): points of the unit box, and the share of the way from a seed to each.
+    """Return restarts (count, n + 1): a point of the unit box, and how far to go to it.
 
-    A fixed additive recurrence on the generalised plastic number (M. Roberts' R_d).  The first
-    stay near the seed.  Every other one is stretched, so that many joints start at a limit.
+    The last column is the share of the way from the seed to the point; it is below 1 for the first
+    two.  The points are a fixed additive recurrence on the generalised plastic number (M. Roberts'
+    R_d).  Every other one is stretched, so that many joints start at a limit.
     """
     g = 2.0
     for _ in range(40):

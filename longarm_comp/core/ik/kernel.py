@@ -27,11 +27,14 @@ from longarm_comp.core.model.model import Model
 
 
 def rigid_jacobian(posture: Posture, tip: Vec, station: float = math.inf) -> list[tuple[Vec, Vec]]:
-    """Return the tip's velocity (m, base frame) and turn (rad) per unit of each commanded joint.
-
-    With a ``station`` the point is one that this station carries: rows after it are left out.
+    """Return the tip's translation and rotation per unit of each commanded joint, base frame.
 
     The sag is kept constant, so on a soft arm the Jacobian is a few percent off.
+
+    Args:
+        tip: the point that moves, base frame, m.
+        station: the station that carries the point, if it is not the tip. Rows behind it do not
+            move the point.
     """
     chain = posture.chain
     columns: list[tuple[Vec, Vec]] = [(ZERO, ZERO)] * chain.arm.n
@@ -55,11 +58,11 @@ def rigid_jacobian(posture: Posture, tip: Vec, station: float = math.inf) -> lis
 
 @dataclass(frozen=True)
 class TwistRow:
-    """The effects' twists by station as a row of numbers, the ``x`` of a search's state.
+    """The effects' twists of all stations as one row of numbers, the ``x`` of a search's state.
 
     Attributes:
-        slot: place in the row of a component (station, number).
-        fixed: values of the components that are not in the row.
+        slot: position in the row, by (station, component 0 to 5).
+        fixed: values of the components that are not in the row, by the same keys.
     """
 
     slot: dict[tuple[int, int], int]
@@ -72,7 +75,7 @@ class TwistRow:
 
     @classmethod
     def trace(cls, model: Model, layout: Layout) -> TwistRow:
-        """Return a row without the components that depend on no joint, context or load."""
+        """Return a row of those components only that depend on joints, context or loads."""
         graph = Graph()
         q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
         context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
@@ -106,7 +109,12 @@ Work = Callable[[newton.State], newton.Outcome]
 def works(
     model: Model, context_of: Callable[[newton.State], Context], row: TwistRow
 ) -> dict[str, Work]:
-    """Return the programs by name, for circumstances that are those of the state."""
+    """Return the programs of a model by name.
+
+    Args:
+        context_of: returns the circumstances that belong to a state.
+        row: the components of the twists that a state holds.
+    """
 
     def at(s: newton.State, x: Sequence[Any]) -> Posture:
         return model.posture_with_twists(tuple(s["trial"]), context_of(s), row.twists(x))
@@ -137,7 +145,7 @@ class Kernel:
 
     Attributes:
         passes: load passes of the model.
-        workload: work done before it is compiled, in single targets.
+        workload: work done so far, counted in single targets; it decides when to compile.
     """
 
     def __init__(self, model: Model, layout: Layout) -> None:
@@ -147,7 +155,7 @@ class Kernel:
 
     @cached_property
     def row(self) -> TwistRow:
-        """Which components of twists the state holds."""
+        """The components of the twists that the state holds."""
         return TwistRow.trace(self._model, self.layout)
 
     @cached_property
@@ -205,7 +213,7 @@ class Kernel:
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
-    """Return the tip, its axes n, o, a, and the Jacobian row after row, 12 + 6 n."""
+    """Return 12 + 6 n numbers: the tip's position, its axes n, o, a, and the Jacobian by rows."""
     tip = model.tip_frame(posture)
     columns = rigid_jacobian(posture, tip.p)
     axes = [*tip.p, *tip.n, *tip.o, *tip.a]
@@ -213,7 +221,10 @@ def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
 
 
 def characteristic_length(model: Model) -> float:
-    """Return the weight of a radian of tool angle in metres: a quarter of the stretched arm."""
+    """Return the length (m) that a radian of the tool's angle counts as in a search.
+
+    It is a quarter of the sum of all DH lengths, at least 0.01 m.
+    """
     if "length" not in model.memo:
         size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
         model.memo["length"] = max(0.25 * size, 0.01)
@@ -222,18 +233,18 @@ def characteristic_length(model: Model) -> float:
 
 
 MOST_KERNELS = 8
-"""Kernels kept, the last used: four models, two kinds of targets each; one takes some 2 MB."""
+"""Number of kernels kept, the last used ones: four models with two layouts each. One takes 2 MB."""
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 
 def kept_kernels(model: Model) -> dict[Layout, Kernel]:
-    """Return the kernels that a model has so far."""
+    """Return the kernels that a model has so far, by layout of the context."""
     kernels: dict[Layout, Kernel] = model.memo.setdefault("kernels", {})
     return kernels
 
 
 def kernel_of(model: Model, layout: Layout) -> Kernel:
-    """Return the kernel of a model, kept by content."""
+    """Return the kernel of a model for a layout; models of equal content share one."""
     kept = kept_kernels(model)
     if layout not in kept:
         key = (model.arm.hash, repr(model.effects), model.passes, model.elements_per_beam, layout)

@@ -24,8 +24,9 @@ def nearest(
     that of a cell); it grows if too few of them are in the box.
 
     Args:
-        R: (n, n + 1): upper triangular without a zero on the diagonal, and y beside it.
-        low, high: (n,), integers, the box of k.
+        R: (n, n + 1): an upper triangular matrix without zeros on its diagonal; y is the last
+            column.
+        low, high: (n,) integers, the box of k.
         max_nodes: number of nodes after which a search ends with the points found so far.
 
     Returns:
@@ -45,7 +46,7 @@ class _Tree:
         n = self.n = len(R)
         self.low, self.high, self.kept, self.max_nodes = low, high, kept, max_nodes
         self.R, self.U = _reduce(R)
-        # k = W (residual - y): what the levels below may still change it by prunes at the box
+        # k = W (residual - y): a branch is cut off if the levels below cannot bring k into the box
         self.W = self.U @ np.linalg.inv(self.R[:, :n])
         self.spread2 = np.cumsum(self.W**2, axis=1)
         ball = math.pi ** (n / 2) / math.gamma(n / 2 + 1)
@@ -57,7 +58,7 @@ class _Tree:
         self.nodes = 0
 
     def search(self) -> None:
-        """Fill the list of the best, within a wider radius while it has gaps."""
+        """Fill the list of the best points; widen the radius while the list is not full."""
         for _ in range(8):
             self._visit(self.n - 1, 0.0, -self.W @ self.R[:, self.n])
             if len(self.best) == self.kept or self.nodes >= self.max_nodes:
@@ -88,7 +89,10 @@ class _Tree:
             side = -side - (1 if side > 0 else -1)
 
     def _leaf(self, distance2: float) -> None:
-        """Insert a point of the box into the list. The worst of a full list sets the radius."""
+        """Insert the present point into the list if it is in the box.
+
+        The worst point of a full list sets the search radius.
+        """
         k = np.rint(self.U @ self.z)
         if distance2 < self.seen2 or (k < self.low).any() or (k > self.high).any():
             return
@@ -99,7 +103,10 @@ class _Tree:
 
 
 def _reduce(R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce R (n, n + 1), triangular, by LLL; also return the integer U: new columns = R U."""
+    """Reduce an upper triangular R (n, n + 1) by LLL; return it and the integer matrix U (n, n).
+
+    The reduced first n columns are those of ``R[:, :n] U``, up to a rotation of all columns.
+    """
     n = len(R)
     R, U = R.copy(), np.eye(n)
     b = 1

@@ -4,10 +4,10 @@ The state of a search is a column of numbers (`rows`).  The functions here read 
 a branch on data: they run on floats for one target, on arrays for many, and traced as machine code
 for the lanes of a processor.  `flow` is the order in which they run.
 
-The tip is evaluated at three levels: while it is far, by the arm with the twists of the start,
-kept; then with the twists carried from one iterate to the next, one load pass per step; near the
-target by the model itself with all its passes.  There Broyden's rule corrects the Jacobian, which
-otherwise keeps the sag constant.
+The tip is evaluated at three levels (`LEVELS`).  While it is far from the target, the twists of the
+start are kept.  Then twists are carried from one iterate to the next, with one load pass per step.
+Near the target the model itself is evaluated with all its passes.  On the last two levels Broyden's
+rule corrects the Jacobian, which otherwise keeps the sag constant.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ def _solve_damped(J: _Scalars, e: _Scalars, free: _Scalars, damping: Any, m: int
     ``u = F J' (J F J' + damping 1)^-1 e``.
 
     Args:
-        J, e: m x n, row after row; m.
-        free: n; 1 where an unknown is free, 0 where it is held (F is its diagonal).
+        J: m x n numbers, row after row.
+        e: m numbers.
+        free: n numbers, the diagonal of F: 1 for a free unknown, 0 for a fixed one.
         damping: above 0, so that the Cholesky factor exists.
     """
     n, A, y, u = len(free), [0.0] * (m * m), [0.0] * m, []  # A: factor below the pivots
@@ -68,9 +69,9 @@ def _solve_damped(J: _Scalars, e: _Scalars, free: _Scalars, damping: Any, m: int
 
 
 def rotation_error(R: _Scalars, target: _Scalars) -> tuple[list[Any], Any]:
-    """Compute the rotation vector (rad, base frame) from R to the target; its angle, 0 to pi.
+    """Return the rotation vector (rad, base frame) from R to the target, and its angle, 0 to pi.
 
-    Both hold axes n, o, a one after the other, 9 numbers each.  At pi the vector is 0.
+    Both hold axes n, o, a one after the other, 9 numbers each.  At an angle of pi the vector is 0.
     """
     x = y = z = trace = 0.0  # sum of the cross products of the axes, and of their scalar products
     for k in (0, 3, 6):
@@ -87,8 +88,10 @@ def rotation_error(R: _Scalars, target: _Scalars) -> tuple[list[Any], Any]:
 
 
 def skewness(R: _Scalars) -> Any:
-    """Return how far axes n, o, a (9 numbers) are from a right-handed rotation: sum of squares of
-    ``R'R - 1`` (once each) and of ``n x o - a``."""
+    """Return how far axes n, o, a (9 numbers) are from a right-handed rotation.
+
+    It is the sum of squares of the elements of ``R'R - 1`` (each once) and of ``n x o - a``.
+    """
     s = 0.0
     for i in range(3):
         for j in range(i + 1):
@@ -117,14 +120,15 @@ reachable space, the last digits of a target decide whether any joints meet it m
 
 
 class Level(NamedTuple):
-    """Evaluation of the tip, and the residual down to which it is used.
+    """A way to evaluate the tip, and the residual down to which it is used.
 
     Attributes:
-        evaluate: "kept", "carried" or "full".
-        near: position (m) and angle (rad) at which the level ends; None for `tol`.
-        skip: residual at its start at which the level is skipped.
-        hasty: a step with little progress ends it too.
-        learns: Broyden's rule is used, as the residual depends on the joints alone.
+        evaluate: twists "kept" from the start of the level, "carried" from iterate to iterate, or
+            from "full" load passes.
+        near: residual of position (m) and angle (rad) at which the level ends; None: `tol`.
+        skip: residual at the start of the level at which it ends at once; None: `tol`.
+        hasty: whether a step with little progress ends it too.
+        learns: whether Broyden's rule corrects the Jacobian.
     """
 
     evaluate: str
@@ -142,9 +146,14 @@ LEVELS = (
 
 
 def rows(n: int, context: int, twists: int) -> dict[str, range]:
-    """Return the layout of a search's state for n joints and given numbers of context and twists.
+    """Return the rows of a search's state by name: inputs, then results, then working quantities.
 
-    It holds inputs, then results, then work.  `live` is 0 in an unused column.
+    `live` is 0 in an unused column.
+
+    Args:
+        n: number of joints.
+        context: number of scalars of the context.
+        twists: number of components of twists.
     """
     sizes = {
         "given": 16,
@@ -187,10 +196,9 @@ def rows(n: int, context: int, twists: int) -> dict[str, range]:
 
 
 def accept(s: State, m: int) -> Outcome:
-    """Begin a search: take over the target (4 x 4, row after row) and the seed, put inside the
-    limits.
+    """Begin a search: take the target (4 x 4, row after row), and the seed clipped to the limits.
 
-    ``fault``: 1 where a number is not finite, 2 where the target has no rotation.
+    ``fault`` is 0, or the sum of 1 if a number is not finite and 2 if the target is no pose.
     """
     T = s["given"]
     axes = [T[4 * i + j] for j in range(3) for i in range(3)]
@@ -222,7 +230,7 @@ def begin_search(n: int) -> Outcome:
 
 
 def open_level(s: State) -> Outcome:
-    """Enter a level, which requires a new evaluation of the joints."""
+    """Begin a level: the present joints are its first trial, to be evaluated anew."""
     return {
         "trial": s["q"],
         "energy": [UNKNOWN],
@@ -334,7 +342,7 @@ def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
 
 @dataclass(frozen=True)
 class Repeat:
-    """Programs that are repeated while a row is not 0."""
+    """Programs that are repeated while a row of the state is not 0."""
 
     row: str
     body: Flow
@@ -344,7 +352,12 @@ Flow = tuple["str | Repeat", ...]
 
 
 def flow(passes: int, m: int) -> Flow:
-    """Return programs of the search from q in their order; q becomes the answer."""
+    """Return the programs of a search in their order; it starts at q and leaves its result there.
+
+    Args:
+        passes: load passes of the model.
+        m: number of equations, 3 or 6.
+    """
     steps: list[str | Repeat] = ["begin"]
     step = f"round{m}", Repeat("more", (f"round{m}",))
     for level in LEVELS:

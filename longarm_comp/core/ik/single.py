@@ -20,7 +20,7 @@ _BOX = ("lower", "upper")
 
 
 class _Workspace:
-    """A block of columns, of which the first is used, and views of its inputs and results."""
+    """The state of one search: the first column of a block, with views of inputs and results."""
 
     def __init__(self, kernel: Kernel, key: _Key) -> None:
         _, m, tol, length = key
@@ -52,7 +52,7 @@ class _Task:
         self.spare = [_Workspace(kernel, key)]
 
     def run(self, target: np.ndarray, seed: np.ndarray, context: Context | None) -> _Found | None:
-        """Search from the seed alone; None if the target or the seed is invalid."""
+        """Search from the seed without restarts; None if the target or the seed is invalid."""
         if seed.shape != (self.kernel.arm.n,):
             return None
         try:
@@ -86,8 +86,8 @@ def solve_compiled(
 ) -> _Found | None:
     """Search from a seed (default mid-range) in machine code.
 
-    None if the request needs the general solver: the model is not compiled, the context has text
-    columns, or the input is invalid and needs an error message.
+    None if the request needs the general solver: the model is not compiled, a text column of the
+    context has several values, or the input is invalid and needs an error message.
 
     Args:
         options: number of equations, tolerance, and weight of a radian (m).

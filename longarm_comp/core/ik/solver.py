@@ -39,7 +39,7 @@ TOLERANCE = 1e-9
 """Tolerance of the search, m and rad."""
 MAX_STARTS = 16
 _NEAR = 1e-2
-"""What a radian weighs, as a share of what it weighs else, where orientations cannot be held."""
+"""Factor on the weight of a radian in the first search for a pose that cannot be reached."""
 
 
 class Reason(Enum):
@@ -54,8 +54,8 @@ class Solution(NamedTuple):
 
     Attributes:
         q: (n,), inside the limits; the best found when not `ok`.
-        ok: residuals are within `REACHED`, or within `tol` where that is wider; of an orientation
-            that is held as `near` as may be, that of the position alone.
+        ok: whether the residuals are within the larger of `REACHED` and `tol`. If an orientation
+            could only be held as `near` as possible, the position alone counts.
         reason: why the search ended.
         position_residual_m, angle_residual_rad: residuals at q (0 rad for position tasks).
         iterations: total number over all starts.
@@ -111,7 +111,10 @@ def solve(
     max_starts: int = MAX_STARTS,
     engine: Engine = Engine.AUTO,
 ) -> Solution:
-    """Find joints that bring the tip to one target: see `solve_many`."""
+    """Find joints that bring the tip to one target: a position (3,), m, or a pose, base frame.
+
+    The other arguments are those of `solve_many`.
+    """
     if isinstance(target, Frame):
         target = target.matrix()
     target = np.asarray(target, dtype=float)
@@ -161,7 +164,8 @@ def solve_many(
         seed: (n,) or (N, n) starts (rad, m), put inside the limits; default mid-range.
         context: circumstances of the targets, scalars or (N,) arrays.
         position_only: leave the orientation free (always so for (N, 3)).
-        near: hold the orientation of a pose as near as the joints allow at the position.
+        near: if a pose cannot be reached, reach its position, with an orientation as near to that
+            of the pose as the joints allow.
         locked: joints that stay at their seed: 0-based numbers in q, or names.
         tol: tolerance of the search on the position (m) and on the angle (rad).
         max_starts: number of starts including the seed; 1 never leaves the seed's branch.
@@ -231,7 +235,7 @@ def axes_of(T: np.ndarray) -> np.ndarray:
 
 
 def _checked_targets(targets: np.ndarray, position_only: bool) -> tuple[np.ndarray, int]:
-    """Return checked positions and axes n, o, a, (N, 12), and the equations of each, 3 or 6."""
+    """Return checked positions and axes n, o, a, (N, 12), and the equations per target, 3 or 6."""
     targets = np.asarray(targets, dtype=float)
     faults = target_faults(targets, position_only, "ik.solve_many")
     if any(faults):

@@ -57,10 +57,10 @@ def train(
         init: ``ssa`` (the default) or ``xavier`` (the control).
         seed: the same seed gives the same predictor on the same machine.
         population, iterations: of the sparrow search.
-        hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
-        ensemble: members, each from its own start.
+        hidden: number of hidden units; ``None`` tries several and keeps the likeliest networks.
+        ensemble: number of networks in the predictor, each from its own initial weights.
         device: where torch trains: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
-        network: another network instead (docs/your_own_network.md), from its own initial weights.
+        network: a network to train instead of the paper's (docs/your_own_network.md).
         progress: called with (networks trained, largest number of networks).
         provenance: arm, session and model of the predictor; the settings are added.
     """
@@ -213,7 +213,14 @@ class _Learner:
     def find_likeliest(
         self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
     ) -> list[_Fit]:
-        """Train networks of rising size until the evidence falls, and sort them by it."""
+        """Train networks of rising size until the evidence falls; return the likeliest first.
+
+        A size with more than 1.5 weights per row is not tried, unless it is the first.
+
+        Args:
+            starts: number of networks of each size.
+            tell: called with the number of networks trained so far.
+        """
         fits = list[_Fit]()
         for units in sizes:
             if fits and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * len(self.x):
@@ -227,7 +234,7 @@ class _Learner:
 
 
 def _draw_folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return (F, N) masks of the rows left out together; repeats of a pose stay together."""
+    """Return masks (F, N) of the rows that each fold leaves out, repeats of a pose together."""
     _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
     pose = pose.ravel()
     fold = (rng.permutation(pose.max() + 1) % _FOLDS)[pose]
@@ -235,7 +242,14 @@ def _draw_folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
 
 
 def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) -> Predictor:
-    """Calibrate by rows left out of the training: gain, conformal factors, variance limit."""
+    """Return a predictor with its gain, conformal factors and variance limit.
+
+    Args:
+        y: (N, 3) residual of the rows, m.
+        left: (N, 3) the part of it that networks trained without each row leave, m.
+        x: (N, d) inputs of the rows, standardised.
+        probe: (M, d) inputs all over the training region, which set the variance limit.
+    """
     _, epistemic = draft.mean_and_variance(x)
     score = np.abs(left) / np.sqrt(epistemic + draft.noise**2)
     level = min(1.0, np.ceil(LEVEL * (len(score) + 1)) / len(score))
@@ -251,7 +265,7 @@ def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) 
 
 
 def _draw_probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
-    """Draw inputs (2000, d) in the training region: random joints, some sample's context."""
+    """Draw inputs (2000, d) in the training region: random joints, circumstances of random rows."""
     joints = int(encoding.is_joint.sum())
     probe = x[rng.integers(0, len(x), 2000)]
     low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)
@@ -260,8 +274,11 @@ def _draw_probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array
 
 
 def _find_leading_directions(draft: Predictor, root: Array, probe: Array) -> NDArray[np.float32]:
-    """Return the (r, D) leading directions of the posterior: they hold all but 0.5 % of the Laplace
-    variance of the outputs over the training region, at a fraction of the cost."""
+    """Return the leading directions (r, D) of the posterior of the weights.
+
+    They hold 99.5 % of the Laplace variance of the outputs over the training region, at a fraction
+    of the cost.
+    """
     jacobian = draft.members.jacobian(probe[:500])
     spread = jacobian.reshape(-1, jacobian.shape[-1]) @ root.T
     values, vectors = np.linalg.eigh(spread.T @ spread)

@@ -4,14 +4,14 @@ The columns, in this order, constant ones left out:
 
 * ``q1..qn`` commanded joints (rad, m): all that the paper uses (``inputs="joints"``);
 * ``approach``: mean over the joints of the direction they arrive from, -1 (from above) to +1;
-** ``approach_q1..qn``: difference of each joint's direction from that mean. They vary only if the
+* ``approach_q1..qn``: difference of each joint's direction from that mean. They vary only if the
   joints arrive from different sides;
 * ``temperature_c`` (degC), ``payload_kg`` (kg).
 
-They are read from the record of circumstances, `Context`. A quantity that it does not hold is NaN;
-so is an unknown side of arrival (0). Time ``t_s`` is not an input: online it is always outside the
-training range, and warm-up is better described by the temperature. Travel is modelled by the
-physics only.
+The circumstances are read from a `Context`. A quantity that it lacks is NaN; so is an unknown side
+of arrival (0). Time ``t_s`` is not an input: online it is always outside the training range, and
+warm-up is better described by the temperature. How far a joint came since its last reversal is no
+input either: the physics models that.
 """
 
 from __future__ import annotations
@@ -58,28 +58,34 @@ class Encoding:
 
     @cached_property
     def is_joint(self) -> NDArray[np.bool_]:
-        """Tell (d,) which inputs are joints; the others are circumstances."""
+        """A mask (d,): True for inputs that are joints; the others are circumstances."""
         return self.kept < self.joints
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
-        """Lower and upper (columns,) of the training region, margins included."""
+        """Lower and upper bounds of the training region, (columns,) each, with a margin."""
         # share of a joint's training range; of a context column's, which matters less and drifts
         margin = np.where(np.arange(len(self.lower)) < self.joints, 0.02, 0.5)
         width = margin * (self.upper - self.lower) + 1e-6
         return self.lower - width, self.upper + width
 
     def encode(self, q: Array, context: Context) -> tuple[Array, Array]:
-        """Return raw inputs (N, columns) in SI units, NaN where the context is unknown, and
-        standardised ones (N, d), where the training mean stands for NaN."""
+        """Return the raw inputs (N, columns) of rows, and the standardised ones (N, d).
+
+        Raw inputs are in SI units, NaN where a circumstance is not known. For NaN the standardised
+        input is 0, the training mean.
+        """
         raw = _raw_columns(q, context, self.context)
         x = (raw[:, self.kept] - self.mean) / self.scale
         return raw, np.where(np.isnan(x), 0.0, x)
 
 
 def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
-    """Return joints (N, n) and, beside them, circumstances, in SI units: a column each; of a side
-    of arrival the mean over the joints whose side is known, and the difference of each from it."""
+    """Return the joints (N, n) and the `used` circumstances side by side, (N, columns), SI units.
+
+    The side of arrival gives its mean over the joints whose side is known, then the difference of
+    each joint from that mean.
+    """
     made = [q]
     for name in used:
         if name not in PER_JOINT:

@@ -1,4 +1,4 @@
-"""The BP network of the paper's section II.C, served without torch: one tanh layer, linear outputs.
+"""The BP network of the paper's section II.C, without torch: one tanh layer, linear outputs.
 
 ``y = [tanh([x, 1] V), 1] W`` with ``V (d+1, H)`` and ``W (H+1, k)``. One flat vector ``[V, W]`` of
 length ``D = (d+1) H + (H+1) k`` holds all weights: the position of a sparrow, and a row of
@@ -39,7 +39,7 @@ class NetworkShape:
         )
 
     def within(self, larger: NetworkShape) -> NDArray[np.intp]:
-        """Return (D,) places of these weights among those of a network with more hidden units."""
+        """Return the indices (D,) of these weights in a network with more hidden units."""
         v, w = larger.split(np.arange(larger.size))
         kept = np.r_[: self.hidden, larger.hidden]  # the last row of W belongs to no unit
         return np.concatenate((v[:, : self.hidden].ravel(), w[kept].ravel()))
@@ -47,7 +47,7 @@ class NetworkShape:
 
 @dataclass(frozen=True)
 class TanhMembers:
-    """Trained networks, in standardised units; `others.TorchMembers` does the same."""
+    """Trained networks, in standardised units; `others.TorchMembers` has the same methods."""
 
     shape: NetworkShape
     weights: Array  # (M, D)
@@ -71,7 +71,7 @@ class TanhMembers:
         return made
 
     def jacobian(self, x: Array) -> Array:
-        """Return slopes (N, k, D) of the first member's outputs by its weights."""
+        """Return the derivatives (N, k, D) of the first member's outputs by its weights."""
         v, w = (layer[0] for layer in self._layers)
         x1, k = _with_ones(x), self.shape.outputs
         z = np.tanh(x1 @ v)
@@ -84,8 +84,17 @@ class TanhMembers:
         return made
 
     def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:
-        """Return the slope (k, m) of the mean at inputs (d,), by the m moved ones, and the step of
-        all of them within which it is accurate to ``error``; 0 where that is not known."""
+        """Return the slope of the members' mean at one input, and how far it is valid.
+
+        Args:
+            x: (d,) inputs.
+            moved: (d,) mask of the m inputs that move.
+            error: allowed error of a linear step.
+
+        Returns:
+            The slope (k, m), and a step: a linear change is accurate to `error` while no moved
+            input changes by more. `others.TorchMembers` does not know the step and returns 0.
+        """
         hidden, output = self._mean
         z = np.tanh(x @ hidden[:-1] + hidden[-1])
         bend, rates = 1.0 - z * z, hidden[:-1][moved]

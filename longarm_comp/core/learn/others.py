@@ -1,9 +1,10 @@
-"""Networks of others: a factory of torch modules, from a file or a package (entry points).
+"""Networks from outside this package: factories of torch modules, from files or entry points.
 
 A factory is a function ``network(inputs, outputs)`` that returns a `torch.nn.Module` of (N, inputs)
--> (N, outputs), all of whose numbers are parameters. Each parameter has one prior precision, so
-what has a size of its own should be a parameter of its own. A saved predictor holds the name and
-the origin of its network, never code: whoever loads it gives the same file, or has the package.
+-> (N, outputs), all of whose numbers are parameters. Each parameter tensor has one prior precision,
+so weights of different typical size should be in different tensors. A saved predictor holds the
+name and the origin of its network, never its code. To load it, the same file must be given or the
+same package installed.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ class NetworkKind:
         return Stack(self._module(inputs, outputs).to(device))
 
     def starts(self, inputs: int, outputs: int, many: int, seed: int) -> torch.Tensor:
-        """Return (M, D) initial numbers of so many modules."""
+        """Return the initial weights (M, D) of `many` new modules, M."""
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             modules = [self._module(inputs, outputs) for _ in range(many)]
         return torch.stack([torch.nn.utils.parameters_to_vector(m.parameters()) for m in modules])
 
     def members(self, inputs: int, outputs: int, weights: Array) -> TorchMembers:
-        """Return the trained networks whose numbers are weights (M, D)."""
+        """Return the trained networks that have the weights (M, D)."""
         return TorchMembers(self.stack(inputs, outputs), torch.as_tensor(weights))
 
     def _module(self, inputs: int, outputs: int) -> torch.nn.Module:
@@ -92,7 +93,10 @@ class TorchMembers:
 
 
 def load_file(path: str | Path) -> NetworkKind:
-    """Execute a Python file that defines ``network(inputs, outputs)``; its name is the file's."""
+    """Execute a Python file that defines ``network(inputs, outputs)``; return its network.
+
+    The network has the name of the file without ``.py``.
+    """
     path = Path(path)
     module = execute_file(path, "network")
     factory = getattr(module, "network", None)
@@ -104,7 +108,7 @@ def load_file(path: str | Path) -> NetworkKind:
 
 
 def choose_network(given: str | Path) -> NetworkKind:
-    """Return the network of a package by its name, or of a file."""
+    """Return the network of an installed package by its name, or that of a Python file."""
     if found := _of_packages().get(str(given)):
         return found
     if Path(given).suffix != ".py":
@@ -114,7 +118,15 @@ def choose_network(given: str | Path) -> NetworkKind:
 
 
 def load_saved(name: str, origin: str, where: object) -> NetworkKind:
-    """Return the network that a file of a predictor names."""
+    """Return the network that a predictor's file names.
+
+    Args:
+        name, origin: of the network, from the file.
+        where: the file, for error messages.
+
+    Raises:
+        InputError: no network of this name and origin was loaded, nor does a package have it.
+    """
     found = _loaded.get(name) or _of_packages().get(name)
     if found is None or found.origin != origin:
         is_now = "not known" if found is None else f"now of another {found.origin.split()[0]}"

@@ -4,13 +4,14 @@
 the standard deviation of a new measurement around the prediction: spread of the ensemble, Laplace
 posterior of its likeliest member and noise, scaled so that 90 % intervals (``+-1.645 sigma``) hold
 on rows left out of the training, four parts in turn (cross-conformal; Vovk 2015, Ann. Math. Artif.
-Intell. 74). Linearised leave-one-out residuals are too small by a third where noise is learned.
+Intell. 74). Linearised leave-one-out residuals, the alternative, are too small by a third where
+noise is learned.
 
 Outside the training region the predictor refuses: ``in_domain`` is False and ``reason`` says why.
-So it does where ``sigma`` says that its prediction leaves no less than the physics alone left over
-the training rows (``alone``, by the same 90 % intervals): between the levels of a coarse grid a
-network may know nothing. And everywhere, where the rows left out do not show a ``gain`` beyond
-chance: a network that learned noise adds it.
+It also refuses where ``sigma`` is not below the error that the physics alone leaves over the
+training rows (``alone``, by the same 90 % intervals): between the levels of a coarse grid a network
+may know nothing. It refuses everywhere if the rows left out show no ``gain`` beyond chance: a
+network that learned noise adds it.
 """
 
 from __future__ import annotations
@@ -48,7 +49,10 @@ class LearnedGain:
 
     @classmethod
     def of(cls, residual: Array, left: Array) -> LearnedGain:
-        """Estimate it from the residual (N, 3) and what the network leaves of it, row by row."""
+        """Estimate the gain from the residual of the physics and what the network leaves of it.
+
+        Both are (N, 3), m.
+        """
         before, after = (np.linalg.norm(e, axis=1) for e in (residual, left))
         gained = before - after
         chance = 1.6449 * gained.std(ddof=1) / math.sqrt(len(gained))
@@ -77,7 +81,7 @@ class Provenance:
 
     @property
     def beside_deflection(self) -> bool:
-        """True if it learned the residual of the physics with link deflection."""
+        """True if it learned the residual of a model with link deflection."""
         return bool(self.settings.get("deflection", True))
 
 
@@ -109,13 +113,13 @@ class Predictor:
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
         """Predict the residual at joints (N, n), rad and m.
 
-        Context that is absent or NaN is replaced by its training mean, and ``sigma`` is widened by
-        its influence.
+        A circumstance that is missing or NaN is replaced by its training mean, and ``sigma`` is
+        widened by its influence.
         """
         return self._predict(q, context)[0]
 
     def _predict(self, q: Array, context: Context | None) -> tuple[Prediction, Array]:
-        """Predict; return the standardised inputs (N, d) too."""
+        """Return the prediction at joints (N, n), and the standardised inputs (N, d)."""
         q, known = check_rows("predict", q, context)
         if q.shape[1] != self.encoding.joints:
             raise InputError("predict", "q", f"{q.shape[1]} joints", f"{self.encoding.joints}")
@@ -148,10 +152,10 @@ class Predictor:
         return mean * self.scale + self.offset, variance * self.scale**2
 
     def _unknown_context(self, raw: Array, x: Array) -> Array:
-        """Return the variance (N, 3) in m^2 by unknown circumstances.
+        """Return the variance (N, 3), m^2, that unknown circumstances add.
 
         It is the squared effect of one standard deviation of the training data, summed over the
-        columns.
+        unknown columns.
         """
         unknown = np.isnan(raw[:, self.encoding.kept])
         variance = np.zeros((len(x), len(self.offset)))
@@ -184,7 +188,7 @@ class Predictor:
         return "; ".join(parts)
 
     def expand(self, q: Array, context: Context | None = None) -> Expansion:
-        """Predict at joints (n,) and around them."""
+        """Return the prediction at joints (n,), rad and m, with its slope by the joints."""
         encoding = self.encoding
         found, x = self._predict(q[None], context)
         slope, step = self.members.slope(x[0], encoding.is_joint, LINEAR_M / self.scale)

@@ -1,7 +1,8 @@
 """Predictor files: plain arrays with a JSON header, never a pickle.
 
-An npz holds the paper's networks. A network of others needs torch and its own code to be of use; so
-that no program takes it for one of the paper's, its file is safetensors."""
+An npz file holds the paper's networks. A network from outside the package needs torch and its own
+code, so it has another format, safetensors: no program can take it for one of the paper's.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +27,9 @@ from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 from longarm_comp.core.yaml_file import Declared, parse_declared
 
 _LARGEST = 1e6
-"""Inputs, weights and lengths (m) are far below it: no arm is a thousand kilometres long."""
+"""Largest input, weight or length (m) that is allowed: no arm is a thousand kilometres long."""
 _OTHERS = ".safetensors"
-"""Ending of the file of a network of others."""
+"""Ending of the file of a network from outside the package."""
 
 _ENCODING = {
     "kept": "kept",
@@ -38,11 +39,11 @@ _ENCODING = {
     "upper": "upper",
 }
 _PREDICTOR = ("weights", "posterior", "offset", "noise", "widen", "alone")
-"""Arrays: those of the encoding with their names in the file, those of the predictor, ``gain``."""
+"""Arrays of a predictor in its file, beside ``gain`` and those of the encoding (`_ENCODING`)."""
 
 
 class _Network(Declared):
-    """Which network of others it is; `others` finds it."""
+    """Name and origin of a network from outside the package, by which `others` finds it."""
 
     name: str
     origin: str
@@ -67,7 +68,11 @@ class _Header(Declared):
 
 
 def check_ending(path: str | os.PathLike[str], of_others: bool) -> None:
-    """Check that the name says which kind of network the file holds."""
+    """Check that a file's ending fits the kind of its network.
+
+    Args:
+        of_others: whether the network is from outside the package.
+    """
     ending = Path(path).suffix
     if of_others != (ending == _OTHERS):
         allowed = f"{_OTHERS} for a network of others, .npz for the paper's"
@@ -122,11 +127,12 @@ def load(
     model_hash: str | None = None,
     model: str = "",
 ) -> Predictor:
-    """Read a predictor. What is given of its arm and its model must match the file.
+    """Read a predictor, and check that it belongs to the arm and the model that are given.
 
     Args:
-        model_hash: SHA-256 of model.yaml; empty for the declared arm.
-        model: its name, for the error message.
+        arm_hash, joint_names: of the arm; None: not checked.
+        model_hash: SHA-256 of model.yaml; empty for the declared arm; None: not checked.
+        model: name of the model, for the error message.
     """
     header, arrays = _read(path)
     network, d = None, arrays["kept"].size
@@ -182,7 +188,7 @@ def load(
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
-    """Return checked header, and all arrays of the file, of any shape."""
+    """Return the checked header of a file, and its arrays, whose shapes are not checked."""
     try:
         check_regular(path)
         if Path(path).suffix == _OTHERS:
@@ -215,7 +221,7 @@ def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]
 
 
 def _digest(header: str, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return SHA-256 of what a file holds: safetensors has no checksum."""
+    """Return the SHA-256 of a file's header and arrays, as safetensors has no checksum."""
     digest = hashlib.sha256(header.encode())
     for name in sorted(arrays):
         array = arrays[name]

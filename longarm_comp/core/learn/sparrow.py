@@ -44,12 +44,12 @@ _PD, _SD, _ST = 0.2, 0.1, 0.8  # those of the reference code
 
 
 def uniform(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
-    """Return random numbers within [0, 1), of the kind of another tensor."""
+    """Return random numbers in [0, 1) of a size, with the type and device of a tensor."""
     return like.new_empty(size).uniform_(generator=rng)
 
 
 def normal(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
-    """Return random numbers of mean 0 and variance 1, of the kind of another tensor."""
+    """Return normal random numbers of mean 0 and variance 1, as `uniform`."""
     return like.new_empty(size).normal_(generator=rng)
 
 
@@ -81,7 +81,7 @@ class Rules:
         return quantity * torch.exp((worst[..., :-1] - position) / rank[:, None] ** 2)
 
     def watch(self, rng: torch.Generator, own: Tensor, best: Tensor, worst: Tensor) -> Tensor:
-        """Return ``own`` (M, m, D+1): with the fitness as the last column."""
+        """Move the vigilantes ``own`` (M, m, D+1), whose fitness is the last column."""
         position, fitness = own[..., :-1], own[..., -1:]
         beta = normal(rng, position, *position.shape)
         towards = best[..., :-1] + beta * (position - best[..., :-1]).abs()
@@ -131,7 +131,7 @@ class SparrowSearch:
         search = torch.arange(many, device=lower.device)[:, None]
 
         def land(position: Tensor) -> Tensor:
-            """Return positions within the box, their fitness as the last column, (M, m, D+1)."""
+            """Return positions clipped to the box, with the fitness as last column, (M, m, D+1)."""
             position = position.nan_to_num(nan=torch.inf).clamp(low, high)
             value = fitness(position).to(position.dtype).nan_to_num(nan=torch.inf, posinf=torch.inf)
             return torch.cat((position, value[..., None]), dim=2)

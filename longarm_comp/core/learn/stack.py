@@ -1,8 +1,9 @@
-"""Networks as torch modules, many at once: flat weights (M, D), and rows of its own for each.
+"""Many networks of one torch module at once: flat weights (M, D), and rows of its own for each.
 
 `Stack` takes any module (N, d) -> (N, k). `TanhStack` is the paper's network. Its Jacobian is never
 formed: each of its columns is one of the columns ``B = [x s, z, 1]`` (``z = tanh``,
-``s = 1 - z^2``) times a number of each output, so one Gram matrix ``B'UB`` serves all outputs.
+``s = 1 - z^2``) times a factor of each output, so one Gram matrix ``B'UB`` is enough for all
+outputs.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 
 
 def _numbers_at_once(device: torch.device) -> int:
-    """Return numbers held at once: within the cache of a CPU, the memory of a GPU."""
+    """Return how many numbers to hold at once, so that they fit a CPU's cache or a GPU's memory."""
     return 2**18 if device.type == "cpu" else 2**27
 
 
@@ -30,7 +31,7 @@ class Stack:
         self.size = sum(self._sizes)
         device = next(module.parameters()).device
         self.groups = torch.repeat_interleave(torch.tensor(self._sizes, device=device))
-        """(D,) index of the prior of each weight: one a parameter."""
+        """(D,) index of the prior of each weight; the weights of a parameter tensor share one."""
 
     def _at(self, weights: Tensor, x: Tensor) -> Tensor:
         """Return outputs (..., N, k) of networks (..., D) at inputs (..., N, d)."""
@@ -51,9 +52,10 @@ class Stack:
     def normal_equations(
         self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return Gauss-Newton matrix ``J'UJ`` (M, D, D), its lower triangle, and ``J'U r`` (M, D).
+        """Return the lower triangle of the Gauss-Newton matrix ``J'UJ`` (M, D, D), and ``J'U r``.
 
-        ``row`` (M, N) are the weights ``U`` of the rows, ``r`` (M, N, k) their residual.
+        The second is (M, D).  ``row`` (M, N) are the weights ``U`` of the rows, ``r`` (M, N, k)
+        their residual.
         """
         block = max(1, _numbers_at_once(x.device) // (len(x) * self.size))
         gram = torch.zeros((), dtype=x.dtype, device=x.device)
@@ -62,7 +64,11 @@ class Stack:
         return self._of_gram(weights, gram)
 
     def _basis(self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor) -> Tensor:
-        """Return the Jacobian (M, N k, D+1), the residual last: its products are ``J'U r``."""
+        """Return the Jacobian (M, N k, D+1) with the residual as its last column.
+
+        Each row is multiplied by the root of its weight, so that the Gram matrix holds ``J'UJ`` and
+        ``J'U r``.
+        """
         basis = torch.cat((self.jacobian(weights, x), residual[..., None]), dim=3)
         return (basis * row[..., None, None].sqrt()).flatten(1, 2)
 
@@ -71,7 +77,7 @@ class Stack:
 
 
 def _gram(basis: Tensor) -> Tensor:
-    """Return ``B'B`` (M, C, C) of (M, N, C), its lower triangle: strips as far as the diagonal."""
+    """Return ``B'B`` (M, C, C) of B (M, N, C); only its lower triangle is complete."""
     gram = basis.new_zeros(len(basis), basis.shape[2], basis.shape[2])
     for a in range(0, basis.shape[2], 64):
         gram[:, a : a + 64, : a + 64] = basis[..., a : a + 64].mT @ basis[..., : a + 64]
@@ -99,10 +105,11 @@ class TanhStack(Stack):
         d, h, k, self.shape = shape.inputs, shape.hidden, shape.outputs, shape
         priors = torch.tensor([h] * (d + 1) + [h * k, k], device=device)
         self.groups = torch.repeat_interleave(priors)
-        """(D,): one an input (ARD), one for the hidden biases, one for ``W``, one for its bias."""
+        """(D,) index of the prior of each weight: one per input (ARD), then one each for the hidden
+        biases, for ``W`` and for its bias."""
         ends = torch.arange((d + 1) * h, (d + 1) * h + h + 1, device=device)
         self._column = torch.cat((ends.new_tensor(range((d + 1) * h)), ends.repeat_interleave(k)))
-        """(D,) index of each weight's column of ``B``."""
+        """(D,) index of the column of ``B`` that belongs to each weight."""
 
     def outputs(self, weights: Tensor, x: Tensor) -> Tensor:
         return self._at(weights, x)  # no `vmap`, which takes longer than the network
@@ -124,11 +131,12 @@ class TanhStack(Stack):
         return matrix, (by_weight[:, -k:] * lift).sum(1)
 
     def squared_error(self, x: Tensor, y: Tensor, used: Tensor) -> Fitness:
-        """Return the sparrow's fitness: of weights (M, P, D) the mean squared error per output, (M,
-        P), over the rows ``used`` (M, N), in single precision.
+        """Return the fitness function of the sparrow search.
 
-        With ``tanh a = 2 s - 1`` and ``s = 1 / (1 + exp(-2a))`` the rest folds into the output
-        layer. All sparrows of a network go through one product.
+        It takes weights (M, P, D) and returns the mean squared error per output (M, P) over the
+        rows ``used`` (M, N), in single precision. With ``tanh a = 2 s - 1`` and ``s = 1 / (1 +
+        exp(-2a))`` the 2 and the -1 go into the output layer. One matrix product serves all
+        sparrows of a network.
         """
         x1, y = 2.0 * _with_ones(x).mT.float(), y.mT[:, None].float()
         share = (used / (y.shape[2] * used.sum(dim=1, keepdim=True))).float()[:, None, None]
@@ -172,9 +180,9 @@ class TanhStack(Stack):
 
 
 def hidden_alike(v: Tensor) -> Tensor:
-    """Mark (M, H) the hidden units whose incoming weights repeat an earlier unit's, up to sign.
+    """Mark (M, H) the hidden units whose incoming weights are 0, or an earlier unit's up to sign.
 
-    Such units have the same gradient, so back-propagation can never separate them.
+    Units with equal weights have equal gradients, so back-propagation can never separate them.
     """
     each = v.mT  # (M, H, d+1)
     norm = each.norm(dim=2)

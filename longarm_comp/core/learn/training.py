@@ -29,9 +29,9 @@ _SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, and number of successi
 
 @dataclass
 class Networks:
-    """Networks and the state of their training, in standardised units; the first index of each."""
+    """M networks and the state of their training, in standardised units."""
 
-    place: Tensor  # (M,) which of all they are
+    place: Tensor  # (M,) their numbers among all that are trained
     x: Tensor  # (M, N, d)
     y: Tensor  # (M, N, k)
     used: Tensor  # (M, N) 1, or 0 for a row that a network does not learn
@@ -105,7 +105,7 @@ def back_propagate(
 
 
 def _try_step(stack: Stack, at: Networks) -> Tensor:
-    """Try a damped Gauss-Newton step of each network; returns (M,) which were moved by it."""
+    """Try a damped Gauss-Newton step of each network; return (M,) True where it was taken."""
     prior = at.alpha[:, stack.groups]
     pull = at.beta[:, None] * at.gradient - prior * at.weights
     system = at.beta[:, None, None] * at.matrix
@@ -140,7 +140,10 @@ def _weigh_rows(at: Networks) -> None:
 
 
 def _student_log(square: Tensor, nu: Tensor, used: Tensor, k: int) -> Tensor:
-    """Return log likelihoods (M, T) of squared residuals (M, N), per noise, by tails (M, T)."""
+    """Return the log likelihood (M, T) of squared residuals (M, N) for tails ``nu`` (M, T).
+
+    The residuals are in units of the noise and have `k` components.
+    """
     half = 0.5 * (nu + k)
     constant = torch.lgamma(half) - torch.lgamma(nu / 2) - 0.5 * k * (nu * math.pi).log()
     logs = torch.log1p(square[:, None] / nu[..., None]) @ used[..., None]

@@ -1,7 +1,7 @@
-"""The arm by the readings of its joints: where the tip is, whatever the servos made of a command.
+"""The model from encoder readings to the tip, whatever the servos made of a command.
 
-What acts before the encoders is in the readings, and so left out.  A driver that trims brings the
-readings to the commands: then this is the model of the commands.
+Effects before the encoders are in the readings already, and so left out.  A driver that trims makes
+the readings equal to the commands: then this is the model of the commands too.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from longarm_comp.core.model.model import Model
 
 @dataclass(frozen=True)
 class _Shaft(JointTerm):
-    """The place of a joint whose encoder reads the commanded value: `Encoder` turned round.
+    """The position of a joint whose encoder reads the value in q: the inverse of `Encoder`.
 
-    It has the name and parameters of its encoder, whose uncertainty is its own.
+    It has the name and parameters of that `Encoder`, so that their uncertainty applies to it.
     """
 
     name = Encoder.name
@@ -36,7 +36,7 @@ class _Shaft(JointTerm):
 
 
 def by_readings(model: Model) -> Model:
-    """Return the model whose joints are readings (rad, m) instead of commands."""
+    """Return the model that takes encoder readings (rad, m) as q instead of commands."""
     arm = model.arm
     behind = [t for t in model.terms if not any(sees(arm, row, t) for row in arm.commanded)]
     return model.with_terms(

@@ -1,8 +1,8 @@
-"""Sight of the joint encoders: the command, and what displaces a joint before its encoder.
+"""What joint encoders see: the command, and the effects between command and encoder.
 
 A drive is a chain: servo, gear, arm (`Effect.acts`).  A motor's encoder sees what the servo does,
-one at the joint what the gear does too.  What an effect displaces is its twist about the joint's
-own axis, so that readings need no physics of their own.
+one at the joint what the gear does too.  An effect displaces a joint by its twist about or along
+the joint's own axis, so readings need no physics of their own.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BEFORE: Mapping[str, frozenset[str]] = {
     "motor": frozenset({"servo"}),
     "joint": frozenset({"servo", "gear"}),
 }
-"""By place of an encoder, what acts before it."""
+"""By place of an encoder, the parts of the drive whose effects it sees."""
 
 Parts = Iterable[tuple[Effect, Twists]]
 """Effects, each with its twists by station."""
@@ -40,7 +40,7 @@ def tell_apart(arm: Arm, rows: Iterable[int], one: Effect | Bias, other: Effect 
 
 
 def seen(chain: Chain, parts: Parts) -> tuple[Scalar, ...]:
-    """Return by how much each commanded joint's encoder sees it displaced, n scalars (rad, m)."""
+    """Return the displacement that each commanded joint's encoder sees, n scalars (rad, m)."""
     total: list[Scalar] = [0.0] * chain.arm.n
     for term, twists in parts:
         for k, (row, station, axis, unit) in enumerate(chain.own_axes):

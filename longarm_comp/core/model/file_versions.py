@@ -1,6 +1,6 @@
-"""A file and its previous version beside it: replaced whole, wherever it is broken off.
+"""Writes a file and keeps its previous version beside it; an interruption loses neither.
 
-Versions lie beside the file that a link leads to.
+If the path is a symbolic link, both are beside the file that it leads to.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from longarm_comp.core.files import follow_link, write_bytes
 def write_version(path: str | Path, content: bytes) -> None:
     """Write a model file's bytes atomically. An existing file becomes the previous version.
 
-    It is first kept beside both, so that broken off anywhere both versions are still there.
+    It is first copied to a third file, so that an interruption at any point loses no version.
     """
     path = Path(path)
     settle(path)
@@ -41,7 +41,7 @@ def settle(path: str | Path) -> None:
 
 
 def previous(path: str | Path) -> Path:
-    """Path of the previous version. Raises InputError where the path names no file."""
+    """Return the path of the previous version. Raises InputError where the path names no file."""
     return _beside(path, "previous")
 
 

@@ -1,4 +1,4 @@
-"""Places of an arm's links, by the names of its URDF, and the boxes that they enter."""
+"""Frames of an arm's links by the names of its URDF, and keep-out boxes that the arm enters."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from longarm_comp.math.cubic_path import split
 
 
 def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """Points (..., k, 3) m, base frame: every station from the foot to the tip, at q (n,) or
-    (N, n).
+    """Return the arm's centre-line (..., k, 3), m, base frame, at q (n,) or (N, n).
 
-    Effects of circumstances that the context does not hold are left out.
+    Its points are the stations from the foot to the tip. Effects of circumstances that the context
+    does not hold are left out.
     """
     context = context or Context()
     model = model.told_by(context)
@@ -32,9 +32,9 @@ def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.n
 
 
 def reach(model: Model) -> tuple[np.ndarray, float]:
-    """Return where the arm stands (3,), and how far the tip can be from there at most, m.
+    """Return the position (3,) of the arm's foot, m, and a bound of the tip's distance from it, m.
 
-    It is the length of its outline with every slide driven out.
+    The bound is the length of the outline at mid range plus the full range of every slide.
     """
     arm = model.arm
     line = outline(model, arm.mid)
@@ -44,7 +44,7 @@ def reach(model: Model) -> tuple[np.ndarray, float]:
 
 
 def exaggerate_sag(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
-    """Points (k, 3) of an arm whose sag is enlarged by a factor."""
+    """Return the points (k, 3) of an arm with its sag (hanging - declared) enlarged by a factor."""
     return np.asarray(declared + factor * (hanging - declared))
 
 
@@ -53,7 +53,7 @@ BASE_LINK, TIP = "base_link", "tip"
 
 @dataclass(frozen=True)
 class Placed:
-    """A frame in its parent: (3,) m and the orientation x, y, z, w."""
+    """A named frame in its parent: position (3,), m, and orientation as a quaternion x, y, z, w."""
 
     parent: str
     name: str
@@ -67,17 +67,17 @@ class Placed:
 
 
 def joint_name(joint: Joint) -> str:
-    """Name of a row's joint: its own, or by its number."""
+    """Return the name of a row's joint: its own, or ``joint`` and the row's id."""
     return joint.name or f"joint{joint.id}"
 
 
 def link_name(joint: Joint) -> str:
-    """Name of the link that a row's joint moves."""
+    """Return the name of the link that a row's joint moves."""
     return f"{joint_name(joint)}_link"
 
 
 def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
-    """Every link of the chain in the one before, and the tip in the last, at joints q (n,).
+    """Return every link's frame in the link before it, and the tip in the last, at joints q (n,).
 
     The frame of a link is that of its row; the first parent is `BASE_LINK`, the measuring frame.
     Rows off the chain, which only lead others, have none. Every name starts with ``prefix``.
@@ -93,15 +93,15 @@ def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
 
 
 _LOOK_M = 0.005
-"""How deep the arm can be in a box unseen, m, at most; half the box's thickness if that is less."""
+"""Depth (m) in a box up to which the check may miss the arm; half the box's thickness if less."""
 _AT_ONCE = 64
-"""Parts of a piece of the way that are looked at together: one posture takes about as long."""
+"""Most parts into which a piece of a motion is cut at a time: one posture takes about as long."""
 _TOGETHER = 4096
-"""Postures that are looked at together at most, for their memory."""
+"""Most postures that are checked at a time, for their memory."""
 _MOST_LOOKS = 100_000
-"""Postures that are looked at before a way is given up: some seconds."""
+"""Postures after which the check of a motion gives up: some seconds."""
 _DRIVERS_LOOKS = 800
-"""The same of a driver, which does nothing else meanwhile: 45 ms among five boxes."""
+"""The same for a driver, which does nothing else meanwhile: 45 ms with five boxes."""
 _TOO_LONG = (
     "keep_out: so long a way so near a box takes too long to check; allowed: shorter parts of it, "
     "or a thicker box"
@@ -112,20 +112,24 @@ def describe_entry(model: Model, path: np.ndarray) -> str:
     """Say which box a move enters, where, and at which joints; empty if it enters none.
 
     The arm is the line through its stations, from the foot to the tip: a box must be larger than
-    the thing that it protects by the arm's radius. Between way-points joints move straight.
+    the thing that it protects by the arm's radius. Joints move linearly between way-points.
+
+    Args:
+        path: (N, n) way-points, rad and m.
     """
     return find_entry(model, path)[1]
 
 
 def find_entry(model: Model, path: np.ndarray, most: int = _MOST_LOOKS) -> tuple[int, str]:
-    """Find where a move through joints (N, n) enters a box: before which row, and `describe_entry`.
+    """Return at which row a move through joints (N, n) enters a box, and `describe_entry`.
 
-    It is cut into ever smaller pieces until no link can be in a box by `_LOOK_M` unseen: it moves
-    less in a piece than it may move from both ends of it together (adaptive collision checking,
-    Schwarzer, Saha and Latombe 2005).
+    The entry is between the row before and this one; without an entry it is 0 and "". The move is
+    cut into ever smaller pieces until the arm cannot be in a box by `_LOOK_M` unnoticed: then no
+    part of it moves farther in a piece than its distances from the boxes at both ends together
+    (adaptive collision checking, Schwarzer, Saha and Latombe 2005).
 
     Args:
-        most: postures after which it gives up and says so.
+        most: number of postures after which the check gives up; the text then says so.
     """
     if not model.arm.keep_out or not len(path):
         return 0, ""
@@ -155,14 +159,14 @@ def find_entry(model: Model, path: np.ndarray, most: int = _MOST_LOOKS) -> tuple
 
 
 def _between(at: np.ndarray, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """(M, n) rows (N, n) at places (M,) between those that they are at (N,)."""
+    """Interpolate rows (N, n), known at positions `at` (N,), at `places` (M,); return (M, n)."""
     return np.stack([np.interp(places, at, column) for column in rows.T], axis=-1)
 
 
 def most_motion(model: Model) -> np.ndarray:
-    """(parts, n): how far a part of `outline` moves at most for a unit of every joint, m.
+    """Return (parts, n), m: how far each part of `outline` moves at most per unit of each joint.
 
-    The last part is the tip by itself.
+    The last part is the tip alone.
     """
     if "most_motion" not in model.memo:
         model.memo["most_motion"] = (_turning(model) + _sagging(model))[1:]
@@ -171,7 +175,7 @@ def most_motion(model: Model) -> np.ndarray:
 
 
 def _turning(model: Model) -> np.ndarray:
-    """(points of the line, n): `most_motion` about the axes and along the slides."""
+    """Return (points of the line, n): `most_motion` of the arm without sag."""
     arm, line = model.arm, _lines(model, model.arm.mid)
     moved, span = np.abs(arm.mixing[0]), arm.upper - arm.lower
     along = np.insert(np.linalg.norm(np.diff(line, axis=0), axis=1), 0, 0.0)
@@ -187,7 +191,10 @@ def _turning(model: Model) -> np.ndarray:
 
 
 def _sagging(model: Model) -> np.ndarray:
-    """(points of the line, n): what sag adds to `most_motion`, twice the most at some postures."""
+    """Return (points of the line, n): what sag adds to `most_motion`.
+
+    It is estimated as twice the largest value at 32 random postures.
+    """
     arm, bare = model.arm, model.with_terms(())
     here = np.random.default_rng(0).uniform(arm.lower, arm.upper, (32, arm.n))
     most = []
@@ -198,8 +205,14 @@ def _sagging(model: Model) -> np.ndarray:
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
-    """Return what says why the arm must not move through joints (N, n), in the order of their
-    names; None without boxes."""
+    """Return a check of motions against the boxes, or None if the arm has no box.
+
+    The check takes joints (N, n) in the order of `names`, and says why the arm must not move
+    through them, or "".
+
+    Args:
+        where: where the names are from, for error messages.
+    """
     if not model.arm.keep_out:
         return None
     order = model.arm.order(names, where)
@@ -208,25 +221,26 @@ def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray],
 
 
 def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
-    """Say, for each of the postures q (M, n): the box of arm.yaml that the arm is in, and where.
+    """Say for each posture q (M, n) which box of arm.yaml the arm is in, and where, or "".
 
-    A box that the arm's foot stands in, as a floor above the foot, is left once: what comes after
-    must stay out, and so must the tip.
+    The foot may be inside a box, such as a floor whose surface is above the foot. The arm may leave
+    that box once; the rest of the arm and the tip must be outside.
     """
     return _entries(model, q)[0]
 
 
 def _lines(model: Model, q: np.ndarray) -> np.ndarray:
-    """Return the outlines, and the tip once more: a last part that is the tip alone."""
+    """Return the outlines with the tip repeated, so that the last part is the tip alone."""
     line = outline(model, q)
     return np.concatenate([line, line[..., -1:, :]], axis=-2)
 
 
 def _entries(model: Model, q: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """Return `boxes_entered`, and (M, parts) m: how far parts can move until that changes by more
-    than may remain unseen.
+    """Return `boxes_entered`, and how far each part may move before it must be checked again.
 
-    A part that leaves the box of the foot does so while its beginning is in there.
+    The latter is (M, parts), m: the distance from the boxes, or at least the depth that may go
+    unnoticed (`_LOOK_M`). For a part that leaves the box of the foot it is the depth of its
+    beginning in that box.
     """
     lines = _lines(model, q)
     found, clear = [""] * len(q), np.full(lines[:, 1:, 0].shape, np.inf)

@@ -43,7 +43,7 @@ class Slot:
 
     @property
     def label(self) -> str:
-        """``joint_compliance / joint 2 / compliance``."""
+        """A name for people, such as ``joint_compliance / joint 2 / compliance``."""
         return f"{self.owner.name} / {self.owner.place} / {self.parameter.name}"
 
     @property
@@ -52,12 +52,12 @@ class Slot:
 
     @property
     def step(self) -> float:
-        """A small change of the parameter."""
+        """A small change of the parameter, for differences: 1 % of its prior."""
         return 0.01 * self.parameter.prior
 
     @cached_property
     def ends(self) -> tuple[Any, Any]:
-        """Its term with the parameter a step higher, and a step lower."""
+        """The term with the parameter a step higher, and with it a step lower."""
         name, term = self.parameter.name, self.owner
         up, down = self.value + self.step, self.value - self.step
         return term.with_values({name: up}), term.with_values({name: down})
@@ -75,16 +75,16 @@ class Model:
         elements_per_beam: number of elements of each beam.
         arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
             from below (+1); empty if not recorded.
-        row_legs: per commanded joint, the way (rad, m) since it turned that three of four fitted
-            rows reach; 0: not recorded; empty: of no joint.
+        row_legs: per commanded joint, the distance (rad, m) since its last reversal that 75 % of
+            the fitted rows reach; 0 if not recorded; empty if recorded for no joint.
         tolerances: share of the drawing's tolerances by which the geometry may be wrong; below 1
             if other arms of the kind are known.
-        beyond: (parameter, factor) of priors made wider or narrower: geometry beyond its tolerance,
-            and what every arm yields by. Each fit finds them again; no file holds them.
+        beyond: (identity of a parameter, factor) for each prior that a fit made wider or narrower,
+            such as geometry beyond its tolerance. Each fit finds them anew; they are not saved.
         uncertainty: how far its tip may be from the true tip; None if that is not known.
-        ended_s: where the clock of its session stood at the end, s; None if that is not known.
-        frame_shift: m, what the measuring side moved the fitted rows by, on average: so far from
-            where the arm is lies the frame in which it was measured.
+        ended_s: time (s) on its session's clock when the session ended; None if not known.
+        frame_shift: mean shift (m) of the fitted rows by the biases: the frame of the measurements
+            is off the arm's own frame by this much.
         chain: the arm's stations; made from `arm` and `elements_per_beam`, never given.
     """
 
@@ -130,7 +130,7 @@ class Model:
         return tuple(self._within(slot) for slot in slots_of(self.arm, self.terms))
 
     def uncertain_slots(self, known: ModelUncertainty) -> tuple[Slot, ...]:
-        """Return the arm's parameters that a record knows, also of effects that are not held."""
+        """Return the arm's parameters that an uncertainty covers, absent effects included."""
         held = {term.key for term in self.effects}
         slots = (*self.slots, *slots_of(self.arm, [t for t in known.absent if t.key not in held]))
         return tuple(s for s in slots if isinstance(s.owner, Effect) and s.identity in known.row)
@@ -158,13 +158,13 @@ class Model:
 
     @cached_property
     def commandable(self) -> Model:
-        """The model without what no command can undo: a servo's rounding stays in the residual."""
+        """The model without effects that no command can correct, such as a servo's rounding."""
         kept = tuple(e for e in self.effects if e.continuous)
         return self if len(kept) == len(self.effects) else dataclasses.replace(self, effects=kept)
 
     @cached_property
     def memo(self) -> dict[str, Any]:
-        """Results that others derive from this model and keep with it, by name."""
+        """A cache, by name, for results that other modules derive from this model."""
         return {}
 
     def with_values(self, values: np.ndarray) -> Model:
@@ -177,7 +177,10 @@ class Model:
         )
 
     def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
-        """Return a copy with those of the terms that it lacks, the first at each place."""
+        """Return a copy with those of the terms that it lacks.
+
+        Of several terms with the same name and place the first is taken.
+        """
         known = {(t.name, t.where) for t in self.terms}
         new: dict[tuple[str, str], Effect | Bias] = {}
         for term in terms:
@@ -207,7 +210,7 @@ class Model:
         return self.with_terms([*self.terms, *terms])
 
     def told_by(self, context: Context) -> Model:
-        """Return a copy without terms that read what the context lacks; itself with all."""
+        """Return the model without the terms that need a circumstance that the context lacks."""
         kept = [term for term in self.terms if not term.missing(context)]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
@@ -217,16 +220,20 @@ class Model:
         return self._pass_loads(self.posture_without_sag(q, context), self.load_passes)
 
     def posture_near(self, known: Posture, close: bool = False) -> Posture:
-        """Return `posture` at the joints and circumstances of a known one of a similar model.
+        """Return the posture at the joints and circumstances of a similar model's posture.
 
-        Its loads save a pass; where they differ so little (`close`), one pass will do.
+        To start from its loads saves one load pass.
+
+        Args:
+            known: the posture of the similar model.
+            close: the models differ so little that one load pass is enough.
         """
         if any(e.changes_loads for e in self.effects):
             known = self._weigh_masses(known)
         return self._pass_loads(known, 1 if close else max(self.load_passes - 1, 1))
 
     def _weigh_masses(self, posture: Posture) -> Posture:
-        """Return a posture's frames under this model's gravity and masses."""
+        """Return a posture with the same frames, under this model's gravity and masses."""
         gravity: Vec = self.arm.gravity_mps2  # in the frame of the measurements
         for effect in self.effects:
             gravity = effect.gravity(gravity)
@@ -250,11 +257,14 @@ class Model:
 
     @property
     def load_passes(self) -> int:
-        """Number of load passes of `posture`: one if nothing depends on the loads."""
+        """The number of load passes of `posture`.
+
+        It is 1 if no effect depends on the loads, and 0 if there is no effect.
+        """
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
 
     def posture_without_sag(self, q: Sequence[Scalar], context: Context) -> Posture:
-        """Return the arm at q as its base stands, without other effects: the first load pass."""
+        """Return the arm at q with its base placed, but no other effect; load passes begin here."""
         return self.posture_with_twists(
             q, context, spatial.sum_twists(self._list_placements(context))
         )
@@ -273,7 +283,10 @@ class Model:
         return spatial.sum_twists(effect.twists(posture) for effect in self.effects)
 
     def tip_frame(self, posture: Posture) -> Frame:
-        """Return the pose of the tip (of the marker that the context names) in the base frame."""
+        """Return the pose of the tip in the base frame.
+
+        If the context names a marker, the position is that of the marker.
+        """
         tip = self.arm.tip
         frame = posture.frames[posture.spot()] @ tip.pose()
         if not self.arm.markers or "marker" not in posture.context.labels:
@@ -286,35 +299,35 @@ class Model:
         return frame._replace(p=p)
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec:
-        """Return the point as a sensor of that kind reports it: its biases applied in order."""
+        """Return a point as a sensor of that kind of measurement reports it, with its biases."""
         for bias in self.biases:
             if kind in bias.sees:
                 point = bias.seen(point, context, self.arm)
         return point
 
     def seen_axes(self, tip: Frame, context: Context) -> Frame:
-        """Return the tip's axes as a sensor of poses reports them, of any length."""
+        """Return the tip with its axes as a sensor of poses reports them, of any length."""
         for bias in self.biases:
             if "orientation" in bias.sees:
                 tip = bias.seen_pose(tip, context, self.arm)
         return tip
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """Return the reading of a DH row's encoder if it sees its joint at a value (rad or m)."""
+        """Return what the encoder of a DH row reads when the joint is at a value (rad or m)."""
         for bias in self.biases:
             value = bias.read(value, row)
         return value
 
     def tip(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-        """Predicted true tip position, q (..., n) -> (..., 3) in m, base frame."""
+        """Return the predicted true tip position (..., 3), m, base frame, at q (..., n)."""
         return stack(self.tip_frame(self.posture(unstack(q), context)).p)
 
     def pose(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-        """Predicted true tip pose, q (..., n) -> (..., 4, 4), base frame."""
+        """Return the predicted true tip pose (..., 4, 4), base frame, at q (..., n)."""
         return self.tip_frame(self.posture(unstack(q), context)).matrix()
 
     def measured(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-        """Predicted measurement of the camera, q (..., n) -> (..., 3) in m."""
+        """Return the predicted position measurement (..., 3), m, biases included, at q (..., n)."""
         return self.measured_at(self.posture(unstack(q), context))
 
     def measured_at(self, posture: Posture) -> np.ndarray:
@@ -323,7 +336,7 @@ class Model:
     def columns(
         self, posture: Posture, slots: Sequence[Slot] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Predicted position measurement and its derivative by every parameter.
+        """Return the predicted position measurement and its derivative by every parameter.
 
         Args:
             posture: the arm at N poses, from `posture`.
@@ -340,7 +353,8 @@ class Model:
     ) -> TipMotion:
         """Return the tip at N postures and its motion per unit of every parameter, as `columns`.
 
-        `turns`: whether the turns of the tip's axes are wanted.
+        Args:
+            turns: compute the rotation of the tip's axes too.
         """
         slots = self.slots if slots is None else slots
         ends: list[TwistChange | Reseen] = []
@@ -381,8 +395,8 @@ class Model:
         return TipMotion(self, posture, tip, changes, arm_side)
 
     def _change_of_loads(self, slot: Slot, posture: Posture) -> TwistChange:
-        """Return how twists that depend on the loads change, by a parameter that changes these."""
-        if not any(term is slot.owner for term in self.terms):  # from none of such a load on
+        """Return the change of load-dependent twists by a parameter that changes the loads."""
+        if not any(term is slot.owner for term in self.terms):  # the change from no such load
             none = {p.name: 0.0 for p in slot.owner.parameters(self.arm)}
             slot = dataclasses.replace(slot, owner=slot.owner.with_values(none))
         model = self._with_changed(slot.owner, slot.ends[0])

@@ -38,7 +38,8 @@ _Square = tuple[Vec3, Vec3, Vec3]
 _ZERO: _Square = ((0.0, 0.0, 0.0),) * 3
 
 AS_DECLARED = 0
-"""Version of a file that holds the arm as declared, for a first change to be undone."""
+"""Version number of a file that holds the arm as declared, to which `undo` of the first change
+returns."""
 
 
 class _StoredValue(Declared):
@@ -73,7 +74,7 @@ class _ArmReference(Declared):
 
 
 class _StoredUncertainty(Declared):
-    """A stored `ModelUncertainty`: how far off the tip may be; parameters in the file's order."""
+    """A stored `ModelUncertainty`, with the parameters in the order of the file."""
 
     factor: list[str] = Field(description="triangle of the covariance, rows in base 64")
     structure_m2: _Square
@@ -90,13 +91,15 @@ class _StoredUncertainty(Declared):
 
 
 class StoredModel(Declared):
-    """The whole file. Keys are required, and the last is a whole word, so that a truncated file
-    is detected."""
+    """The contents of model.yaml.
+
+    The last key, `schema`, is required and has one allowed value, so a truncated file is detected.
+    """
 
     version: int = Field(ge=0)
     arm: _ArmReference
     passes: int = Field(ge=1, le=50)  # more change no digit and take minutes
-    elements_per_beam: int = Field(ge=1, le=64)  # nor do more of these
+    elements_per_beam: int = Field(ge=1, le=64)  # more change no digit
     geometry: list[_StoredTerm]
     effects: list[_StoredTerm]
     camera: list[_StoredTerm]
@@ -131,11 +134,11 @@ def store(
     """Return the stored form of a model.
 
     Args:
-        standard_errors: (p,) of its parameters, for normal intervals.
-        version: of the file; `AS_DECLARED` is the arm as declared.
+        standard_errors: (p,) of the model's parameters, for normal 95 % intervals.
+        version: version number of the file; `AS_DECLARED` for the arm as declared.
         provenance: session hash, date, verdict, seed, ...
-        origins: by term number, the origin of that term.
-        intervals: by (term number, parameter), 95 % intervals that replace the normal ones.
+        origins: the origin of a term, by its number in `Model.terms`.
+        intervals: 95 % intervals that replace the normal ones, by (term number, parameter name).
     """
     ends = dict(intervals or {})
     if standard_errors is not None:
@@ -184,7 +187,7 @@ def store(
 
 
 def _store_uncertainty(model: Model) -> _StoredUncertainty | None:
-    """Return the model's record, its parameters in the order in which `restore` has them."""
+    """Return the model's uncertainty, with parameters in the order in which `restore` has them."""
     known = model.uncertainty
     if known is None:
         return None
@@ -208,7 +211,7 @@ def _store_uncertainty(model: Model) -> _StoredUncertainty | None:
 
 
 def _base_poses(model: Model) -> dict[str, Pose]:
-    """Return the place of every base, as `base` of arm.yaml would say it."""
+    """Return the pose of every base, by its place, in the form of `base` in arm.yaml."""
     poses = {}
     for effect in model.effects:
         frame = effect.base(model.arm)
@@ -221,7 +224,7 @@ def _base_poses(model: Model) -> dict[str, Pose]:
 
 
 def save_model(path: str | Path, stored: StoredModel) -> None:
-    """Write atomically. An existing file becomes the previous version."""
+    """Write a stored model to a file, atomically. An existing file becomes the previous version."""
     data = stored.model_dump(mode="json", by_alias=True)
     text = yaml.safe_dump(data, sort_keys=False, width=100)
     head = "Written by longarm; values in SI units. Geometry, effects and measuring-side biases."
@@ -254,7 +257,11 @@ def load_model(path: str | Path, arm: Arm) -> Model:
 
 
 def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
-    """Return a model from its stored form."""
+    """Return a model from its stored form.
+
+    Args:
+        where: the file, for error messages.
+    """
     if stored.arm.hash != arm.hash:
         mine = f"the arm given: {arm.name} {arm.hash[:12]}"
         allowed = f"{mine} (calibrate again after editing arm.yaml)"
@@ -293,7 +300,7 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
 
 
 def _restore_term(entry: _StoredTerm, arm: Arm, where: str, known_from: str = "") -> Effect | Bias:
-    """Return the effect or bias of an entry, whose place and values the arm must allow."""
+    """Return the effect or bias of an entry, after checking its place and values on the arm."""
     kind = effect_class(entry.effect, where, known_from)
     known = {f.name for f in dataclasses.fields(kind)}
     for name in (*entry.form, *entry.parameters):

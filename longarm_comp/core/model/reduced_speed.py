@@ -1,4 +1,4 @@
-"""Times of a move for a driver whose limits of speed nobody told: the arm goes slowly."""
+"""Times of a move when the speed limits of the driver are not known: the arm moves slowly."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from longarm_comp.core.model.model import Model
 REDUCED_SPEED = 0.25
 """Highest speed of an arm that people may be near, m/s (ISO 10218-1:2011, 5.6.2)."""
 _TURNING = 0.5
-"""Highest speed of a joint, rad/s: a tool that turns about the tip has a size too."""
+"""Highest speed of a turning joint, rad/s: a tool that turns about the tip has a size too."""
 _PEAK = 1.5
-"""Highest speed of a cubic from rest to rest, in its mean speed."""
+"""Ratio of the highest to the mean speed of a cubic from rest to rest."""
 _PIECES = 64
-"""Pieces of a way whose lengths are measured."""
+"""Pieces into which a motion is divided to measure its length."""
 
 
 def times_at_reduced_speed(
@@ -24,15 +24,15 @@ def times_at_reduced_speed(
     least_s: float,
     speed: float = REDUCED_SPEED,
 ) -> np.ndarray:
-    """Return when way-points are due so that no part of the arm goes faster than a speed.
+    """Return the times of way-points at which no part of the arm moves faster than a speed.
 
-    The arm stops at each, and goes by cubics between.
+    The arm stops at every way-point; between them its joints follow cubics in time.
 
     Args:
         start: (n,) joints now, rad and m.
         points: (k, n) way-points.
-        least_s: least time from one to the next, s.
-        speed: m/s.
+        least_s: least time from one way-point to the next, s.
+        speed: highest speed of a point of the arm's centre-line, m/s.
 
     Returns:
         (k,) seconds from the start.

@@ -1,8 +1,8 @@
 """Motion of the tip, and of what a sensor reports of it, by each parameter of a model.
 
-The arm side moves the tip: by Eq. (5) a shift of the point and a turn of its axes.  The camera
-side moves what is reported of a tip that stays.  A kind of measurement
-(`core/data/measurement.py`) makes its equations of both.
+A parameter of the arm moves the tip: by Eq. (5) a shift of the point and a rotation of its axes.  A
+parameter of the measuring side changes what is reported of a tip that does not move.  A kind of
+measurement (`core/data/measurement.py`) makes its equations of both.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _H = 1e-3
 
 
 _Model = Any
-"""`Model`, whose file reads this one: its measuring side reports the tip."""
+"""`Model`; its type cannot be imported here, as its module imports this one."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Reseen:
 
 
 class TwistChange(NamedTuple):
-    """A change of effects' twists: ``per`` times the difference of two."""
+    """A change of effects' twists: ``per`` times (raised - lowered)."""
 
     raised: Parts
     lowered: Parts
@@ -79,14 +79,14 @@ class TipMotion:
 
     @cached_property
     def joints(self) -> list[Scalar]:
-        """The place at which the encoder of each joint sees it, n scalars, rad or m."""
+        """The joint values that the encoders see, n scalars, rad or m."""
         parts = [(e, e.twists(self.posture)) for e in self.model.effects]
         off = encoders.seen(self.posture.chain, parts)
         return [q + by for q, by in zip(self.posture.q, off, strict=True)]
 
     @cached_property
     def joint_changes(self) -> list[list[Scalar]]:
-        """The same by each parameter of the arm's side, per unit of it."""
+        """The change of `joints` per unit of each parameter of the arm's side."""
         made = []
         for end in self.ends:
             up, down = (encoders.seen(self.posture.chain, part) for part in end[:2])
@@ -123,8 +123,11 @@ class TipMotion:
         return Frame(made[0], made[1], made[2], spatial.ZERO)
 
     def read(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and
-        its derivative (N, 1, p)."""
+        """Return the reading (N, 1) of a joint's encoder, rad or m, and its derivative (N, 1, p).
+
+        Args:
+            joint: 0-based number of the commanded joint.
+        """
         at, model, row = self.joints[joint], self.model, self.model.arm.commanded[joint]
         gain = (model.read(at + _H, row) - model.read(at - _H, row)) * (0.5 / _H)
         moves = iter(self.joint_changes)
@@ -138,13 +141,14 @@ class TipMotion:
         return _together(whole[..., None], [(column,) for column in each])
 
     def pull(self, kind: str) -> np.ndarray:
-        """(N, 3, 3) derivative of the reported point by the tip's position."""
+        """Return the derivative (N, 3, 3) of the reported point by the tip's position."""
         return _together(stack(self.frame.p), self._report_of_shift(kind)[:3])[1]
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return reported axes of the tip (N, 3, 3), their turn (rad) by each parameter (N, 3, p).
+        """Return the reported axes of the tip (N, 3, 3), and their rotation by each parameter.
 
-        How a bias turns the axes may depend on where the tip is; that part is left out.
+        The latter is (N, 3, p), rad.  The rotation by a bias may depend on the position of the tip;
+        that part of the derivative is left out.
         """
         seen = self.model.seen_axes(self.frame, self.context)
         gain = [self._report_of_turn(axis) for axis in IDENTITY[:3]]
@@ -153,7 +157,7 @@ class TipMotion:
         return rotation, _together(stack(self.frame.p), blocks)[1]
 
     def _report_of_turn(self, axis: Vec) -> Vec:
-        """Turn of the reported axes as the tip turns about an axis of the base, per rad."""
+        """Return the rotation of the reported axes per rad of the tip about an axis of the base."""
         if self.model.seen_axes(IDENTITY, self.context) is IDENTITY:
             return axis
         ends = []
@@ -175,11 +179,15 @@ class TipMotion:
 
 
 def move_tip(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
-    """Eq. (5): the tip's motion under changes of twists.
+    """Return the tip's motion under each change of twists, by Eq. (5).
 
     Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
-    A change is taken about the twist that placed the station. This is exact also for a large
-    twist, as of a displaced base. The frames after it are kept.
+    The derivative is taken at the twist that the station already has, so it is exact also at a
+    large twist, such as that of a displaced base. The frames behind a station are kept.
+
+    Args:
+        tip: position of the tip, base frame, m.
+        turns: compute the rotation of the axes too; else it is 0.
     """
     changes = [list(_changes(e)) for e in ends]
     units = _units(posture, tip, {station for each in changes for station, *_ in each})
@@ -198,7 +206,7 @@ def _sum(vectors: list[np.ndarray]) -> Vec:
 
 
 def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
-    """Station, component of its twist (0 to 5), and by how much it changes, where it does."""
+    """Yield station, component of its twist (0 to 5) and change, for components that change."""
     raised, lowered = (spatial.sum_twists(twists for _, twists in part) for part in end[:2])
     for station in sorted({*raised, *lowered}):
         up = raised.get(station, spatial.ZERO_TWIST)
@@ -209,12 +217,12 @@ def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
 
 
 def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, np.ndarray]:
-    """Compute how a unit of each component of a station's twist moves the tip, once a posture.
+    """Return how a unit of each component of a station's twist moves the tip; kept per posture.
 
     Returns:
-        By station (6, 3, ...): the first three are the shift of the tip by a unit translation,
-        which is also the turn of its axes by a unit rotation; the others are its shift by a unit
-        rotation.
+        (6, 3, ...) by station. The first three are the shift of the tip by a unit translation,
+        which is also the rotation of its axes by a unit rotation. The others are its shift by a
+        unit rotation.
     """
     shape = np.broadcast_shapes(*map(np.shape, tip))
     made: dict[int, np.ndarray] = posture.once(("units",), dict)
@@ -237,14 +245,14 @@ def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, n
 
 
 def stack(v: Vec) -> np.ndarray:
-    """Three scalars -> (..., 3)."""
+    """Stack three scalars, floats or arrays (...), to (..., 3)."""
     return np.stack(np.broadcast_arrays(*v), axis=-1)
 
 
 def _together(
     whole: np.ndarray, blocks: Sequence[tuple[Scalar, ...]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a value (N, k), and p blocks of its k components in its shape, (N, k, p)."""
+    """Return a value (N, k), and its p derivatives of k components each as one array (N, k, p)."""
     columns = np.empty((len(blocks), whole.shape[-1], *whole.shape[:-1]))
     for column, block in zip(columns, blocks, strict=True):
         for axis, component in enumerate(block):

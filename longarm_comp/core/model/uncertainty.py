@@ -1,10 +1,10 @@
-"""The expected error of the tip: what a fitted model keeps of the rows that it was fitted to.
+"""The uncertainty of a fitted model, from which the expected error of the tip is computed.
 
-The error of the tip has two parts.  The parameters are known to their covariance, which
-`Model.columns` carries to the tip at any joints: it grows away from the rows.  What no parameter
-explains is structure of the arm, the same wherever the rows were and growing outside, and noise of
-the measurement, which is no error of the tip.  `core/calibration/uncertainty.py` makes the record,
-`core/compensation/expected.py` reads it.
+The error of the tip has two parts.  The first is that of the parameters: `Model.columns` carries
+their covariance to the tip at any joints, and it grows away from the fitted rows.  The second is
+structure that no parameter explains: it is the same everywhere within the range of the rows, and
+grows outside.  Noise of the measurement is no error of the tip.  `core/calibration/uncertainty.py`
+estimates all of them, `core/compensation/expected.py` uses them.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ import numpy as np
 from longarm_comp.core.effects.effect import Effect
 
 LEVEL = 0.9
-"""Probability of the radius that a command states."""
+"""Probability that the tip is within the radius that a command states."""
 YIELDS = 0.5
-"""How much every part of an arm may yield, in what a soft part does, before any row is asked."""
+"""Prior of any part's compliance before a measurement, as a share of the prior of a soft part."""
 _NORMAL = NormalDist().inv_cdf(LEVEL)
 _log_gamma = np.frompyfunc(math.lgamma, 1, 1)  # SciPy loads for half a second
 _Identity = tuple[object, ...]
@@ -32,17 +32,19 @@ _Identity = tuple[object, ...]
 
 @dataclass(frozen=True, eq=False)
 class ModelUncertainty:
-    """The record of what is not known of a fitted model.
+    """The uncertainty of a fitted model.
 
     Attributes:
         slots: identities of the fitted parameters (`Slot.identity`), then those of `absent`.
         factor: (p, r), the parameters' covariance is ``factor @ factor.T``.
-        structure: (3, 3) m^2, what the arm does besides and no parameter explains.
-        noise: (3, 3) m^2, of the measurement: in every measured row, and no error of the tip.
+        structure: (3, 3) covariance of the tip's error that no parameter explains, m^2.
+        noise: (3, 3) covariance of the measurement's noise, m^2; it is no error of the tip.
         largest_m: expected error of the tip, the largest over the fitted rows, m.
         rows: number of fitted rows.
-        frame: (3, 3) m^2, of where the frame of targets lies: what measures moved meanwhile.
-        circumstances: lowest and highest joints, payload, temperature and tilt of these, by column.
+        frame: (3, 3) covariance of the position of the targets' frame, m^2: the sensor may have
+            moved during the session.
+        circumstances: lowest and highest value in the fitted rows, by column: joints (``q1``, ...),
+            payload, temperature and tilt.
         absent: effects that the arm may have and the model does not hold.
     """
 
@@ -58,24 +60,24 @@ class ModelUncertainty:
 
     @cached_property
     def row(self) -> dict[_Identity, int]:
-        """Row of the factor by identity."""
+        """The row of `factor` by a parameter's identity."""
         return {identity: k for k, identity in enumerate(self.slots)}
 
     def without(self, slots: Collection[_Identity]) -> ModelUncertainty:
-        """Return the record of the other parameters, whatever these are."""
+        """Return the uncertainty of the other parameters, with the given ones marginalised out."""
         kept = [k for k, identity in enumerate(self.slots) if identity not in slots]
         names = tuple(self.slots[k] for k in kept)
         return replace(self, slots=names, factor=triangular(self.factor[kept]))
 
     def structure_at(self, q: np.ndarray, least: np.ndarray) -> np.ndarray:
-        """Return (N, 3, 3) m^2, the structure at joints (N, n), rad and m.
+        """Return the covariance of the structure at joints (N, n), rad and m: (N, 3, 3), m^2.
 
-        Outside the range of the rows it goes on as a parabola of each joint does that has its share
-        of it: the second Legendre polynomial u over the range rises from 1 to 1 + 6 (e + e^2) at e
-        ranges beyond, and has a mean square of 1/5 within.
+        Outside the range of the rows it grows as if each joint caused an equal share of it by a
+        parabola. The second Legendre polynomial over the range rises from 1 to 1 + 6 (e + e^2) at e
+        ranges beyond it, and has a mean square of 1/5 within it.
 
         Args:
-            least: (n,) range, rad or m; of a joint that moved by less the rows tell nothing.
+            least: (n,) rad or m; a joint whose range in the rows is not larger adds no growth.
         """
         n = q.shape[-1]
         anywhere = (-np.inf, np.inf)
@@ -86,10 +88,10 @@ class ModelUncertainty:
         return np.asarray(grown[..., None, None] * self.structure)
 
     def carry_to_tip(self, columns: np.ndarray, slots: Sequence[_Identity]) -> np.ndarray:
-        """(N, 3, 3) m^2 that the parameters bring to the tip.
+        """Return the covariance of the tip due to the parameters, (N, 3, 3), m^2.
 
         Args:
-            columns: (N, 3, k) of the tip by some parameters.
+            columns: (N, 3, k) derivatives of the tip by some parameters.
             slots: (k,) their identities. Those that were not fitted count as known.
         """
         held = [k for k, identity in enumerate(slots) if identity in self.row]
@@ -98,14 +100,14 @@ class ModelUncertainty:
 
 
 def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the expected length of a normal error, and what it stays below in 90 of 100 cases.
+    """Return the expected length of a normally distributed error, and the length's 90 % quantile.
 
     The squared length is taken to be gamma distributed (Satterthwaite 1946, Biometrics Bull. 2),
     its cube root normal (Wilson and Hilferty 1931, PNAS 17): right to 2 % for any covariance.
 
     Args:
         covariance: (..., 3, 3) m^2.
-        mean: (..., 3) m, of an error that is known; zero by default.
+        mean: (..., 3) m, mean of the error; zero by default.
 
     Returns:
         (...) m each.
@@ -126,21 +128,21 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
 
 
 def factor_of(covariance: np.ndarray) -> np.ndarray:
-    """(p, p) lower triangle whose product with itself is a covariance (p, p)."""
+    """Return the lower triangle L (p, p) for which ``L L'`` is a covariance (p, p)."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     return scale[:, None] * triangular(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def triangular(factor: np.ndarray) -> np.ndarray:
-    """(p, p) lower triangle with the same product with itself as a factor (p, r)."""
+    """Return the lower triangle L (p, p) for which ``L L'`` is ``F F'`` of a factor F (p, r)."""
     wide = np.zeros((len(factor), max(factor.shape)))
     wide[:, : factor.shape[1]] = factor
     return np.asarray(np.linalg.qr(wide.T, mode="r")).T
 
 
 def encode_triangle(factor: np.ndarray) -> list[str]:
-    """Write a lower triangle as text, a row a line: 32-bit numbers, little-endian, in base 64."""
+    """Return a lower triangle as text, one line a row: 32-bit floats, little-endian, in base 64."""
     rows = factor.astype("<f4")
     return [base64.b64encode(rows[k, : k + 1].tobytes()).decode() for k in range(len(rows))]
 

@@ -1,1 +1,1 @@
-"""The choice of poses whose measurement tells most."""
+"""Chooses the poses whose measurement gives the most information."""

@@ -28,14 +28,14 @@ from longarm_comp.core.model.model import Model
 Criterion = Literal["i-optimal", "d-optimal"]
 Measure = Literal["position", "pose", "distance", "touch"]
 POOL, REFERENCE = 1024, 256
-"""Poses to choose from, at least, and poses at which the tip shall be known."""
+"""Least number of poses to choose from, and number of poses over which the tip's error counts."""
 AHEAD = 20
-"""Further poses that are tried, to say what they would bring."""
+"""Number of further poses that are chosen, only to say what they would bring."""
 WIDEST = 1.0
-"""Standard deviation (m, rad) of what nothing is known of: any pose tells it better."""
+"""Largest prior standard deviation of a parameter (m, rad): any pose determines it better."""
 ANEW = 1e-3
-"""What is unknown is computed anew where it fell to this share: differences have lost that many
-digits, and twice as many of its square."""
+"""Share of its start to which the largest `own` of the poses may fall before everything is computed
+anew: the differences that update it lose as many digits."""
 PASSES = 2
 """Times at most that every pose is exchanged: each costs as much as the first choice."""
 
@@ -65,15 +65,15 @@ class OptimalPlan(Plan):
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """The record of what is not known of an arm.
+    """The uncertain parameters of an arm, and the noise with which its poses are measured.
 
     Attributes:
-        model: where columns are taken, with every term that is uncertain.
+        model: the model with every uncertain term; derivatives are taken at its values.
         scale: (p,) units of its parameters: their prior standard deviations.
         information: (p, p) inverse covariance in these units.
         sigma: noise of a length (m) and of an angle (rad).
-        framed: whether what is measured shows where the base stands.
-        read: noise of the joint readings that each pose has too, rad or m, by name.
+        framed: whether the measurements show where the base stands.
+        read: noise of joint readings that are taken at each pose too, rad or m, by name.
     """
 
     model: Model
@@ -94,19 +94,18 @@ class Uncertainty:
         sigma: tuple[float, float],
         pool: Plan | None = None,
     ) -> Uncertainty:
-        """Find what is unknown before any measurement, or after a session.
+        """Return the uncertainty before any measurement, or after a session.
 
-        It raises what `fit_model` raises.
-
-        Effects of circumstances that no plan tells, as of a recorded column, count as known.
+        Effects of circumstances that a plan does not state, such as a recorded column, count as
+        known. It raises what `fit_model` raises.
 
         Args:
-            measured: rows that were measured so far; they give the noise too, and joints that were
-                read will be read again.
-            known: whether the model holds every effect that the arm has; else all of the library
-                may be there.
-            sigma: noise where nothing was measured.
-            pool: the poses to choose from, where they are known already.
+            measured: rows that were measured so far. They also give the noise; joints that were
+                read are expected to be read again.
+            known: the model holds every effect that the arm has. Otherwise every effect of the
+                library may be there too.
+            sigma: noise of a length (m) and of an angle (rad), where `measured` gives none.
+            pool: the poses to choose from, if they are known already.
         """
         middle = Plan(model.arm.mid[None], np.ones((1, model.arm.n)))
         asked = _rows(model.arm, pool or middle, measure)
@@ -141,7 +140,10 @@ class Uncertainty:
         return cls(whole, scale, information, sigma, framed, read)
 
     def measures(self, plan: Plan, measure: Measure) -> np.ndarray:
-        """Return (M, d, p) what the poses measure, in units of the noise, by every parameter."""
+        """Return the derivatives (M, d, p) of what M poses measure by every parameter.
+
+        Measurements are in units of their noise, parameters in units of `scale`.
+        """
         made = []
         for rows in _rows(self.model.arm, plan, measure, self.read):
             found = make_equations(self.model, rows).columns
@@ -151,10 +153,11 @@ class Uncertainty:
         return np.concatenate(made, axis=1)
 
     def tips(self, q: np.ndarray) -> np.ndarray:
-        """Return (p, p) mean square of the error of the seen tip (m^2), per parameter, over poses.
+        """Return the matrix (p, p), m^2, that weighs parameter errors by their effect on the tip.
 
-        Where nothing shows how the base stands, errors that move all tips as one body count for
-        nothing.
+        The trace of its product with a covariance of the parameters is the mean square error of the
+        seen tip over poses q (N, n). If no measurement shows where the base stands, errors that
+        move all tips as one rigid body are left out.
         """
         rows = Session.record(q, np.zeros((len(q), 3)), approach=alternate_sides(len(q)))
         seen, columns = self.model.columns(compute_posture(self.model, rows))
@@ -183,12 +186,13 @@ def choose_optimal_poses(
     """Choose n poses of a pool within the limits, each joint with room for its run-up.
 
     Args:
-        allowed: (M,) which poses of a plan may be driven and are seen; all where absent.
+        allowed: returns a mask (M,) of the poses of a plan that may be driven and are seen; by
+            default all are.
         pool: the poses to choose from; by default half of them fill the joint box, half have every
             joint at a limit or in its middle, where the same errors move the tip farthest.
 
     Raises:
-        InputError: n is below 1, or fewer poses are allowed.
+        InputError: n is below 1, or fewer than n + `AHEAD` poses are allowed.
     """
     arm = uncertain.model.arm
     rng = np.random.default_rng(rng)
@@ -216,12 +220,13 @@ def choose_optimal_poses(
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Choice among M poses.
+    """The choice of some of M poses.
 
     Attributes:
-        x: (M, d, p) what each measures.
-        information: (p, p) before any.
-        tips: (p, p) whose product with the covariance shall be small; None: its determinant.
+        x: (M, d, p) derivatives of what each measures (`Uncertainty.measures`).
+        information: (p, p) inverse covariance before any is measured.
+        tips: (p, p), I-optimal: the trace of its product with the covariance is minimised. None,
+            D-optimal: the determinant of the covariance is.
     """
 
     x: np.ndarray
@@ -229,12 +234,12 @@ class Choice:
     tips: np.ndarray | None
 
     def covariance(self, chosen: Sequence[int]) -> np.ndarray:
-        """Return the covariance (p, p) once these are measured."""
+        """Return the covariance (p, p) of the parameters once the chosen poses are measured."""
         rows = self.x[list(chosen)].reshape(-1, self.x.shape[2])
         return np.asarray(np.linalg.inv(self.information + rows.T @ rows))
 
     def after(self, chosen: Sequence[int]) -> _Known:
-        """Return what is known once these are measured."""
+        """Return what is known once the chosen poses are measured."""
         covariance = self.covariance(chosen)
         turned = self.x.swapaxes(1, 2)
         own = _times(self.x, covariance) @ turned + np.eye(self.x.shape[1])
@@ -244,7 +249,7 @@ class Choice:
         return _Known(self, covariance, own, error, _times(self.x, error) @ turned)
 
     def add_best(self, chosen: Sequence[int], n: int) -> list[int]:
-        """Choose n more, each the best after those before it."""
+        """Return the chosen poses and n more, each the best one after those before it."""
         made, known = list(chosen), self.after(chosen)
         most = known.own.max()
         for _ in range(n):
@@ -256,7 +261,7 @@ class Choice:
         return made
 
     def exchange_worse(self, chosen: list[int]) -> list[int]:
-        """Replace each pose where another takes off more in its place."""
+        """Return the chosen poses, each replaced if another improves the criterion more."""
         made = chosen.copy()
         for _ in range(PASSES):
             before, known = made.copy(), self.after(made)
@@ -271,14 +276,14 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """The knowledge after some poses; a pose changes each (p, p) by a product of d columns.
+    """What is known after some poses; one pose more is an update of rank d.
 
     Attributes:
         choice: the poses.
         covariance: (p, p) C.
         own: (M, d, d) I + x C x' of every pose.
-        error: (p, p) C tips C, where `tips` shall become small.
-        left: (M, d, d) x C tips C x' of every pose.
+        error: (p, p) C tips C; None if D-optimal.
+        left: (M, d, d) x C tips C x' of every pose; None if D-optimal.
     """
 
     choice: Choice
@@ -288,7 +293,7 @@ class _Known:
     left: np.ndarray | None = None
 
     def with_pose(self, k: int, sign: float = 1.0) -> _Known:
-        """Return the same with one pose more, or without it (-1)."""
+        """Return what is known with pose k added (`sign` 1) or taken away (-1)."""
         x, poses = self.choice.x[k], self.choice.x
         a = self.covariance @ x.T
         core = np.linalg.inv(x @ a + sign * np.eye(len(x)))
@@ -310,7 +315,7 @@ class _Known:
         )
 
     def gains(self, taken: Sequence[int]) -> np.ndarray:
-        """Return (M,) what each further pose would take off; none for those that are taken."""
+        """Return (M,) by how much each pose would improve the criterion; -inf for `taken` ones."""
         if self.left is None:
             gain = np.linalg.slogdet(self.own)[1]
         else:
@@ -325,7 +330,13 @@ def _times(blocks: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> list[Session]:
-    """Return sessions of what the poses measure, one kind each; the readings do not matter."""
+    """Return sessions in which the poses are measured, for distances one per anchor.
+
+    Their measured values are placeholders.
+
+    Args:
+        read: names of the joint readings that are taken too.
+    """
     n = len(plan)
     joints = {f"read_q{k + 1}": plan.q[:, k : k + 1] for k in range(plan.q.shape[1])}
     told = {name: joints[name] for name in read}

@@ -18,13 +18,13 @@ from longarm_comp.core.planning.optimal_poses import POOL, Choice, alternate_sid
 
 @dataclass(frozen=True, eq=False)
 class SplittingPoses(Plan):
-    """Poses that would tell two explanations apart, with no payload or the largest one.
+    """Poses that would tell two explanations apart, some of them with a payload.
 
-    That is the largest of the session, or the one that arm.yaml declares.
+    It is the largest payload of the session, or the declared one if that is larger.
 
     Attributes:
-        between: the two effects.
-        log_bayes_factor: expected log odds between them once these are measured too.
+        between: names of the two effects.
+        log_bayes_factor: expected log odds between them once these poses are measured too.
     """
 
     between: tuple[str, str] = ("", "")
@@ -92,7 +92,14 @@ def _find_noise(fit: ModelFit) -> np.ndarray:
 def _compute_designs(
     fit: ModelFit, found: Candidate, other: Candidate, of: Callable[[Sequence[Slot]], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N, d, p) by geometry, rest and alternative, (N, d, 1) by the found effect's shift."""
+    """Return the columns of all other parameters, and that of the found effect as a whole.
+
+    The first are (N, d, p), per prior width; the other effect's parameters come last. The second is
+    (N, d, 1), the shift by the found effect.
+
+    Args:
+        of: returns the columns (N, d, k) of parameters.
+    """
     places = {t.key for t in found.terms}
     rest = tuple(s for s in fit.slots if s.owner.key not in places)
     rest += other.slots(fit.model.arm)

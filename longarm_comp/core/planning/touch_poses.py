@@ -1,4 +1,4 @@
-"""Poses at which an arm's tip touches points: what a plan of touches chooses among."""
+"""Poses at which an arm's tip touches points, from which a plan of touches chooses."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from longarm_comp.core.model.model import Model
 def draw_touch_poses(
     model: Model, points: Mapping[str, Vec3], count: int, rng: np.random.Generator
 ) -> Plan:
-    """Return poses whose tip is at points, by the model, from starts all over the joint box.
+    """Return poses at which the model's tip is at one of some points, from random starts.
 
     Args:
-        points: by name, about where each is, m, base frame.
-        count: poses to try, all points together.
+        points: approximate position of each point, m, base frame, by name.
+        count: number of starts for all points together; each point has at least two.
 
     Raises:
-        InputError: no point, or one that the arm does not reach.
+        InputError: no point, or one for which fewer than two poses were found.
     """
     if not points:
         raise InputError("plan", "points", "none", "names and places (m) of points to touch")

@@ -1,9 +1,9 @@
-"""Modes of the arm at a posture, its drives held: of stiffness and masses that the model knows.
+"""Vibration modes of the arm at a posture with its drives held, from the model.
 
-A mass ``m_k`` that accelerates pushes with ``-m_k a_k``.  What the effects' twists answer to small
-pushes at every mass is the arm's flexibility ``G``, so free vibration is ``u = w^2 G M u``
-(Meirovitch, *Fundamentals of Vibrations*, 7.2).  No effect is named here: whatever bends under
-weight, bends under a push.  Play is taken up: its flexibility is the slope beyond it.
+A mass ``m_k`` that accelerates acts with the force ``-m_k a_k``.  The effects' twists under small
+forces at every mass give the arm's flexibility matrix ``G``, so free vibration is ``u = w^2 G M u``
+(Meirovitch, *Fundamentals of Vibrations*, 7.2).  Every effect that bends under weight counts.  Play
+is taken up: its flexibility is the slope beyond it.
 
 Masses of beams are lumped at the ends of their elements.  Left out: rotary inertia of sections,
 shear, and what weight adds to the stiffness.
@@ -30,7 +30,7 @@ from longarm_comp.core.model.model import Model, unstack
 MODES = 6
 """Modes that are kept, the slowest first."""
 _PUSH = 0.1
-"""Of the arm's weight: well beyond its play, and no large bend."""
+"""Test force as a share of the arm's weight: enough to take up play, too little to bend it far."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,9 @@ class Modes:
 
 
 def find_modes(model: Model, q: np.ndarray, context: Context | None = None) -> Modes:
-    """Return modes of a model's arm at joints (n,) (rad, m); none of an arm that does not bend.
+    """Return the modes of a model's arm at joints (n,), rad and m; none if it does not bend.
 
-    Of the circumstances the payload matters above all.
+    Of the circumstances, the payload matters most.
     """
     return find_modes_along(model, np.asarray(q, float)[None], 1, context)[0]
 
@@ -65,10 +65,13 @@ def find_modes(model: Model, q: np.ndarray, context: Context | None = None) -> M
 def find_modes_along(
     model: Model, joints: np.ndarray, count: int, context: Context | None = None
 ) -> list[Modes]:
-    """Find modes at so many places, evenly along a way whose joints (N, n) are known evenly.
+    """Return the modes at `count` evenly spaced places along a motion.
 
-    Between these masses and flexibility go along cubics.  Effects of circumstances that the context
-    does not hold are left out.
+    They are computed from masses and flexibility at the given joints, with cubic splines between.
+    Effects of circumstances that the context does not hold are left out.
+
+    Args:
+        joints: (N, n) rad and m, at evenly spaced places of the motion; if N is 1, so is `count`.
     """
     context = context or Context()
     model = model.told_by(context)
@@ -102,8 +105,8 @@ def find_modes_along(
 
 
 _STIFF = 1e-4
-"""What yields less, compared with the slowest mode or with what sags visibly, does not ring: it is
-100 times as fast."""
+"""A mode is left out if its ``1 / w^2`` is below this share of that of the slowest mode, or of one
+that sags visibly: it is 100 times as fast."""
 
 
 def _list_masses(posture: Posture) -> list[Lumped]:
@@ -121,7 +124,7 @@ def _list_masses(posture: Posture) -> list[Lumped]:
 
 @dataclass(frozen=True)
 class _Pushed(Posture):
-    """A posture that carries nothing but pushes: masses (kg) under a gravity."""
+    """A posture that carries only test forces, given as masses (kg) under a gravity."""
 
     pushes: Sequence[Lumped] = ()
 
@@ -134,9 +137,9 @@ class _Pushed(Posture):
 
 
 def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures: int) -> np.ndarray:
-    """Compute how pushes along x, y, z of the base move every point, (N, 3 P, 3 P) m/N.
+    """Return the flexibility (N, 3 P, 3 P), m/N, of P points along the base's axes at N postures.
 
-    All pushes at all postures are one posture of N times 4 times 3 P rows.
+    All test forces at all postures are computed as one posture of N times 4 times 3 P rows.
     """
     count = 3 * len(points)
     heaviest = float(np.max(sum(p.mass for p in points)))
@@ -184,6 +187,6 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
 
 
 def _points(places: Sequence[Vec], postures: int) -> np.ndarray:
-    """Stack P places with scalars or (N,) in them to (N, P, 3)."""
+    """Stack P vectors, whose components are scalars or (N,), to (N, P, 3)."""
     rows = [[np.broadcast_to(x, postures) for x in place] for place in places]
     return np.array(rows, float).transpose(2, 0, 1)

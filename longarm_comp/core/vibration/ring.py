@@ -1,4 +1,4 @@
-"""The ring that a move leaves at the tip, and how long until it is small."""
+"""The ring (free vibration) that a move leaves at the tip, and the time until it is small."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from longarm_comp.math.cubic_path import CubicPath, monotone_slopes
 from longarm_comp.math.shaper import Way
 
 USUAL_DAMPING = 0.01
-"""Of an arm that declares none, for the shares of a shaper: 0.05 more leave 6 % of a ring."""
+"""Damping ratio of an arm that declares none. If it has 0.05 more, a shaper leaves 6 % of a ring.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +29,17 @@ class _Ring:
     amplitude: np.ndarray  # (k,) complex, at time 0
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Return (N, 3) m: motion of the tip at times (N,) from 0 on."""
+        """Return the motion of the tip (N, 3), m, at times (N,), s, from 0 on."""
         waves = np.real(self.amplitude * np.exp(np.multiply.outer(times, self.rate)))
         return np.asarray(waves @ self.tip)
 
     def size_m(self, time_s: float = 0.0) -> float:
-        """Return a bound of the tip's motion (m) from a time (s) on."""
+        """Return an upper bound of the tip's motion (m) from a time (s) on."""
         left = np.abs(self.amplitude) * np.exp(self.rate.real * time_s)
         return float(left @ np.linalg.norm(self.tip, axis=1))
 
     def settle_s(self, limit_m: float = VISIBLE_M) -> float:
-        """Find the time (s) from which on it stays below a size (m)."""
+        """Return the time (s) from which on the bound `size_m` is within a limit (m)."""
         if self.size_m() <= limit_m:
             return 0.0
         slowest = float(-self.rate.real.max())
@@ -57,16 +58,18 @@ def find_amplitudes(
     damping: float,
     factors: np.ndarray,
 ) -> np.ndarray:
-    """Find amplitudes (F, k, P) at the end of P motions from rest; joints go straight between.
+    """Return the complex amplitudes (F, k, P) of k modes at the end of P motions from rest.
 
-    The modes change on the way: where one posture's follow upon another's, the masses go on where
-    they are, and as fast.
+    Joints move linearly between the times. Where the modes of one place follow those of another,
+    the masses keep their positions and velocities.
 
     Args:
-        way: modes at places of the way. where: (M,) rising, the place at each time.
-        times: (M,) s, increasing, far closer than a period. joints: (M, n, P).
-        damping: share of critical damping of every mode.
-        factors: (F,) by which all frequencies are multiplied, each in turn.
+        way: modes at places along the motion.
+        where: (M,) index of the place at each time, not falling.
+        times: (M,) s, increasing, far closer than a period.
+        joints: (M, n, P) rad and m.
+        damping: damping ratio of every mode.
+        factors: (F,) factors on all frequencies; each gives a result.
     """
     if not 0.0 < damping < 1.0:
         raise InputError("ringing", "damping", damping, "above 0 and below 1")
@@ -97,21 +100,24 @@ def _rates(modes: Modes, damping: float) -> np.ndarray:
 
 
 def sample_times(modes: Sequence[Modes], seconds: float) -> np.ndarray:
-    """List times (M,) of a motion, s from 0, far closer than a period of these modes."""
+    """Return times (M,) of a motion, s from 0, far closer than a period of these modes."""
     fastest = max(float(each.hz.max(initial=1.0 / seconds)) for each in modes)
     return np.linspace(0.0, seconds, int(np.ceil(_IN_A_PERIOD * max(1.0, fastest * seconds))) + 1)
 
 
 _IN_A_PERIOD = 16
-"""Samples in a period of the fastest mode: a straight line of the joints between two of them is
-off by a thousandth of the way."""
+"""Samples in a period of the fastest mode: joints that move linearly between them are off by a
+thousandth of the motion."""
 
 
 def find_ring(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
-    """Return the ring after a motion from rest to rest, by the modes at its end, its time 0.
+    """Return the ring that a motion from rest to rest leaves; its time 0 is the motion's end.
 
     Args:
-        way, seconds: the motion, from time 0 on.
+        modes: modes at the end of the motion.
+        way: the motion, which begins at time 0.
+        seconds: its duration.
+        damping: damping ratio of every mode.
     """
     times = sample_times([modes], seconds)
     joints, left = way(times)[..., None], np.zeros((1, 0, 1), complex)
@@ -122,22 +128,23 @@ def find_ring(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
 
 
 def move_straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
-    """Return one move from rest to rest, as the driver makes it: a cubic in time."""
+    """Return a move of joints (n,) from rest to rest, as the driver makes it: a cubic in time."""
     return CubicPath(np.array([0.0, seconds]), np.stack([start, end]), np.zeros((2, len(start)))).at
 
 
 def ring_of_moves(
     model: Model, joints: np.ndarray, move_s: float, damping: float
 ) -> list[tuple[Modes, _Ring]]:
-    """Find modes at each of postures (N, n), and the ring of the move there from the one before.
+    """Return the modes at each posture (N, n), and the ring of the move to it from the one before.
 
-    The first is reached from the middle of the joint box.
+    The first move begins in the middle of the joint box.
 
     Args:
-        move_s: time of a move, s. damping: share of critical damping.
+        move_s: duration of a move, s.
+        damping: damping ratio of every mode.
 
     Raises:
-        InputError: no such time or damping.
+        InputError: `move_s` is not above 0, or `damping` is not between 0 and 1.
     """
     if not 0.0 < move_s < np.inf:
         raise InputError("ringing", "time of a move", move_s, "above 0 s")
@@ -150,16 +157,18 @@ def ring_of_moves(
 
 
 REST_S = 0.3
-"""Rest of an arm that says nothing of its damping: servos and cameras need it too."""
+"""Least time to rest, s, which servos and cameras need; used if arm.yaml declares no damping."""
 
 
 def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None) -> float:
-    """Return how long to rest before a sighting, s: as given; else what 90 of 100 moves need.
+    """Return how long to rest before a sighting, s, so that the ring of 90 % of the moves is over.
 
-    Without `damping` in arm.yaml nobody knows, and it is `REST_S`.
+    It is `REST_S` if arm.yaml declares no `damping`, and never less.
 
     Args:
-        joints: (N, n) one after the other. move_s: time of a move, s.
+        joints: (N, n) postures, one after the other.
+        move_s: duration of a move, s.
+        given: time to return instead, s, or None.
     """
     if given is not None:
         return given
@@ -171,18 +180,18 @@ def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None)
 
 
 _LOOKED_AT = 32
-"""Moves that are looked at."""
+"""Most moves whose rings are computed."""
 
 
 @dataclass(frozen=True)
 class MoveRing:
-    """The model's expectation of the tip after a move."""
+    """The ring that the model expects at the tip after a move."""
 
     hz: float  # of the slowest mode
     size_m: float  # at the end of the move
     settle_s: float  # time to rest
-    damping: float  # share of critical damping
-    declared: bool  # whether arm.yaml says it
+    damping: float  # damping ratio
+    declared: bool  # whether arm.yaml declares the damping
 
     def describe(self) -> str:
         """Describe the ring in one line."""

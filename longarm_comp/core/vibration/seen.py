@@ -18,7 +18,7 @@ from longarm_comp.core.vibration.modes import Modes
 from longarm_comp.core.vibration.ring import USUAL_DAMPING
 
 LEAST = 12
-"""Sightings that say anything of a wave."""
+"""Least number of sightings to which a wave is fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +26,9 @@ class SeenWave:
     """One damped wave of the tip, or of the joints.
 
     Attributes:
-        hz: undamped frequency, and its standard deviation. damping: likewise, share of critical.
-        size: (3,) m at the first sighting, along the base's axes; of joints (n,) rad and m.
+        hz, hz_sd: undamped frequency and its standard deviation, Hz.
+        damping, damping_sd: damping ratio and its standard deviation.
+        size: amplitude at the first sighting: (3,), m, base frame, or of joints (n,), rad and m.
     """
 
     hz: float
@@ -38,13 +39,14 @@ class SeenWave:
 
 
 def fit_waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
-    """Fit up to two waves to sightings (N, D) at times (N,) s, largest first; none: only noise.
+    """Fit up to two damped waves to sightings (N, D) at times (N,), s; return the largest first.
 
-    The arm has to stand: its joints do not move any more.
+    The list is empty if there is nothing beyond noise. The joints must not be driven any more at
+    these times.
 
     Raises:
-        InputError: too few sightings, or they are not in order.
-        JobError: they are too slow for a ring that may be there.
+        InputError: too few sightings, or their times do not increase.
+        JobError: too few sightings in a second for any wave.
     """
     if len(times) < LEAST or (np.diff(times) <= 0.0).any():
         raise InputError("ring", "sightings", len(times), f"{LEAST} or more, one after the other")
@@ -100,7 +102,7 @@ def fit_waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
 
 
 def _basis(parameters: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return (N, 1 + 2 k): rest, and cosine and sine of each damped wave."""
+    """Return (N, 1 + 2 k): a constant, and cosine and sine of each damped wave at times t (N,)."""
     columns = [np.ones_like(t)]
     for omega, damping in parameters.reshape(-1, 2):
         decay = np.exp(-damping * omega * t)
@@ -115,8 +117,11 @@ def _residual(parameters: np.ndarray, t: np.ndarray, xyz: np.ndarray) -> np.ndar
 
 
 def as_tips(heard: Sequence[SeenWave], at_ring: Modes) -> list[SeenWave]:
-    """Return waves of joints (n,) as waves of the tip: each is the mode of the model next to it in
-    frequency, as joints do not say how the tip swings."""
+    """Return waves of joints as waves of the tip.
+
+    Joints do not show how the tip swings, so each wave's `size` becomes the tip's motion (3,) in
+    the model's mode that is nearest in frequency.
+    """
     return [
         replace(wave, size=at_ring.tip[np.argmin(np.abs(np.log(at_ring.hz / wave.hz)))])
         for wave in heard
@@ -124,22 +129,26 @@ def as_tips(heard: Sequence[SeenWave], at_ring: Modes) -> list[SeenWave]:
 
 
 def find_least_steps(readings: np.ndarray) -> np.ndarray:
-    """Find the least change (n,) between readings (N, n) in turn: a ring below it hides in it."""
+    """Return the smallest change (n,) between successive readings (N, n): a smaller ring is unseen.
+
+    It is 0 for a joint whose readings never change.
+    """
     changes = np.abs(np.diff(readings, axis=0))
     changes = np.where(changes > 0.0, changes, np.inf).min(axis=0)
     return np.where(np.isfinite(changes), changes, 0.0)
 
 
 def correct_modes(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
-    """Return modes with the frequencies that were seen at another posture taken into account.
+    """Return modes with their frequencies corrected by those that were seen at another posture.
 
-    Weight loads an arm downwards: a calibration at rest knows how it bends up and down, and of
-    what bends sideways only the parts that it shares.  So each mode takes the factor of the wave
-    that swings most as steeply as it does.
+    Weight bends an arm up and down, so a calibration at rest determines this bending, but sideways
+    bending only in part.  So each mode is corrected by the factor (seen by model frequency) of the
+    wave whose vertical share of motion is most like its own.
 
     Args:
-        modes: of the model, at any posture. at_ring: of the model, where the ring was seen.
-        seen: as of `fit_waves`.
+        modes: modes of the model at any posture.
+        at_ring: modes of the model at the posture where the waves were seen.
+        seen: waves of the tip, as `fit_waves` returns them.
     """
     if not seen or not len(modes.omega) or not len(at_ring.omega):
         return modes
@@ -153,5 +162,5 @@ def correct_modes(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Mod
 
 
 def _steepness(moves: np.ndarray) -> np.ndarray:
-    """Return (k,) share of moves (k, 3) that goes up or down."""
+    """Return the vertical share (k,), 0 to 1, of motions (k, 3)."""
     return np.asarray(np.abs(moves[:, 2]) / np.linalg.norm(moves, axis=1))

@@ -1,9 +1,9 @@
-"""Input shaping: a move is sent in parts, so that their rings cancel (Singer and Seering 1990).
+"""Input shaping: a move becomes a sum of delayed copies whose vibrations cancel.
 
-All joints go in the same parts, so a straight move stays straight, and inside its limits of
-velocity and acceleration.  A part begins later than the move, and ends as much later or more.  The
-shares are those (none negative) that leave least of a ring at the tip, by the modes all along the
-way and for frequencies that may be wrong.
+All joints are shaped alike, so a straight move stays straight and within its limits of velocity and
+acceleration.  A copy begins with the move or later, and its end is delayed at least as much.  The
+weights, none negative, leave the least vibration at the tip, by the modes all along the motion and
+for frequencies that may be wrong.  Source: Singer and Seering 1990.
 """
 
 from __future__ import annotations
@@ -19,25 +19,30 @@ from longarm_comp.core.vibration.ring import USUAL_DAMPING, find_amplitudes, sam
 from longarm_comp.math.shaper import Shaper, Way
 
 _FREQUENCY_SD = 0.05
-"""Of a model's frequencies, as a share: a calibration knows a stiffness to some 10 %."""
+"""Relative standard deviation of a model's frequencies: calibrated stiffness is right to 10 %."""
 _DELAYS = 7
-"""By which parts may begin and end later: a sixth of the period apart."""
+"""Number of delays with which copies may begin and end, from 0 to the longest period."""
 _PLACES, _KNOWN = 41, 9
-"""Places of a way where modes are asked for, and where they are computed: a joint that goes through
-its range changes them as a cubic in a ninth of it."""
+"""Number of places along a motion where modes are used, and of those where they are computed: over
+a ninth of a joint's range, cubics interpolate them well."""
 _ROUNDS = 3
-"""Of shares and of where the arm then is when, each of which needs the other."""
+"""Rounds of computing the weights, and the arm's place at each time: each depends on the other."""
 
 
 def find_way_modes(model: Model, way: Way, seconds: float) -> list[Modes]:
-    """Return modes evenly along a motion that takes some seconds from time 0 on."""
+    """Return the modes at evenly spaced places along a motion.
+
+    Args:
+        way: the motion, which begins at time 0.
+        seconds: its duration.
+    """
     times, share = _progress(way, seconds)
     known = np.interp(np.linspace(0.0, 1.0, _KNOWN), share, times)
     return find_modes_along(model, way(known), _PLACES)
 
 
 def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (M,), and the share of the way that is behind the joints at each, 0 to 1."""
+    """Return times (M,), and the share of the motion that is done at each, 0 to 1."""
     times = np.linspace(0.0, seconds, 8 * _PLACES)
     moved = np.abs(np.diff(way(times), axis=0))
     gone = np.cumsum((moved / np.maximum(moved.sum(axis=0), 1e-12)).max(axis=1))
@@ -84,10 +89,13 @@ def find_shaper(along: Sequence[Modes], way: Way, seconds: float, damping: float
 
 
 def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float], Shaper | None]:
-    """Return a shaper of motions from rest: joints by time, in the order of names, and seconds.
+    """Return a function that finds the shaper of a motion from rest to rest.
+
+    It takes the motion, with joints in the order of `names`, and its duration (s). It returns None
+    where no joint moves, or the model does not bend.
 
     Raises:
-        InputError: names ``where``: a joint of the arm is not among the names.
+        InputError: a joint of the arm is not among the names; the error names ``where``.
     """
     arm, order = model.arm, model.arm.order(names, where)
     damping = arm.damping or USUAL_DAMPING
@@ -95,7 +103,7 @@ def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float]
     def usual(times: np.ndarray) -> np.ndarray:
         return arm.mid + np.outer(times, 0.1 * (arm.upper - arm.lower))
 
-    # What is imported and compiled once costs seconds, and no order must wait for it.
+    # Imports and compilation take seconds: they are done now, before the first move.
     find_shaper(find_way_modes(model, usual, 1.0), usual, 1.0, damping)
 
     def of(way: Way, seconds: float) -> Shaper | None:

@@ -30,11 +30,11 @@ class Place:
 
 
 class Dosed:
-    """Something with a name, that of its class (``JointZero``: ``joint_zero``), and a size."""
+    """Something with a size, and a name from its class (``JointZero``: ``joint_zero``)."""
 
     name: ClassVar[str]
     doses: ClassVar[tuple[str, ...]] = ()
-    """Fields that are its size; by default the first."""
+    """Names of the fields that set its size; by default the first field."""
 
     def __init_subclass__(cls) -> None:
         if "name" not in vars(cls):
@@ -46,12 +46,12 @@ class Dosed:
 
     @property
     def sizes(self) -> tuple[str, ...]:
-        """Names of the fields that are its size."""
+        """The names of the fields that set its size."""
         return self.doses or (fields(self)[0].name,)  # type: ignore[arg-type]
 
 
 class HiddenEffect(Dosed):
-    """An undeclared effect on the true arm. Every method of this class has no effect.
+    """An undeclared effect on the true arm. The methods of this class change nothing.
 
     Subclasses are frozen dataclasses and override the methods that they need.
     """
@@ -61,11 +61,14 @@ class HiddenEffect(Dosed):
     """Whether it acts on the command of a joint, before all effects on the joint."""
 
     def joints(self, q: Array, state: State) -> Array:
-        """Return true joint values (N, n) from those after the effects before it (`TrueArm`)."""
+        """Return the joint values (N, n) after this effect, from those before it."""
         return q
 
     def find_rest(self, torques: Array, state: State) -> Array | float:
-        """Return joint offsets (N, n) by the settled torques (N, n), N m or N; see `gated`."""
+        """Return offsets of joints (N, n), rad or m, by their torques at rest (N, n), N m or N.
+
+        It is used if a hidden effect of the arm is `gated`.
+        """
         return 0.0
 
     def before(self, torques: Array, state: State) -> Array | float:
@@ -97,11 +100,14 @@ class HiddenEffect(Dosed):
         return []
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
-        """Return the rotation vector (3, B, N), rad, of everything beyond the place."""
+        """Return how a place yields: rotation vector (3, B, N), rad, of everything beyond it.
+
+        None if it does not yield. `beyond` holds the moment and the force at the place.
+        """
         return None
 
     def push(self, place: Place, state: State) -> Sequence[tuple[Array, Array]]:
-        """Return forces (3, N) N and where they act (3,) m or (3, N), in the place's axes."""
+        """Return forces (3, N), N, and points where they act, (3,) or (3, N), m, in its axes."""
         return ()
 
     def readings(self, state: State) -> dict[str, Array]:

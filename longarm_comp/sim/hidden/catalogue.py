@@ -19,7 +19,7 @@ _Maker = Callable[[Arm, np.random.Generator], HiddenEffect]
 
 
 def _draw_turning(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Array:
-    """Return a draw per turning motor, 0 for sliding ones, (n,)."""
+    """Return a random number from `low` to `high` per turning joint, 0 for sliding ones, (n,)."""
     return ~arm.slides * rng.uniform(low, high, arm.n)
 
 
@@ -156,8 +156,8 @@ def scale_to_size(
     """Scale an effect so that the seen tip shifts by about `size_mm` rms.
 
     Args:
-        poses: (N, n); 60 random ones by default.
-        seen: the tip with an effect, as of `moved_tip`.
+        poses: (N, n) joints, rad and m; 60 random ones by default.
+        seen: returns the seen tip (N, 3), m, with an effect; it is called like `moved_tip`.
     """
     poses = rng.uniform(arm.lower, arm.upper, (60, arm.n)) if poses is None else poses
     context = typical_context(len(poses), arm, rng)
@@ -175,7 +175,10 @@ def scale_to_size(
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> TrueContext:
-    """Return random approach, winding and ways, two hours, some warming."""
+    """Return random circumstances of some postures: within two hours, up to 12 K warmer.
+
+    Approach, winding of the gears and the last motion are random too.
+    """
     return TrueContext(
         approach=np.repeat(_draw_signs(rng, postures)[:, None], arm.n, axis=1),
         temperature_c=arm.reference_temperature_c + rng.uniform(0, 12, postures),

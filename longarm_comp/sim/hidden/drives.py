@@ -1,4 +1,4 @@
-"""Between the command and the shaft: gears, encoders, servos, cables."""
+"""Hidden effects between the command and the joint: gears, encoders, servos, cables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class PrismaticPitch(JointGain):
 
 @dataclass(frozen=True)
 class JointCoupling(HiddenEffect):
-    """A rod past one joint to the next: it turns by factor of the one before; factor (n,)."""
+    """A rod past one joint to the next: joint k turns by factor[k] q[k - 1] more; factor (n,)."""
 
     factor: Array
 
@@ -51,12 +51,12 @@ class GearEccentricity(HiddenEffect):
 
 
 STEPS_PER_TURN = (180, 256, 300, 360, 512, 720, 1000, 1024, 2048, 4096, 16384)
-"""Of servos that are sold."""
+"""Encoder steps per turn of servos on the market."""
 
 
 @dataclass(frozen=True)
 class ServoQuantisation(HiddenEffect):
-    """Servos are told whole steps: the command is rounded to `step` (n,), rad or m; 0: not."""
+    """Servos take whole steps: a command is rounded to `step` (n,), rad or m; 0: not rounded."""
 
     of_command = True
     step: Array
@@ -80,7 +80,7 @@ class ServoQuantisation(HiddenEffect):
 
 @dataclass(frozen=True)
 class FrictionHysteresis(HiddenEffect):
-    """Lost motion by approach: the joint stops `lag` (n,) short of where it was sent, rad or m."""
+    """Friction: a joint stops `lag` (n,), rad or m, before it reaches its command."""
 
     lag: Array
 
@@ -95,8 +95,8 @@ class FrictionHysteresis(HiddenEffect):
 class FrictionMemory(HiddenEffect):
     """A gear train that winds up: the joint lags by up to `lag` (n,) behind its motion, rad or m.
 
-    A turn of direction unwinds it over a long way, so a short last approach leaves it to the
-    move before.
+    After a reversal it unwinds only over a long motion. So after a short last motion the lag still
+    depends on the motion before.
     """
 
     lag: Array
@@ -107,7 +107,7 @@ class FrictionMemory(HiddenEffect):
 
 @dataclass(frozen=True)
 class ServoLag(HiddenEffect):
-    """Servos that are not waited for: of each way the share `left` (n,) is still to go."""
+    """Measurements before the servos arrive: the share `left` (n,) of a motion is missing."""
 
     left: Array
 
@@ -121,7 +121,8 @@ class ServoLag(HiddenEffect):
 
 @dataclass(frozen=True)
 class _Resting(HiddenEffect):
-    """The load lies on one side where |torque| > gate, else the approach decides."""
+    """A joint that rests at one end of a free motion: by its load where |torque| > gate, else by
+    its side of approach."""
 
     gated = True
     half: Array  # half of the way from side to side, (n,), rad or m
@@ -134,7 +135,7 @@ class _Resting(HiddenEffect):
 
 @dataclass(frozen=True)
 class Backlash(_Resting):
-    """Play."""
+    """Play of `half` to either side, as `_Resting`."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ class ServoDeadband(_Resting):
 
 @dataclass(frozen=True)
 class ServoDroop(JointCompliance):
-    """A proportional servo yields by torque / gain: `compliance` is 1 / gain, 0 where it slides."""
+    """A proportional servo yields by torque / gain: `compliance` is 1 / gain; slides do not."""
 
     def before(self, torques: Array, state: State) -> Array:
         return ~state.arm.slides * self.compliance * torques
@@ -155,7 +156,7 @@ class ServoDroop(JointCompliance):
 
 @dataclass(frozen=True)
 class CoggingBump(HiddenEffect):
-    """Outside every library: joint `joint` is pushed off by `height` (rad) near one angle."""
+    """Outside every library: joint `joint` is off by up to `height` (rad) near one angle."""
 
     doses = ("height",)
     joint: int

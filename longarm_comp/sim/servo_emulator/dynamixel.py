@@ -121,7 +121,7 @@ class DynamixelWire(RegisterWire):
             )
         if address <= _At.PROFILE_VELOCITY < end:
             profile = device.get(_At.PROFILE_VELOCITY, 4)
-            if device.get(_At.DRIVE_MODE, 1) & _TIME_BASED:  # the way takes so many ms
+            if device.get(_At.DRIVE_MODE, 1) & _TIME_BASED:  # duration of a motion, ms
                 way = abs(motor.goal - motor.position)
                 motor.speed_limit = way / (profile / 1000.0) if profile else 0.0
             else:
@@ -139,7 +139,7 @@ def _signed_at(device: Device, address: int) -> int:
 
 
 def _as_stored(device: Device, ticks: int) -> int:
-    """Return a position of the encoder as the servo stores it."""
+    """Return an encoder position (ticks) as the servo stores it, with sign and offset."""
     return (_sign_of(device) * ticks + _signed_at(device, _At.OFFSET)) & 0xFFFFFFFF
 
 

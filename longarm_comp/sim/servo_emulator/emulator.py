@@ -26,7 +26,7 @@ class WireFaults:
     silent: set[int] = field(default_factory=set)  # servos that hear and move but answer nothing
     drops: Counter[int] = field(default_factory=Counter)
     """drops, corrupt, cuts: how many of a servo's next replies are lost, have a damaged checksum,
-    or are sent by half."""
+    or end after their first half; by the servo's id."""
     corrupt: Counter[int] = field(default_factory=Counter)
     cuts: Counter[int] = field(default_factory=Counter)
 
@@ -134,19 +134,19 @@ class ServoEmulator:
 
     @contextlib.contextmanager
     def motor(self, servo_id: int) -> Iterator[Motor]:
-        """Yield the mechanics of a servo at the present, to look at or to change."""
+        """Yield the present mechanics of a servo, to read or to change."""
         with self._lock:
             self._advance_motors()
             yield self._devices[servo_id].motor
 
     def each(self, of: Callable[[Motor], Of]) -> dict[int, Of]:
-        """Return something of every servo's mechanics at the present, by id."""
+        """Return what `of` returns for the present mechanics of every servo, by id."""
         with self._lock:
             self._advance_motors()
             return {i: of(device.motor) for i, device in self._devices.items()}
 
     def positions(self) -> dict[int, float]:
-        """Return present true positions, ticks, not rounded."""
+        """Return the present true positions, ticks by id, not rounded."""
         return self.each(lambda motor: motor.position)
 
     def torques_on(self) -> dict[int, bool]:

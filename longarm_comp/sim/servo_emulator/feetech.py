@@ -22,7 +22,7 @@ class _At(IntEnum):
 
 
 class FeetechWire(RegisterWire):
-    """STS3215."""
+    """The Feetech STS protocol with the memory table of the STS3215."""
 
     name = "feetech"
     kept_below = _At.TORQUE

@@ -23,15 +23,15 @@ DATA_SHEETS: Mapping[str, Mapping[str, float]] = {
     # torque over current: none is left at 0.13 A, of its limit of 3.21 A; current in 2.69 mA
     "xm430-w350": {"model": 1020, "hold_share": 0.13 / 3.21, "load_units": 1193.0},
 }
-"""By servo: what `MotorSpec` calls it, from the makers' data sheets."""
+"""By model of the servo: fields of `MotorSpec`, from the makers' data sheets."""
 
 
 @dataclass(frozen=True)
 class EmulatedJoint:
     """One joint: value (rad, m) = travel * (ticks - zero), ``travel`` signed, per tick.
 
-    ``full_effort``: N m or N at the joint when its servo gives its full effort; ``told``: the file
-    says it.  ``sheet``: fields of `MotorSpec` that the servo's data sheet tells.
+    ``full_effort``: N m or N at the joint when its servo gives its full effort; ``told``: whether
+    the file gives it.  ``sheet``: fields of `MotorSpec` that the servo's data sheet gives.
     """
 
     name: str
@@ -45,11 +45,11 @@ class EmulatedJoint:
     sheet: Mapping[str, Any] = field(default_factory=dict)
 
     def value(self, ticks: float) -> float:
-        """Return joint value, rad or m."""
+        """Return the joint value at encoder ticks, rad or m."""
         return self.travel * (ticks - self.zero_ticks)
 
     def ticks(self, value: float) -> float:
-        """Return encoder ticks, not rounded."""
+        """Return the encoder ticks at a joint value (rad or m), not rounded."""
         return self.zero_ticks + value / self.travel
 
 
@@ -61,7 +61,7 @@ class EmulatedArm:
     joints: tuple[EmulatedJoint, ...]
 
     def start_ticks(self) -> dict[int, float]:
-        """Return ticks by servo id where each joint has the allowed value that is nearest to 0."""
+        """Return the ticks, by servo id, at which each joint is at 0 or the limit nearest to it."""
         return {j.servo_id: j.ticks(min(max(0.0, j.lower), j.upper)) for j in self.joints}
 
     def values(self, ticks: Mapping[int, float]) -> dict[str, float]:

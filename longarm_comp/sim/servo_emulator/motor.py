@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 _FRICTION = 0.2  # share of full effort to turn freely at full speed
 _AMBIENT_C, _HEATING_C, _HEAT_TIME_S = 25.0, 60.0, 120.0
-"""Temperature at rest; its rise at full effort, and the time that this takes."""
+"""Temperature at rest, its rise at full effort, and the time constant of the rise."""
 _SHUTDOWN_C = 70.0
-"""The servo alarms and lets go above this: the default of Feetech servos."""
+"""Temperature above which the servo raises an alarm and lets go: the default of Feetech servos."""
 _OVERLOAD = 0.8  # share of full effort, the default of Feetech servos
 
 
@@ -23,19 +23,19 @@ class MotorSpec:
     dead_band_ticks: float = 0.0
     """Error that the controller leaves alone; beyond it the effort grows."""
     hold_share: float = 0.0
-    """Share of full effort by which friction holds the gear wherever it stopped; so much more than
-    the load does a drive give that came from below, so much less from above."""
+    """Share of full effort by which friction holds the gear wherever it stopped. A drive that came
+    from below gives that much more than the load, one from above that much less."""
     wind_up_ticks: float = 650.0
-    """Travel that winds the gear train up from slack to one side; turning round, it takes twice as
-    much to wind it up to the other."""
+    """Travel that winds an unwound gear train up to one side; after a reversal twice as much winds
+    it up to the other."""
     droop_ticks: float = 0.0
-    """Error at which the proportional controller gives its full effort: so far does a load as
-    large push the horn off its goal."""
-    encoder_zero_ticks: float = 0.0  # what the encoder says too much
+    """Error at which the proportional controller gives its full effort; a load of that size pushes
+    the horn off its goal by as much."""
+    encoder_zero_ticks: float = 0.0  # by how much the encoder reads too high
     stiff_ticks: float = 200.0  # position error at which a jammed drive gives its full effort
     load_units: float = 1000.0  # reading of the register of load, or current, at full effort
-    model: int | None = None  # number that it says it is; None: the protocol's usual one
-    overload_s: float = 2.0  # so long at `_OVERLOAD` makes it alarm and let go
+    model: int | None = None  # model number that it reports; None: the protocol's usual one
+    overload_s: float = 2.0  # time at `_OVERLOAD` after which it raises an alarm and lets go
 
 
 class Motor:
@@ -43,7 +43,7 @@ class Motor:
 
     Attributes:
         follows: share of a motion that the encoder sees: 0 is frozen, less than 1 slips.
-        seen: where the encoder stands, not rounded.
+        seen: position that the encoder shows, ticks, not rounded.
     """
 
     def __init__(self, spec: MotorSpec, position_ticks: float) -> None:
@@ -72,7 +72,7 @@ class Motor:
         return round(self.seen)
 
     def turn(self, by: float) -> None:
-        """Turn the horn by so many ticks."""
+        """Turn the horn by some ticks; the encoder sees the share `follows` of it."""
         self.position += by
         self.seen += self.follows * by
 
@@ -83,7 +83,7 @@ class Motor:
 
     @property
     def way(self) -> float:
-        """The way of the horn since it last stood or turned, ticks."""
+        """The displacement of the horn since it last stood still or reversed, ticks."""
         return self.position - self._stood
 
     def switch(self, on: bool) -> None:
@@ -136,7 +136,10 @@ class Motor:
         return self.position + math.copysign(distance - left, error)
 
     def _rest_range(self) -> tuple[float, float]:
-        """Return the ends of where the horn may rest: the controller against load and friction."""
+        """Return the lowest and the highest position (ticks) at which the horn may rest.
+
+        There the controller holds the load, with friction for it or against it.
+        """
         spec = self.spec
 
         def balance_at(share: float, edge: float) -> float:

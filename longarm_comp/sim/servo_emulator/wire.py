@@ -46,7 +46,10 @@ class Wire(ABC):
         """Return a servo with this protocol's factory memory."""
 
     def power_cycle(self, device: Device) -> None:
-        """Take a servo's power away: kept registers stay, torque is off, no alarm stands."""
+        """Take a servo's power away and give it back.
+
+        Kept registers stay, torque is off, and alarms are cleared as by `Motor.clear_alarms`.
+        """
         motor = device.motor
         fresh = self.device(device.servo_id, motor).memory
         device.memory[:] = device.kept[: self.kept_below] + fresh[self.kept_below :]
@@ -55,7 +58,7 @@ class Wire(ABC):
 
     @abstractmethod
     def take(self, buffer: bytearray) -> list[bytes]:
-        """Remove whole, undamaged instruction frames from the front of ``buffer``."""
+        """Remove all whole instruction frames from ``buffer``; return those without damage."""
 
     @abstractmethod
     def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
@@ -93,7 +96,7 @@ class RegisterWire(Wire):
         return 0, b""
 
     def words(self, params: bytes) -> tuple[int, int]:
-        """Return address and length. Raises IndexError where they are missing."""
+        """Return the address and the length that parameters begin with; IndexError if missing."""
         if len(params) < 2 * self.word:
             raise IndexError
         first, second = params[: self.word], params[self.word : 2 * self.word]
@@ -105,7 +108,7 @@ class RegisterWire(Wire):
 
     @abstractmethod
     def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
-        """Return the error code (0: done) and registers as they are now."""
+        """Return the error code (0: done) and the present content of registers."""
 
     @abstractmethod
     def write(self, device: Device, address: int, data: bytes) -> int:

@@ -34,7 +34,12 @@ def write_module(
     place: Mapping[str, range],
     width: int,
 ) -> str:
-    """Return a module of programs and of flows of them, `width` columns at a time."""
+    """Return the LLVM assembly of programs, and of flows that call them.
+
+    Args:
+        place: rows of the state by name (`newton.rows`).
+        width: number of columns that are worked on at a time.
+    """
     writer = _Writer(width)
     lines = writer.outside()
     size = width * (1 + max(r[-1] for r in place.values() if r))
@@ -56,7 +61,7 @@ class _Writer:
         self.flag = f"<{width} x i1>"
 
     def outside(self) -> list[str]:
-        """Declare functions: intrinsics work on all lanes, those of the C library on one."""
+        """Declare the functions that are called; those of the C library are called lane by lane."""
         width, kind = self.width, self.kind
         lines = [f"declare {kind} @llvm.{f}.v{width}f64({kind}) #1" for f in _INTRINSIC]
         for name, arguments in _LIBRARY.items():
@@ -86,7 +91,7 @@ class _Writer:
         return lines
 
     def flow(self, work: Flow, place: Mapping[str, range], number: Iterator[int]) -> list[str]:
-        """Write calls, and loops that run while a row is not 0 in any lane."""
+        """Write the calls of a flow, and its loops, which run while a lane of a row is not 0."""
         lines: list[str] = []
         for step in work:
             if isinstance(step, str):
@@ -175,7 +180,10 @@ class _Code:
         self._functions: dict[str, Any] = {}
 
     def function(self, name: str) -> Any:
-        """Return a function of the address of its block; `many_...` takes their number too."""
+        """Return a compiled function by its name.
+
+        It takes the address of a block; a `many_...` function takes the number of blocks too.
+        """
         if name not in self._functions:
             arguments = [ctypes.c_void_p, ctypes.c_ssize_t][: 2 if name.startswith("many_") else 1]
             kind = ctypes.CFUNCTYPE(None, *arguments)
@@ -186,7 +194,7 @@ class _Code:
 
 
 def count_lanes() -> int:
-    """Return number of doubles in a vector register of this processor."""
+    """Return the number of doubles in a vector register of this processor."""
     features = binding.get_host_cpu_features()
     return 8 if features.get("avx512f") else 4 if features.get("avx") else 2
 

@@ -166,7 +166,7 @@ def _order(operand: Operand) -> tuple[bool, float]:
 
 
 def _simplify(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
-    """Return the result without a new node, or None."""
+    """Return the simplified result of an operation, or None if it cannot be simplified."""
     a, b = args[0], args[1] if len(args) > 1 else None
     fa, fb = type(a) is float, type(b) is float
     if op in _FOLD and fa and fb:
