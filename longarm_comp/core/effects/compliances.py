@@ -48,7 +48,7 @@ class JointCompliance(JointTerm):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Return each joint, and as a second form those with coupled rows that may not follow."""
+        """Return every joint; a joint with coupled rows also in the form `follows` 0."""
         mixing, _ = arm.mixing
         led = {row for k, row in enumerate(arm.commanded) if np.count_nonzero(mixing[:, k]) > 1}
         alone = {row for row in led if mixing[row - 1, arm.commanded.index(row)] != 0.0}

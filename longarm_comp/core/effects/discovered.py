@@ -352,7 +352,7 @@ class DiscoveredView(_OfFunction, Bias):
         return self.axis
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the amount: a displacement in m, or a fraction of the distance, per function unit."""
+        """Return the amount per unit of the function, in m or as a fraction of the distance."""
         unit = "1" if self.axis == DISTANCE else "m"
         unit = _divide_unit(unit, self.of.units(arm))
         return self.with_prior(self.scale, unit=unit)

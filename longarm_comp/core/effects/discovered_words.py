@@ -59,7 +59,12 @@ class _Traits:
         return any(isinstance(s.quantity, kinds) for s in self.shapes)
 
     def shape(self, *kinds: type[Shape], of: tuple[type[Quantity], ...] = (Quantity,)) -> bool:
-        """Tell whether a term has a shape of one of `kinds`, of a quantity of one of the kinds `of`."""
+        """Tell whether a term has a shape of one of these kinds.
+
+        Args:
+            kinds: kinds of shapes.
+            of: the kinds of quantities that the shape may have; by default any.
+        """
         return any(isinstance(s, kinds) and isinstance(s.quantity, of) for s in self.shapes)
 
     def acts(self, kind: type) -> bool:

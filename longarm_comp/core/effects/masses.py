@@ -38,7 +38,7 @@ class TipPayload(_Weight):
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Return the parameter, with a tenth of the arm's mass as prior.
 
-        Its lower bound keeps the payload positive.
+        Its lower bound is minus the declared payload, so the total is never negative.
         """
         weight = typical_loads(arm).force / 9.81
         held = arm.payload.mass_kg if arm.payload else 0.0

@@ -1,4 +1,4 @@
-"""The typical loads of an arm, in total and at each place; the priors of effects scale with them."""
+"""Typical loads of an arm, in total and at each place; the priors of effects scale with them."""
 
 from __future__ import annotations
 
