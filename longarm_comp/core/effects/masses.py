@@ -85,8 +85,8 @@ class UndeclaredWeight(_Weight):
     """The weight of an arm that declares none: one kilogram per metre of its links.
 
     A part of it may be at the tip instead.  A session shows only the products of weights and
-    compliances.  So the total weight is fixed, and compliances are relative to it.  The weights of
-    `undeclared_drive` are parts of the total too.
+    compliances.  So the weight of links, joints (`undeclared_drive`) and tip together is fixed, and
+    compliances are relative to it.  Only the guides of slides add to it.
     """
 
     name = "undeclared_weight"

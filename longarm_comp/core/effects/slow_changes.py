@@ -36,7 +36,10 @@ def change_so_far(context: Context, slowing: float) -> Scalar:
 
 @dataclass(frozen=True)
 class ThermalGrowth(Effect):
-    """All lengths grow by ``expansion (T - T_ref)``."""
+    """The lengths a and d of all rows grow by ``expansion (T - T_ref)``.
+
+    Fixed transforms (`pose`) and the tip's offset do not grow.
+    """
 
     name = "thermal_growth"
     title = "thermal growth"
