@@ -1,8 +1,9 @@
-"""Sine, cosine and arc tangent in arithmetic alone, to a unit or two in the last place.
+"""Sine, cosine and arc tangent from basic arithmetic, to one or two units in the last place.
 
-For lanes of a processor, which the library of C serves one at a time.  Sine and cosine: reduction
-to [-pi/4, pi/4] in three parts (Cody and Waite), exact for angles up to some 1e5 rad, and the
-polynomials of FDLIBM's ``__kernel_sin`` and ``__kernel_cos``.  Arc tangent: Cephes' ``atan``.
+They are for code that runs on SIMD lanes, because the C library computes one value at a time.  Sine
+and cosine: reduction to [-pi/4, pi/4] with a split pi/2 (Cody and Waite), exact for angles up to
+about 1e5 rad, and the polynomials of FDLIBM's ``__kernel_sin`` and ``__kernel_cos``.  Arc tangent:
+Cephes' ``atan``.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def sine(x: Scalar) -> Scalar:
 
 
 def cosine(x: Scalar) -> Scalar:
-    """Compute cos x = sin(x + pi / 2)."""
+    """Compute cos x, x in rad."""
     return _quadrant(x, 1.0)
 
 
@@ -88,7 +89,7 @@ _LOW = 6.123233995736765886130e-17  # of pi / 2
 
 
 def arc_tangent2(y: Scalar, x: Scalar) -> Scalar:
-    """Return the angle of the point (x, y), -pi to pi; 0 at the origin."""
+    """Return the angle (rad) of the point (x, y), from -pi to pi; 0 at the origin."""
     a, b = absolute(y), absolute(x)
     t = minimum(a, b) / (maximum(a, b) + 1e-300)
     steep = t > 0.66

@@ -35,7 +35,10 @@ from longarm_comp.core.html_table import html_table
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 STILL = 1e-4
-"""Share of a joint's range that is none: 0.04 degrees of a turn, less than drives come back to."""
+"""A joint that moves by less than this fraction of its range counts as standing still.
+
+It is 0.04 degrees of a full turn, less than the repeatability of drives.
+"""
 
 
 class Arm(Declared):
@@ -140,7 +143,10 @@ class Arm(Declared):
 
     @cached_property
     def usual_masses(self) -> tuple[tuple[int, Vec3, float], ...]:
-        """Masses of a kilogram a metre: row of the frame, middle of the length there (m), kg."""
+        """Masses assumed for an arm that declares none: one kilogram per metre of length.
+
+        Each is the row of a frame, the middle of the length in that frame (m), and the mass (kg).
+        """
         x, y, z = self.tip.position_m
         masses = [(self.tip.frame, (x / 2, y / 2, z / 2), math.hypot(x, y, z))]
         for row, role, size in link_places(self.joints):
@@ -151,7 +157,7 @@ class Arm(Declared):
 
     @cached_property
     def usual_mass_kg(self) -> float:
-        """Weight of an arm that declares none, a kilogram a metre."""
+        """Mass assumed for an arm that declares none: one kilogram per metre of length."""
         return sum(mass for *_, mass in self.usual_masses)
 
     @cached_property
@@ -170,7 +176,11 @@ class Arm(Declared):
         return tuple(self.joints[i - 1].name or f"joint{i}" for i in self.commanded)
 
     def order(self, names: list[str], where: str) -> list[int]:
-        """Return the place of every joint among names. Raises `InputError` where one lacks."""
+        """Return the index in `names` of every commanded joint, in the order of q.
+
+        Raises:
+            InputError: the name of a joint is missing; the error quotes `where` as the source.
+        """
         for name in self.joint_names:
             if name not in names:
                 raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
@@ -178,8 +188,11 @@ class Arm(Declared):
 
     @cached_property
     def names_for_people(self) -> dict[str, str]:
-        """Names that people have for rows of arm.yaml, where they differ: ``luff (q2)`` for
-        ``joint 4``, ``frame luff`` for ``frame 4``."""
+        """Readable names of joints, rows and frames, by the default name that they replace.
+
+        ``joint 4`` becomes ``luff (q2)`` and ``frame 4`` becomes ``frame luff`` if arm.yaml calls
+        the joint of row 4 ``luff``. Rows that keep their default names are left out.
+        """
         names: dict[str, str] = {}
         numbers = {row: f"q{k}" for k, row in enumerate(self.commanded, 1)}
         for joint in self.joints:
@@ -204,18 +217,23 @@ class Arm(Declared):
 
     @cached_property
     def slides(self) -> np.ndarray:
-        """Tell (n,) which joints slide; the others turn."""
+        """(n,) bool: which commanded joints are prismatic; the others are revolute."""
         return np.array([self.joints[i - 1].type == "prismatic" for i in self.commanded])
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest joints (n,) that the arm can be at, rad or m; infinite if endless."""
+        """Lowest (n,) and highest (n,) values that the joints can have, rad or m.
+
+        They are infinite for an endless joint.
+        """
         endless = np.array([self.joints[i - 1].endless for i in self.commanded])
         return np.where(endless, -np.inf, self.lower), np.where(endless, np.inf, self.upper)
 
     def box_about(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the limits (..., n) of a search that starts at joints q (..., n): those of the
-        arm, and half a turn to either side of q for an endless joint."""
+        """Return the lower (..., n) and upper (..., n) limits of a search from joints q (..., n).
+
+        They are the joint limits; for an endless joint, half a turn to either side of q.
+        """
         endless = np.isinf(self.bounds[1])
         low = np.where(endless, q - np.pi, self.lower)
         return low, np.where(endless, q + np.pi, self.upper)
@@ -227,18 +245,23 @@ class Arm(Declared):
 
     @cached_property
     def telling(self) -> np.ndarray:
-        """Span of every joint, (n,), rad or m, from which on its position says anything: below its
-        servo's step, or a ten-thousandth of its range, it stands still."""
+        """(n,) smallest motion of each joint, rad or m, that counts as a motion.
+
+        It is the step of the joint's servo, or a ten-thousandth of the range if this is larger.
+        """
         return np.maximum(self.steps, STILL * (self.upper - self.lower))
 
     @property
     def mid(self) -> np.ndarray:
-        """Middle of every joint's range, (n,)."""
+        """Middle of every joint's range, (n,), rad or m."""
         return (self.lower + self.upper) / 2
 
     @cached_property
     def mixing(self) -> tuple[np.ndarray, np.ndarray]:
-        """(M, c) with joint values of all rows = q M' + c: M (rows, n), c (rows,)."""
+        """Matrix M (rows, n) and offset c (rows,): the joint values of all rows are ``q M' + c``.
+
+        Passive joints follow the commanded ones by `mimic`, and `coupling` is included.
+        """
         matrix = np.zeros((len(self.joints), self.n))
         offset = np.zeros(len(self.joints))
         index = {row: k for k, row in enumerate(self.commanded)}
@@ -254,24 +277,27 @@ class Arm(Declared):
 
     @cached_property
     def circular(self) -> np.ndarray:
-        """(n,) joints that stand the same after a whole turn: those of turning rows, ungeared."""
+        """(n,) bool: joints after whose full turn the arm stands as before.
+
+        Every row that such a joint moves is revolute and turns by a whole multiple of the joint.
+        """
         turning = np.array([joint.type == "revolute" for joint in self.joints])
         moved = self.mixing[0]
         return np.asarray(((moved == 0) | (turning[:, None] & (moved % 1 == 0))).all(axis=0))
 
     def anchor(self, name: str) -> Vec3:
-        """Return the declared place of an anchor (m); the origin if it is to be solved."""
+        """Return the declared position of an anchor (m); the origin if none is declared."""
         anchor = self.anchors.get(name)
         return (anchor and anchor.xyz_m) or (0.0, 0.0, 0.0)
 
     @property
     def inclinometers(self) -> tuple[str, ...]:
-        """Names that ``incl_<name>_x`` may hold: rows, 0 for the base, and declared sensors."""
+        """Allowed names in the column ``incl_<name>_x``: 0 (base), row ids, declared sensors."""
         named = [k for k, v in self.sensors.items() if isinstance(v, Inclinometer)]
         return (*(str(row) for row in range(len(self.joints) + 1)), *named)
 
     def camera_frame(self, name: str) -> np.ndarray:
-        """Return the pose (3, 4) of a declared camera in the base frame; else that frame itself."""
+        """Return the pose (3, 4) of a camera in the base frame; the identity if not declared."""
         sensor = self.sensors.get(name)
         return (sensor.frame() if isinstance(sensor, CameraSensor) else IDENTITY).matrix()[:3]
 
@@ -299,14 +325,21 @@ class Arm(Declared):
 
     @cached_property
     def hash(self) -> str:
-        """The SHA-256 of what a model depends on, not of the layout."""
+        """The SHA-256 of the declared values on which a model depends.
+
+        Comments and layout of arm.yaml do not change it, nor do `damping` and `payload.most_kg`.
+        """
         beside: Any = {"damping": True, "payload": {"most_kg"}}
         declared = self.model_dump(mode="json", exclude_defaults=True, exclude=beside)
         return hashlib.sha256(json.dumps(declared, sort_keys=True).encode()).hexdigest()
 
     @classmethod
     def load(cls, path: str | Path) -> Arm:
-        """Read `arm.yaml`. Raises `InputError` where a key or a value is not allowed."""
+        """Read `arm.yaml`.
+
+        Raises:
+            InputError: a key or a value is not allowed.
+        """
         if Path(path).suffix.lower() in (".urdf", ".xacro", ".xml"):
             raise InputError(path, "file", "a URDF", "an arm.yaml: longarm import-urdf makes one")
         return cls.parse(read_yaml(path), str(path))

@@ -1,4 +1,4 @@
-"""The allowed range of each circumstance, from arm.yaml where it says one."""
+"""The allowed range of each circumstance: from arm.yaml if declared there, else a default."""
 
 from __future__ import annotations
 
@@ -13,19 +13,24 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import range_of
 
 MOST_K = 100.0
-"""No arm works farther than this from the temperature at which its lengths are right; kelvin and
-payloads written as temperatures of a hot arm do."""
+"""Largest plausible distance (K) of a temperature from the arm's reference temperature.
+
+A value in kelvin is farther off, and so is refused.
+"""
 MOST_PAYLOADS = 10.0
-"""An arm of which arm.yaml says no more carries at most so many times what it declares, or its own
-weight: no robot is known that carries more than that."""
+"""Largest payload as a multiple of the declared one, if arm.yaml gives no `payload.most_kg`.
+
+The arm's own mass is allowed too, if it is larger: no known robot carries more.
+"""
 
 
 def allowed_range(arm: Arm, name: str) -> tuple[float, float]:
-    """Return the range of a circumstance, in the unit of its name; infinite without one.
+    """Return the lowest and highest allowed value of a circumstance, in the unit of its name.
 
-    `temperature_c`: within `MOST_K` of the arm's reference. `payload_kg`: up to `payload.most_kg`
-    of arm.yaml; without it, what `MOST_PAYLOADS` says; none where arm.yaml has no payload. Tilts
-    (`incl_...`): a turn.
+    `temperature_c` lies within `MOST_K` of the arm's reference temperature. `payload_kg` is at most
+    `payload.most_kg` of arm.yaml, else `MOST_PAYLOADS` times the declared payload or the arm's own
+    mass; 0 if arm.yaml has no payload. Tilts (`incl_...`) are at most one turn. Other columns
+    have the range that belongs to the unit in their name, or an infinite one.
     """
     lower, upper = range_of(name)
     if name == "temperature_c":
@@ -41,10 +46,15 @@ def allowed_range(arm: Arm, name: str) -> tuple[float, float]:
 
 
 def check_circumstance(arm: Arm, name: str, values: ArrayLike, where: object) -> None:
-    """Refuse values (any shape) of a circumstance that an arm cannot be in; NaN is not judged.
+    """Refuse values (any shape) of a circumstance that are not possible for an arm.
+
+    NaN is accepted.
+
+    Args:
+        where: the source of the values, as errors name it.
 
     Raises:
-        InputError: of a source, with the first value that is out of range, or infinite.
+        InputError: a value is infinite or out of `allowed_range`; the error states the first one.
     """
     given = np.asarray(values, dtype=float).reshape(-1)
     lower, upper = allowed_range(arm, name)

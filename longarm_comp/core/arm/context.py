@@ -1,8 +1,8 @@
-"""The record of circumstances: all that an effect may need besides the joints.
+"""The record of circumstances: all that an effect may need besides the joint values.
 
-Sessions, targets, the running arm, every engine of the inverse kinematics and the learned inputs
-go over the declared fields (`PER_JOINT`, `Layout`), so a field that is added here is carried
-everywhere.  History is part of the record, so an effect stays a pure function of a posture.
+Sessions, targets, the running arm, the solvers of the inverse kinematics and the inputs of
+the predictor loop over the declared fields (`PER_JOINT`, `Layout`).  So a new field is declared
+only here.  The joints' history is part of the record, so an effect is a pure function of a posture.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ from longarm_comp.core.errors import InputError
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
 ORDER = "pose_number"
-"""Column of the number of each pose, where a session does not tell its time.  A command comes after
-all poses: without the column the number is infinite."""
+"""Column of the number of each pose, used where a session has no clock.
+
+Without the column the number is infinite, because a command comes after all poses.
+"""
 CLOCK = "t_s"
 """Column of a session's clock, s."""
 _TOLD = (CLOCK, "temperature_c", "payload_kg", ORDER)
@@ -32,21 +34,27 @@ NEVER_TOLD = "(a circumstance that no command knows)"
 
 
 def is_told(name: str) -> bool:
-    """Tell whether a command knows a circumstance, by a topic or by its target."""
+    """Tell whether a circumstance is known for a command, from a topic or from its target."""
     return name in _TOLD or INCLINATION.match(name) is not None
 
 
 def name_tilt(frame_id: str, about_x: float, about_y: float) -> dict[str, float]:
-    """Name the tilt (rad) that a sensor on a frame tells as columns; the base is row 0."""
+    """Return the tilt (rad) that a sensor on a frame measures, as columns by name.
+
+    An empty `frame_id` and ``base`` mean the base, which is row 0.
+    """
     frame = re.sub(r"\W+", "_", frame_id)
     frame = "0" if frame in ("", "base") else frame
     return {f"incl_{frame}_x": about_x, f"incl_{frame}_y": about_y}
 
 
 LEGS = 7
-"""Places for the legs of a joint's way; the last stays free for what may have been before."""
+"""Number of stored legs (displacements between reversals) of a joint.
+
+The last one stays 0: the motion before the oldest known leg is unknown.
+"""
 WIDTH: Mapping[str, int] = {"approach": 1, "legs": LEGS, "last_way": 1}
-"""How many scalars a commanded joint the fields of its history in a `Context` hold."""
+"""Number of scalars per commanded joint in each history field of a `Context`."""
 PER_JOINT = tuple(WIDTH)
 
 
@@ -60,10 +68,10 @@ class Context:
         columns: any further quantity by name: `temperature_c`, `payload_kg`, `t_s`,
             `incl_<frame>_x`, ... (SI units, temperatures in degrees Celsius).
         labels: text columns such as `group` and `marker`, one string or (N,) array of them.
-        legs: per joint its last signed ways from turn to turn (rad, m), the latest first, as
-            `history.onward` keeps them, n times `LEGS` scalars; 0 or empty where unknown.
-        last_way: per joint the signed way (rad, m) since it last stood or turned, n scalars; 0
-            where it did not move, or nobody knows.
+        legs: per joint its last signed displacements between reversals (rad, m), the latest first,
+            as `history.add_way` keeps them; n times `LEGS` scalars; 0 or empty where unknown.
+        last_way: per joint the signed displacement (rad, m) since it last stood still or reversed,
+            n scalars; 0 where it did not move or this is not known.
     """
 
     approach: tuple[Scalar, ...] = ()
@@ -77,7 +85,11 @@ class Context:
         return bool(getattr(self, name)) if name in PER_JOINT else name in {ORDER, *self.columns}
 
     def column(self, name: str, default: float | None = None) -> Scalar:
-        """Return a recorded quantity, else the default. Raises `InputError` without one."""
+        """Return a recorded quantity, else the default.
+
+        Raises:
+            InputError: the quantity was not recorded, and there is no default.
+        """
         if name in self.columns:
             return self.columns[name]
         if name == ORDER:
@@ -88,10 +100,13 @@ class Context:
         return default
 
     def as_left(self, ended_s: float | None) -> Context:
-        """Return the circumstances of a command: a session's clock and order stand at their end.
+        """Return the circumstances of a command: the session's clock stays at its end.
 
-        What a session's clock tells (a base that settles, a belt that jumped) is of that session;
-        afterwards no clock goes on where it stopped.  ``ended_s``: where; None: nobody knows.
+        Effects that depend on the session's clock (a base that settles) do not continue after the
+        session. The pose number is dropped, so it is infinite.
+
+        Args:
+            ended_s: session clock at the end of the session, s; None if it is not known.
         """
         columns = {k: v for k, v in self.columns.items() if k not in (CLOCK, ORDER)}
         if ended_s is not None:
@@ -105,17 +120,23 @@ class Context:
         return self.column("payload_kg", declared)
 
     def of_joint(self, name: str, joint: int) -> tuple[Scalar, ...]:
-        """Return scalars of a per-joint field at commanded joint `joint` (0-based); 0: unknown."""
+        """Return the scalars of a per-joint field at commanded joint `joint` (0-based).
+
+        They are 0 where the history is unknown.
+        """
         width = WIDTH[name]
         values: tuple[Scalar, ...] = getattr(self, name)
         return values[width * joint : width * (joint + 1)] if values else (0.0,) * width
 
     def of_all(self, name: str, n: int) -> tuple[Scalar, ...]:
-        """Return all scalars of a per-joint field of an arm of n joints; 0: unknown."""
+        """Return all scalars of a per-joint field of an arm with n joints; 0 where unknown."""
         return getattr(self, name) or (0.0,) * (n * WIDTH[name])
 
     def is_label(self, name: str, value: str) -> Scalar:
-        """Tell where a text column holds `value`: 1.0, else 0.0; 1.0 if there is no such column."""
+        """Return 1.0 where a text column holds `value`, else 0.0.
+
+        It is 1.0 if there is no such column. The result is a scalar, or (N,) for N postures.
+        """
         if name not in self.labels:
             return 1.0
         held = self.labels[name]
@@ -124,7 +145,7 @@ class Context:
         return (np.asarray(held) == value).astype(float)
 
     def take(self, rows: np.ndarray | slice | int) -> Context:
-        """Return the context of some of N postures; a scalar that holds for all stays a scalar."""
+        """Return the context of some of N postures; a value common to all stays a scalar."""
         if not self.differs:
             return self
 
@@ -137,9 +158,13 @@ class Context:
         return Context(**history, columns=columns, labels=labels)
 
     def each(self, count: int) -> list[Context]:
-        """Return the contexts of all of N postures, as `take` gives them one by one.
+        """Return the N contexts of N postures, each as `take` would return it.
 
-        Raises `InputError` where a quantity has values of more or fewer postures.
+        Args:
+            count: N.
+
+        Raises:
+            InputError: a quantity has more or fewer than N values.
         """
 
         def rows(name: str, value: Any) -> list[Any]:
@@ -166,20 +191,20 @@ class Context:
 
     @cached_property
     def differs(self) -> bool:
-        """True if a quantity has a value for each of N postures."""
+        """True if any quantity has one value per posture instead of one for all."""
         history = [value for name in PER_JOINT for value in getattr(self, name)]
         every = [*history, *self.columns.values(), *self.labels.values()]
         return not {*map(type, every)} <= {float, str} and any(map(_of_each, every))
 
     @cached_property
     def layout(self) -> Layout:
-        """The names and number of what the record holds, the same for all records of a kind."""
+        """Which numbers and texts this record holds."""
         joints = tuple([len(getattr(self, name)) for name in PER_JOINT])
         return Layout(joints, tuple(sorted(self.columns)), tuple(sorted(self.labels.items())))
 
 
 def stack_contexts(contexts: Sequence[Context]) -> Context:
-    """Stack the circumstances of M postures, alike but for the history of the joints."""
+    """Stack the circumstances of M postures that differ only in the history of the joints."""
     history: dict[str, Any] = {
         name: tuple(np.array([getattr(each, name) for each in contexts], dtype=float).T)
         for name in PER_JOINT
@@ -188,18 +213,18 @@ def stack_contexts(contexts: Sequence[Context]) -> Context:
 
 
 def _of_each(value: Any) -> bool:
-    """Tell whether a quantity has a value for each of N postures; not one for all."""
+    """Tell whether a quantity has one value per posture instead of one for all."""
     return not isinstance(value, (float, str)) and np.ndim(value) > 0
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Which numbers records hold, so that a compiled model can read them in a fixed order.
+    """Which numbers a `Context` holds, so that a compiled model reads them in a fixed order.
 
     Attributes:
-        joints: scalars of every per-joint field, in the order of `PER_JOINT`.
+        joints: number of scalars of each per-joint field, in the order of `PER_JOINT`.
         columns: names of the columns, sorted.
-        labels: text columns, constant in compiled code.
+        labels: names and values of the text columns, which are constants in compiled code.
     """
 
     joints: tuple[int, ...]
@@ -208,16 +233,16 @@ class Layout:
 
     @property
     def traceable(self) -> bool:
-        """True if one kernel serves all rows: no text column changes from row to row."""
+        """True if the same compiled code is valid for all rows: every text is one for all rows."""
         return all(isinstance(value, str) for _, value in self.labels)
 
     @property
     def count(self) -> int:
-        """The number of scalars of a record: per-joint fields, then columns."""
+        """The number of scalars of a record: those of the per-joint fields and the columns."""
         return sum(self.joints) + len(self.columns)
 
     def unpack(self, values: Sequence[Any]) -> Context:
-        """Return the context whose `count` numbers are these, in the order of `pack`."""
+        """Return the context that holds `values`, which are `count` numbers in `pack` order."""
         fields: dict[str, Any] = {}
         first = 0
         for name, count in zip(PER_JOINT, self.joints, strict=True):
@@ -227,7 +252,12 @@ class Layout:
         return Context(**fields, columns=columns, labels=dict(self.labels))
 
     def pack(self, context: Context, count: int) -> np.ndarray:
-        """Return the context of N targets as rows, (N, `count`)."""
+        """Return the numbers of a context as rows (N, `self.count`).
+
+        Args:
+            context: the circumstances of N targets, or of one, which is then repeated.
+            count: N.
+        """
         values = [value for name in PER_JOINT for value in getattr(context, name)]
         values += [context.columns[name] for name in self.columns]
         rows = np.empty((count, len(values)))

@@ -1,7 +1,7 @@
-"""Frames by name, each placed in its parent over the last seconds: what tf tells.
+"""Frames by name with their poses in the parent frame over the last 10 s, as tf publishes them.
 
-A place between two that were told is interpolated: its position on the straight line, its
-orientation on the shortest turn. Nothing is extrapolated.
+Between two published poses the position is interpolated linearly and the orientation by slerp.
+Nothing is extrapolated.
 """
 
 from __future__ import annotations
@@ -16,16 +16,21 @@ from longarm_comp.core.errors import InputError, LongarmError
 
 
 class UnknownPlace(LongarmError):  # noqa: N818
-    """A frame's place in another one is not known at that time; the message says why."""
+    """The pose of a frame in another one is not known at that time; the message says why."""
 
 
 class NotYet(UnknownPlace):
-    """The last published place is older than the time asked for."""
+    """The last published pose is older than the requested time."""
 
 
 @dataclass
 class _Child:
-    """The places of a frame in its parent: times (ns, rising), positions (m) and x, y, z, w."""
+    """The poses of a frame in its parent frame.
+
+    Attributes:
+        times: ns, ascending.
+        places: position (m) and quaternion x, y, z, w at each time.
+    """
 
     parent: str
     static: bool
@@ -33,8 +38,11 @@ class _Child:
     places: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def store(self, t_ns: int, place: tuple[np.ndarray, np.ndarray]) -> None:
-        """Keep a place (m; x, y, z, w) of a time (ns), and forget what is older than 10 s."""
-        kept = round(1e9 * 10.0)  # How long places are kept, s
+        """Store a pose (m; x, y, z, w) at a time (ns), and delete poses more than 10 s older.
+
+        If the time is more than 10 s before the latest one, all stored poses are deleted.
+        """
+        kept = round(1e9 * 10.0)  # how long poses are kept, ns
         if self.static or (self.times and t_ns < self.times[-1] - kept):  # the clock jumped back
             self.times, self.places = [], []
         k = bisect_left(self.times, t_ns)
@@ -44,7 +52,15 @@ class _Child:
         del self.times[:old], self.places[:old]
 
     def at(self, name: str, t_ns: int) -> np.ndarray:
-        """Return the pose (4, 4) in the parent at a time (ns)."""
+        """Return the pose (4, 4) in the parent frame at a time (ns).
+
+        Args:
+            name: the frame, as errors call it.
+
+        Raises:
+            NotYet: no pose of this time or later was published yet.
+            UnknownPlace: the oldest stored pose is later.
+        """
         if self.static:
             return quaternion.compute_pose(*self.places[0])
         if t_ns > self.times[-1]:
@@ -63,14 +79,14 @@ class _Child:
 
 
 class FrameTree:
-    """Frames that were told, by name."""
+    """The frames that tf published, by name."""
 
     def __init__(self) -> None:
         self._children: dict[str, _Child] = {}
 
     @property
     def names(self) -> list[str]:
-        """The names of every known frame, parents too, sorted."""
+        """The names of all known frames, including parents, sorted."""
         parents = {child.parent for child in self._children.values()}
         return sorted(parents | set(self._children))
 
@@ -84,7 +100,17 @@ class FrameTree:
         *,
         static: bool = False,
     ) -> None:
-        """Take in where a frame is in its parent: (3,) m and x, y, z, w. Static: at all times."""
+        """Store a published pose of frame `child` in frame `parent`.
+
+        Args:
+            position: (3,) m.
+            turn: quaternion (4,), x, y, z, w.
+            t_ns: time of the pose, ns.
+            static: the pose holds at all times.
+
+        Raises:
+            InputError: the pose is invalid, or `parent` depends on `child`.
+        """
         if not np.isfinite(position).all():
             raise InputError("tf", f"position of {child}", position.tolist(), "finite numbers, m")
         if not quaternion.is_unit(turn):
@@ -97,9 +123,14 @@ class FrameTree:
         known.store(t_ns, (np.asarray(position), np.asarray(turn) / np.linalg.norm(turn)))
 
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
-        """Return the pose (4, 4) of a frame in another one at a time (ns); 0: the latest of all.
+        """Return the pose (4, 4) of `frame` in the frame `within` at a time.
 
-        Raises `UnknownPlace`, or `NotYet` where what was last published is older.
+        Args:
+            t_ns: time, ns; 0: the latest time for which all frames between the two are known.
+
+        Raises:
+            UnknownPlace: a frame is unknown, the two are not connected, or the time is too early.
+            NotYet: the last published pose of a frame between them is older.
         """
         lines = {name: self._line(name) for name in (frame, within)}
         for name, line in lines.items():
@@ -120,11 +151,11 @@ class FrameTree:
         return np.asarray(np.linalg.inv(down) @ up)
 
     def hangs_on(self, frame: str, other: str) -> bool:
-        """Tell whether a frame is another one, or was placed, over its parents, in that one."""
+        """Tell whether `other` is the frame itself or one of its parents, up to the root."""
         return other in self._line(frame)
 
     def _line(self, name: str) -> list[str]:
-        """Return a frame, its parent, and so on to the root."""
+        """Return the names of a frame, its parent, and so on up to the root."""
         line = [name]
         while (child := self._children.get(line[-1])) is not None:
             line.append(child.parent)
@@ -132,14 +163,23 @@ class FrameTree:
 
 
 def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return a frame's covariance (6, 6) of place and turn along the axes that its pose is in."""
+    """Rotate a covariance (6, 6) of position and rotation from a frame's axes to its parent's.
+
+    Args:
+        pose: (4, 4) pose of the frame in the parent.
+        covariance: in the axes of the frame.
+    """
     turn = np.kron(np.eye(2), pose[:3, :3])
     return np.asarray(turn @ covariance @ turn.T)
 
 
 def carry_place(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Express points (..., 3) or poses (..., 4, 4) of a frame in the frame in which its pose (4, 4)
-    is given."""
+    """Transform points (..., 3), m, or poses (..., 4, 4) from a frame to its parent.
+
+    Args:
+        pose: (4, 4) pose of the frame in the parent.
+        target: the points or poses, given in the frame.
+    """
     if target.shape[-2:] == (4, 4):
         return np.asarray(pose @ target)
     return np.asarray(target @ pose[:3, :3].T + pose[:3, 3])

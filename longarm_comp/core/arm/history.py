@@ -1,9 +1,10 @@
-"""The way of the joints to where they stand: the per-joint fields of the circumstances.
+"""The history of the joints: how they came to where they stand.
 
-A joint's way is kept as its *legs*, from turn to turn, as far as friction and play of any size can
-remember them: a leg as long as the one before swallows the loop that it closes (the wiping-out
-rule of the Preisach model), so what is left alternates in sign and grows towards the past.  A leg
-may be several moves; the *last way* is of the last one alone.
+A joint's motion is kept as *legs*: signed displacements from one reversal to the next.  Only legs
+that still matter for friction or play of any size are kept: a leg at least as long as the one
+before it cancels the closed loop (the wiping-out rule of the Preisach model).  So the legs
+alternate in sign and grow towards the past.  A leg may span several moves; the *last way* is the
+displacement of the last move alone.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from longarm_comp.core.arm.context import LEGS, PER_JOINT
 from longarm_comp.core.arm.spatial import Scalar
 
 SAME_POSE = 1e-6
-"""Commanded joints that differ by less are the same pose (rad, m)."""
+"""Joint values that differ by less than this (rad, m) are the same pose."""
 SLIDE = 0.1
-"""Metres of a slide that count as a radian of a turning joint."""
+"""Metres of a prismatic joint that count as one radian of a revolute joint."""
 
 
 def add_way(legs: Sequence[float], way: float) -> list[float]:
-    """Return the legs of a joint after a further signed way (rad, m).
+    """Return the legs of a joint after a further signed displacement (rad, m).
 
-    Legs have the latest first and hold no zero. A way that is as long as the leg before it cancels
-    that one, as in hysteresis. Only the latest ``LEGS - 1`` are kept.
+    The legs are ordered latest first and contain no zeros. A leg that becomes at least as long as
+    the one before it cancels that loop, as in hysteresis. Only the latest ``LEGS - 1`` are kept.
     """
     if abs(way) < SAME_POSE:
         return list(legs)
@@ -40,7 +41,13 @@ def add_way(legs: Sequence[float], way: float) -> list[float]:
 
 
 def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
-    """Return side of arrival and legs of a joint after ways (rad, m), one after the other."""
+    """Return the side of arrival and the legs of a joint after several displacements.
+
+    Args:
+        side: side of arrival before them: -1, 0 (unknown) or +1.
+        legs: legs before them (`add_way`).
+        ways: signed displacements (rad, m), the oldest first.
+    """
     for way in ways:
         if abs(way) >= SAME_POSE:
             side = 1.0 if way > 0 else -1.0
@@ -63,7 +70,10 @@ def last_way(ways: Sequence[float]) -> float:
 
 
 def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return side (k,) and legs (k, LEGS) of a joint after each of k ways, as `move_joint`."""
+    """Return side (k,) and legs (k, LEGS) of a joint after each of k displacements.
+
+    The result is that of `move_joint`, applied k times.
+    """
     moves = np.abs(ways) >= SAME_POSE
     done = ways[moves]
     sides = np.append(np.sign(done), side)  # the last: before the first move
@@ -76,7 +86,7 @@ def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray,
             now = add_way(held, float(gone[at]))
             first = now[0] + gone[at:] - gone[at]
             inside = len(first)
-            if len(now) > 1:  # until it swallows the loop before it
+            if len(now) > 1:  # until it cancels the leg before it
                 inside = max(1, int(np.searchsorted(np.abs(first), abs(now[1]) - SAME_POSE)))
             part = made[begin + at : begin + at + inside]
             part[:, : len(now)] = now
@@ -88,14 +98,19 @@ def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray,
 
 
 def compute_play_range(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
-    """Compute least and largest state of a play operator after some legs; equal where known.
+    """Compute the lowest and highest possible state of a play operator after some legs.
 
-    The state follows the joint within +-radius.  Before the first leg it is anything in between.
-    Legs are signed ways, the latest first (rad, m as the radius); 0 counts for nothing.
+    The state follows the joint within +-radius.  Before the oldest leg it may be anything in this
+    range; the two results are equal once the legs determine it.
+
+    Args:
+        legs: signed displacements between reversals, the latest first, in the unit of the
+            radius; zeros have no influence.
+        radius: half of the play, rad or m.
     """
     low, high = -radius, radius
     while len(legs) > 1 and isinstance(legs[-1], np.ndarray) and not np.count_nonzero(legs[-1]):
-        legs = legs[:-1]  # of N postures none has made so many
+        legs = legs[:-1]  # 0 in all of the N postures
     for leg in reversed(legs):
         low = spatial.minimum(spatial.maximum(low + leg, -radius), radius)
         high = spatial.minimum(spatial.maximum(high + leg, -radius), radius)
@@ -120,15 +135,15 @@ class History:
 
     @classmethod
     def unknown(cls, n: int) -> History:
-        """Return the history of an arm of n joints that nobody has watched."""
+        """Return the history of an arm of n joints whose earlier motion is unknown."""
         return cls(np.zeros(n), np.zeros((n, LEGS)), np.zeros(n))
 
     def after(self, points: np.ndarray, start: np.ndarray | None) -> History:
         """Return the history after a move from rest to rest.
 
         Args:
-            points: (k, n) way-points; the joints come to rest at the last.
-            start: (n,) where the joints stood; None: nobody knows, nor how they came there.
+            points: (k, n) way-points, rad and m; the joints come to rest at the last.
+            start: (n,) where the joints stood; None if neither this nor their history is known.
         """
         path = points if start is None else np.concatenate([start[None], points])
         ways = (path[1:] - path[:-1]).T.tolist()
@@ -140,9 +155,9 @@ class History:
         return History(sides, made, np.array([last_way(each) for each in ways]))
 
     def along(self, points: np.ndarray, start: np.ndarray | None) -> History:
-        """Return `after` for each way-point (k, n) of one motion without a stop.
+        """Return the history (k, n) at each way-point (k, n) of one motion without a stop.
 
-        Its way-points are close together: at each the last way is that from the one before.
+        It is as from `after`, but the last way at a way-point is the step from the one before it.
         """
         first = points[0] if start is None else start
         ways = np.diff(points, axis=0, prepend=first[None])
@@ -154,26 +169,31 @@ class History:
         return History(sides, made, ways)
 
     def with_sides(self, sides: np.ndarray) -> History:
-        """Return the history with given sides (n,) of +-1, of unknown ways; 0: as it is."""
+        """Return the history with some sides of arrival replaced.
+
+        Args:
+            sides: (n,) of +-1; 0 leaves a joint as it is. The displacements of joints whose side
+                is replaced become unknown.
+        """
         mine = sides != 0
         legs = np.where(mine[:, None], 0.0, self.legs)
         way = np.where(mine, 0.0, self.last_way)
         return History(np.where(mine, sides, self.approach), legs, way)
 
     def agrees(self, other: History) -> bool:
-        """Tell whether every joint came the same way, to 10 microradians or micrometres."""
+        """Tell whether two histories are equal to within 10 microradians or micrometres."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in PER_JOINT)
         return all(np.allclose(*pair, rtol=0.0, atol=1e-5) for pair in pairs)  # rad, m
 
     def common_with(self, other: History) -> History:
-        """Return what both say; unknown, 0, for a joint that turned to opposite sides."""
+        """Return this history, set to 0 (unknown) for joints whose sides of arrival differ."""
         same = np.sign(self.approach) == np.sign(other.approach)
         legs = np.where(same[:, None], self.legs, 0.0)
         way = np.where(same, self.last_way, 0.0)
         return History(np.where(same, self.approach, 0), legs, way)
 
     def fields(self) -> dict[str, Any]:
-        """Return the per-joint fields of a `Context` at one posture or N, 0 where unknown."""
+        """Return the per-joint fields of a `Context` of one posture or N; 0 where unknown."""
         held = {name: getattr(self, name) for name in PER_JOINT}
         if self.approach.ndim == 1:
             return {name: tuple(values.ravel().tolist()) for name, values in held.items()}
@@ -189,16 +209,17 @@ def recorded_history(
 ) -> History:
     """Return the history of every row of a recording, (N, n).
 
-    A joint came by its run-up, else from the side that was told, else straight from the row
-    before.  After a gap of the index, and in the first row, nothing is known of before; a joint
-    that did not move keeps its side.  Rows of one stand (`first_of_stand`) share their last way.
+    A joint arrived by its recorded run-up, else from the recorded side, else straight from the row
+    before.  In the first row and after a gap of the index, the earlier motion is unknown.  A joint
+    that did not move keeps its side.  Rows of one stop (`first_of_stand`) share their last way.
 
     Args:
-        q: (N, n) commanded joints in the order of recording.
-        index: (N,) counter of the recording.
+        q: (N, n) commanded joints in the order of recording, rad and m.
+        index: (N,) counter of the recording; a step other than 0 or 1 is a gap.
         approach: (N,) or (N, n) sides of arrival, with 0 or NaN where none was recorded.
-        run_up: (N, n) where the run-up began; NaN where there was none or nobody knows.
-        length: (n,) of run-ups of which only the side was recorded; unknown where not given.
+        run_up: (N, n) where the run-up began; NaN where there was none or this is not known.
+        length: (n,) length (rad, m) of run-ups of which only the side was recorded; by default it
+            is unknown.
     """
     begun = np.full(q.shape, np.nan) if run_up is None else run_up
     told = read_sides(q, approach, begun)
@@ -223,7 +244,10 @@ def recorded_history(
 
 
 def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return (N, n) ways from the row before, rad and m; NaN in the first row and after a gap."""
+    """Return the (N, n) displacements from the row before, rad and m.
+
+    They are NaN in the first row and after a gap of the index.
+    """
     ways = np.full(q.shape, np.nan)
     known = np.isin(np.diff(index), (0, 1))
     ways[1:][known] = np.diff(q, axis=0)[known]
@@ -231,7 +255,10 @@ def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
 
 
 def first_of_stand(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return (N,) number of the first row of each row's stand: of one index, at one posture."""
+    """Return for each row (N,) the number of the first row of the same stop of the arm.
+
+    Successive rows of equal index and equal joints belong to one stop.
+    """
     moved = np.ones(len(q), dtype=bool)
     moved[1:] = (np.diff(index) != 0) | (np.abs(np.diff(q, axis=0)) >= SAME_POSE).any(axis=1)
     return np.maximum.accumulate(np.where(moved, np.arange(len(q)), 0))
@@ -240,7 +267,12 @@ def first_of_stand(q: np.ndarray, index: np.ndarray) -> np.ndarray:
 def read_sides(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
     """Return the recorded side of arrival, (N, n) of -1, 0, +1.
 
-    It is 0 after a run-up, or if no side was recorded.
+    It is 0 for a joint whose run-up is recorded, or if no side was recorded.
+
+    Args:
+        q: (N, n) commanded joints.
+        approach: (N,) or (N, n) recorded sides; NaN counts as 0.
+        run_up: (N, n) where the run-up began; NaN if it is not recorded.
     """
     if approach is None:
         return np.zeros(q.shape)

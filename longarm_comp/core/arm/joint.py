@@ -1,4 +1,4 @@
-"""One row of the declared arm's chain: its geometry, limits, drive and couplings."""
+"""One DH row of the declared arm: its geometry, limits, drive and couplings."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Joint(Declared):
 
     @property
     def mimics(self) -> list[Mimic]:
-        """The joints that it moves with: of a commanded joint the one that it counts with."""
+        """The joints that add to this row's value: its `mimic` terms, or its `coupling`."""
         if self.coupling is not None:
             return [Mimic(joint=self.coupling.joint, multiplier=self.coupling.factor)]
         if self.mimic is None:
@@ -119,7 +119,10 @@ class Joint(Declared):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Lower and upper limit in rad or m."""
+        """Lower and upper limit in rad or m.
+
+        Without declared limits they are +-pi for an endless joint, else infinite.
+        """
         if self.limits_deg is not None:
             return math.radians(self.limits_deg[0]), math.radians(self.limits_deg[1])
         if self.endless:
@@ -128,5 +131,5 @@ class Joint(Declared):
 
     @property
     def step(self) -> float:
-        """The servo's step in rad or m; 0 where the joint is continuous."""
+        """The servo's step in rad or m; 0 if none is declared."""
         return math.radians(self.step_deg) if self.step_deg is not None else self.step_m or 0.0

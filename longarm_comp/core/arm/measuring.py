@@ -10,7 +10,7 @@ from longarm_comp.core.arm.parts import Pose, Positive, Vec3
 from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared
 
 Instrument = Literal["camera", "tracker", "total_station", "touch"]
-"""What positions are measured with."""
+"""Instruments that measure positions."""
 
 
 class CameraPlacement(Declared):
@@ -27,7 +27,7 @@ class CameraPlacement(Declared):
 
 
 class Marker(Declared):
-    """One of several markers that a session's `marker` column names."""
+    """A marker on the arm; a session's `marker` column names the one that was measured."""
 
     frame: int = Field(ge=0)
     position_m: Vec3 = (0.0, 0.0, 0.0)
@@ -68,29 +68,29 @@ Sensors = dict[str, Annotated[CameraSensor | Inclinometer, Field(discriminator="
 
 
 VISIBLE_M = 1e-4
-"""What a good camera sees of one picture, m."""
+"""Smallest displacement that a good camera detects in one image, m."""
 PRINTED = 1e-4
-"""Tolerance (m) of a known distance where none is given: of a printed or drilled part."""
+"""Default tolerance (m) of a known distance: that of a printed or drilled part."""
 KnownDistance = tuple[str, str, float, float]
 """Names of two touched points, their distance (m), its standard deviation (m)."""
 _Length = Annotated[float, Field(ge=1e-9, le=RANGES["_m"][1])]
 TouchDistances = tuple[tuple[str, str, _Length] | tuple[str, str, _Length, _Length], ...]
-"""The same as a file declares it; the last may be absent."""
+"""Known distances as a file declares them; the standard deviation may be left out."""
 
 
 def known_distances(declared: TouchDistances) -> tuple[KnownDistance, ...]:
-    """Return declared distances, all with a tolerance."""
+    """Return declared distances with the default tolerance (`PRINTED`) where none is given."""
     return tuple((d[0], d[1], d[2], d[3] if len(d) == 4 else PRINTED) for d in declared)
 
 
 class Touches(Declared):
-    """`touches.yaml`, beside a session: what is known of the points that it touched."""
+    """`touches.yaml`, a file beside a session: known distances between touched points."""
 
     touch_distances: TouchDistances = Field(description="[name, name, m] or [name, name, m, sd]")
 
 
 _Spread = Positive | tuple[Positive, Positive, Positive]
-"""One standard deviation for all three components, or one each."""
+"""A standard deviation for all three components, or one for each."""
 
 
 class _PointTolerance(Declared):
@@ -106,7 +106,7 @@ class _PoseTolerance(_PointTolerance):
 
 
 class Placements(Declared):
-    """Placements that are known to a tolerance. What is absent is unknown and solved from data."""
+    """Tolerances of known placements. A placement without a tolerance is solved from the data."""
 
     base: _PoseTolerance | None = None
     tip: _PointTolerance | None = None
@@ -114,5 +114,5 @@ class Placements(Declared):
 
 
 def three(spread: _Spread) -> Vec3:
-    """Return a standard deviation of each component."""
+    """Return the standard deviations of the three components."""
     return spread if isinstance(spread, tuple) else (spread, spread, spread)

@@ -1,4 +1,4 @@
-"""Commands are moves: from which side every joint arrives, and the run-up that makes it so."""
+"""Commands are moves: the side from which every joint arrives, and the run-up that it needs."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from longarm_comp.core.arm.history import SAME_POSE
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """The way in which the joints come to rest at a command.
+    """A motion of the joints to a command.
 
     Attributes:
-        q: (n,) where they rest (rad, m).
-        run_up: (n,) where the last approach begins, or None where the direct move will do.
-        side: (n,) of -1, 0, +1: the side that each joint arrives from; 0: it does not move.
-        doubtful: (n,) joints whose side was wanted but whose way is shorter than a run-up, and
-            that have no room for one.
+        q: (n,) joint values of the command (rad, m).
+        run_up: (n,) joints where the last approach begins; None if the direct move is enough.
+        side: (n,) of -1, 0, +1: the side from which each joint arrives; 0: it does not move.
+        doubtful: (n,) bool: joints that may not arrive as wanted: they need a run-up and have no
+            room for it.
     """
 
     q: np.ndarray
@@ -29,13 +29,13 @@ class Move:
 
     @property
     def points(self) -> np.ndarray:
-        """The (k, n) way-points to send, rad and m: one, or two with a run-up."""
+        """The way-points to send, (1, n), or (2, n) with a run-up, rad and m."""
         return self.q[None] if self.run_up is None else np.stack([self.run_up, self.q])
 
 
 def run_up_lengths(arm: Arm) -> np.ndarray:
-    """Return (n,) shortest length of a run-up of every joint (rad, m)."""
-    # Way of a run-up, as a share of each joint's range: longer than the play of most joints
+    """Return the (n,) shortest allowed length of a run-up of every joint (rad, m)."""
+    # As a fraction of each joint's range: longer than the play of most joints
     return 0.06 * (arm.upper - arm.lower)
 
 
@@ -48,18 +48,22 @@ def plan_move(
     length: np.ndarray | None = None,
     leg: np.ndarray | None = None,
 ) -> Move:
-    """Return the shortest move that arrives at q from the wanted sides, inside the limits.
+    """Return a move that arrives at q from the wanted sides, inside the limits.
 
-    A joint needs no run-up whose direct way comes from its side and is as long as the shortest one,
-    if with the way before it is as long as a run-up.  One that has no room for the shortest goes
-    directly and is marked.  Joints that need no run-up are put on their own way to q while the
-    others run up, so that they too arrive from their side.
+    A joint goes to q without a run-up if the direct motion arrives from the wanted side, is at
+    least `run_up_lengths` long and, together with the displacement before it in the same
+    direction, at least as long as a run-up.  A joint that has no room for the shortest run-up also
+    goes directly and is marked `doubtful`.  While other joints run up, joints without a run-up
+    stop a little before q, so that they too arrive from their side.
 
     Args:
-        start, q: (n,) where the joints stand (None: nobody knows), and where they shall rest.
+        start: (n,) where the joints stand, rad and m; None if this is not known.
+        q: (n,) joint values of the command.
         wanted: (n,) of -1, 0, +1; 0: any side.
-        length: (n,) of a run-up that has room for it (rad, m); by default the shortest.
-        leg: (n,) signed way (rad, m) of every joint at ``start`` since it turned; 0: not known.
+        length: (n,) wanted length of a run-up (rad, m), which limits may shorten; by default the
+            shortest.
+        leg: (n,) signed displacement (rad, m) of every joint at ``start`` since its last
+            reversal; 0: not known.
     """
     least = run_up_lengths(arm)
     step = np.zeros_like(q) if start is None else q - start
@@ -81,7 +85,11 @@ def plan_move(
 
 
 def _room(arm: Arm, q: np.ndarray, sides: np.ndarray | float) -> np.ndarray:
-    """Return the (n,) longest run-up (rad, m) to q from each joint's side, -1 or +1."""
+    """Return the (n,) longest run-up (rad, m) to q that the limits allow from given sides.
+
+    Args:
+        sides: (n,) or one for all: +1 from below, -1 from above.
+    """
     lower, upper = arm.bounds
     return np.where(np.greater(sides, 0.0), q - lower, upper - q)
 
@@ -96,15 +104,15 @@ def wanted_sides(
 ) -> np.ndarray:
     """Choose the (n,) side, -1 or +1, from which each joint shall arrive.
 
-    It is the side at which the effects are surest, else that of the direct way. The other side is
-    taken where this one has no room, or where the other one is three times better: by what the data
-    know of it, and by the share of a run-up that it has room for.
+    It is the side at which the effects are surest (`sure`), else the side of the direct motion. The
+    other side is chosen if it is more than three times better. A side is rated by the product of
+    its weight in the data (`known`) and the fraction of a run-up for which it has room.
 
     Args:
         start, q: as in `plan_move`.
+        known: (n, 2) weights of the data on arrivals from above (-1) and from below (+1).
         sure: (n,) sides at which the effects are surest; 0: either.
-        known: (n, 2) weight of what the data know of arrivals from above (-1) and from below (+1).
-        length: (n,) of a run-up, as in `plan_move`.
+        length: (n,) wanted length of a run-up, as in `plan_move`.
     """
     least = run_up_lengths(arm)
     length = least if length is None else np.maximum(least, length)
@@ -114,6 +122,6 @@ def wanted_sides(
     forward = np.where(np.equal(sure, 0.0), forward, np.greater(sure, 0.0))
     joints, natural = np.arange(len(q)), forward.astype(int)
     usable = known * share
-    # A side that is so many times better is worth a longer way
+    # A side that is this many times better is worth a longer motion
     better = usable[joints, 1 - natural] > 3.0 * usable[joints, natural]
     return np.where(better ^ forward, 1.0, -1.0)

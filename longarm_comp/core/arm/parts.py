@@ -1,4 +1,4 @@
-"""Declarations of `arm.yaml` beside rows: placements, masses, beams, cylinders, boxes."""
+"""Declared parts of `arm.yaml` other than DH rows: placements, masses, beams, cylinders, boxes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Mimic(Declared):
 
 
 class Coupling(Declared):
-    """A commanded joint whose value is its command and ``factor`` times that of another joint."""
+    """A commanded joint whose value is its command plus ``factor`` times that of another joint."""
 
     joint: int | str = Field(description="id or name of the other commanded joint")
     factor: float
@@ -106,13 +106,13 @@ class Tube(Declared):
         return self
 
     def second_moments(self) -> tuple[float, float, float]:
-        """Return (I about the first, I about the second transverse axis, torsion constant), m^4."""
+        """Return second moments about the two transverse axes and the torsion constant, m^4."""
         i = math.pi / 64 * (self.od_m**4 - self.id_m**4)
         return i, i, 2 * i
 
 
 class Rect(Declared):
-    """Solid or box rectangle; width along the first, height along the second transverse axis."""
+    """A rectangular bar or box; width along the first transverse axis, height along the second."""
 
     type: Literal["rect"]
     width_m: Positive
@@ -126,7 +126,7 @@ class Rect(Declared):
         return self
 
     def second_moments(self) -> tuple[float, float, float]:
-        """Return (I about the first, I about the second transverse axis, torsion constant), m^4.
+        """Return second moments about the two transverse axes and the torsion constant, m^4.
 
         Torsion: Roark's formula for the solid rectangle, Bredt's for the thin-walled box.
         """
@@ -146,8 +146,9 @@ class Rect(Declared):
 class Beam(Declared):
     """An elastic beam along ``z_i`` (role d) or ``x_{i-1}`` (role a) of a row, base to tip.
 
-    ``length_m: rest`` is what is left of the row's ``d + q``; the body slides inside
-    the beam before it.  Mass is uniform over `body_length_m`, which ends where the beam ends.
+    With ``length_m: rest`` its length is the row's ``d + q`` (or ``a``) less the row's other beams,
+    and its body slides inside the beam before it.  The mass is uniform over `body_length_m`, which
+    ends where the beam ends; without it, over the beam.
     """
 
     name: str
@@ -187,7 +188,7 @@ class Beam(Declared):
 
     @cached_property
     def stiffness(self) -> tuple[float, float, float]:
-        """(EI about the first, EI about the second transverse axis, GJ) in N m^2."""
+        """EI about the first transverse axis, EI about the second, and GJ, in N m^2."""
         if self.section is None:
             assert self.EI_nm2 is not None and self.GJ_nm2 is not None
             return self.EI_nm2, self.EI_nm2, self.GJ_nm2
@@ -198,10 +199,11 @@ class Beam(Declared):
 
 
 class Cylinder(Declared):
-    """The places of the pins of a revolute joint's cylinder.
+    """The positions of the two pins of the cylinder that drives a revolute joint.
 
-    ``length^2 = near^2 + far^2 - 2 near far cos(angle)``, the law of cosines; the angle at the
-    joint's axis is ``angle_deg`` at joint value 0 and grows (``grows: 1``) or falls (-1) with it.
+    ``length^2 = near^2 + far^2 - 2 near far cos(angle)``, the law of cosines.  The angle is between
+    the pins, seen from the joint's axis.  It is ``angle_deg`` at joint value 0, and increases
+    (``grows: 1``) or decreases (-1) with the joint value.
     """
 
     near_m: Positive = Field(description="joint axis to the pin on the part before the joint")
@@ -212,25 +214,25 @@ class Cylinder(Declared):
     grows: Literal[1, -1] = 1
 
     def angle(self, q: Scalar) -> Scalar:
-        """Return the angle at the joint's axis, rad, at joint value q (rad)."""
+        """Return the angle between the pins at the joint's axis, rad, at joint value q (rad)."""
         return math.radians(self.angle_deg) + self.grows * q
 
     def length(self, q: Scalar) -> Scalar:
-        """Return the length from pin to pin, m, at joint value q (rad)."""
+        """Return the distance between the pins, m, at joint value q (rad)."""
         squares = self.near_m**2 + self.far_m**2
         return spatial.sqrt(squares - 2 * self.near_m * self.far_m * spatial.cos(self.angle(q)))
 
     def lever(self, q: Scalar) -> Scalar:
-        """Return the change of the length per turn of the joint, m/rad, at joint value `q` (rad).
+        """Return the derivative of the length by the joint value, m/rad, at joint value q (rad).
 
-        Its size is the distance of the cylinder from the axis; its sign is that of `grows`.
+        Its size is the distance of the cylinder from the joint's axis; its sign is that of `grows`.
         """
         area = self.grows * self.near_m * self.far_m * spatial.sin(self.angle(q))
         return area / self.length(q)
 
 
 class Box(Declared):
-    """A box in the base frame, its sides along the axes."""
+    """A box in the base frame, with sides parallel to the axes."""
 
     min_m: Vec3
     max_m: Vec3
@@ -252,16 +254,19 @@ class Box(Declared):
         return np.asarray(inside.all(axis=-1))
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """Return (...) m: how far points (..., 3) in the box are from its nearest side."""
+        """Return (...) depth of points (..., 3), m: the distance from the nearest side, inside."""
         inside = np.minimum(points - np.array(self.min_m), np.array(self.max_m) - points)
         return np.asarray(inside.min(axis=-1))
 
     def clearance(self, points: np.ndarray) -> np.ndarray:
-        """Return (..., k - 1) m: how far segments of polylines (..., k, 3) are from the box, at
-        least; 0 only for those that have a point in it.
+        """Return a lower bound of the distance of polyline segments from the box, (..., k - 1), m.
 
-        It is the largest gap along the axes that separate a segment from a box: those of the box
-        together, and, for a segment longer than that, those across one of them and the segment.
+        It is 0 only for segments that have a point in the box.  It is the largest gap along the
+        separating axes: the axes of the box, combined, and, for a segment longer than that
+        gap, the axes perpendicular to the segment and to one axis of the box.
+
+        Args:
+            points: (..., k, 3) corners of the polylines, m.
         """
         begin, end = points[..., :-1, :], points[..., 1:, :]
         low, high = np.array(self.min_m), np.array(self.max_m)
@@ -281,8 +286,10 @@ class Box(Declared):
 
 
 def link_places(joints: Sequence[Any]) -> list[tuple[int, str, float]]:
-    """List where links can lie along `Arm.joints`: row, role, length (m, joint value 0), longest
-    first."""
+    """List the lengths of movable rows along which a link can lie, the longest first.
+
+    Each is the row id, the role (``a`` or ``d``) and the signed length at joint value 0, m.
+    """
     movable = [j for j in joints if j.type != "fixed"]
     sizes = [(j.id, role, s) for j in movable for role, s in (("a", j.a_m), ("d", j.d_m)) if s]
     return sorted(sizes, key=lambda place: -abs(place[2]))

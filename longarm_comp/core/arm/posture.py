@@ -1,11 +1,11 @@
-"""The arm at one q, already computed: stations along the chain, and the weight they carry.
+"""The arm at given joint values: the frames of its stations, and the weight that they carry.
 
-An arm is a chain of *stations*: where the base is placed, the base, a bearing and a frame per
+An arm is a chain of *stations*: the placement of the base, the base, a bearing and a frame per
 row, one at the far end of every beam element, and one for the tip and each marker.  `Chain`
-knows their order; `Posture` holds where they are (deflected) and what hangs on them.
+knows their order; `Posture` holds their deflected frames and the masses on them.
 
-Only weight loads the arm, so all a station has to carry is the mass beyond it and
-its first moment: ``force = m g`` and ``moment about p = (S - m p) x g``.
+Only weight loads the arm.  So the load at a station follows from the mass m beyond it and the
+first moment S of this mass: ``force = m g`` and ``moment about p = (S - m p) x g``.
 """
 
 from __future__ import annotations
@@ -27,23 +27,31 @@ Twists = Mapping[int, Twist]
 _Made = TypeVar("_Made")
 LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
 BASE, PLACEMENT = 0, 1
-"""Stations of the base and, before it in the chain, of where it stands: that twist may be large."""
+"""Numbers of two stations: the base, and its placement, which is before it in the chain.
+
+Only the twist at the placement may be large.
+"""
 
 
 @dataclass(frozen=True)
 class Element:
-    """A piece of a beam, ending at one station; `axis` is 0 (role a) or 2 (role d)."""
+    """A piece of a beam that ends at a station.
+
+    Attributes:
+        axis: the frame axis along the beam: 0 (x, role a) or 2 (z, role d).
+        share: its length as a fraction of the beam's length.
+    """
 
     beam: Beam
     station: int
     axis: int
     share: float
-    covers: tuple[Beam, ...] = ()  # beams of which a sliding body may lie inside this element
+    covers: tuple[Beam, ...] = ()  # later beams whose sliding bodies may lie inside this element
 
 
 @dataclass(frozen=True)
 class _ChainRow:
-    """Stations of one row: its bearing (after Rz, before Tz) and its frame."""
+    """Stations of one row: its bearing (after Rz, before Tz), its frame, and its beam elements."""
 
     bearing: int
     frame: int
@@ -61,7 +69,7 @@ class Lumped:
 
 
 class Chain:
-    """The order of an arm's stations, each beam cut in a number of elements."""
+    """The order of an arm's stations; each beam is divided into equal elements."""
 
     def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
         self.arm, self.cuts = arm, elements_per_beam
@@ -111,13 +119,20 @@ class Chain:
         return values
 
     def coupled_rows(self, joint: int) -> tuple[tuple[int, float], ...]:
-        """Return (row, how far it moves per unit of a joint's row), that row first."""
+        """Return the rows that a joint moves, each with its motion per unit of the joint.
+
+        Args:
+            joint: row id. If it is not a commanded joint, the result is its own row alone, with 1.
+        """
         return self._coupled.get(joint, ((joint, 1.0),))
 
     @cached_property
     def own_axes(self) -> list[tuple[int, int, int, float]]:
-        """The axes of the commanded joints: row, station that turns or slides about the axis,
-        place of this motion in a twist, and how much of it a unit of the joint is."""
+        """The axes of the commanded joints.
+
+        Each is the row id, the station of the axis, the index of the motion in a twist (2: along
+        z, 5: about z), and the size of this motion per unit of the joint.
+        """
         made = []
         for row in self.arm.commanded:
             moved = dict(self.coupled_rows(row))
@@ -128,11 +143,12 @@ class Chain:
 
     @cached_property
     def tilted_at(self) -> tuple[float, ...]:
-        """Per row, the place that its axis tilts about: so far (m) along z of the frame before.
+        """Per row, the point about which its axis tilts: its z (m) in the frame of the row before.
 
-        It is that frame's origin, but not where this is farther off than the arm is long: rows of
-        nearly parallel axes put it anywhere along the axis.  Then it is the point that is closest
-        to the place before, so what a tilt does is the same however the rows are written.
+        It is 0, the origin of that frame, unless the origin is farther away than the arm is long:
+        rows of nearly parallel axes put it anywhere along the axis.  Then the point is the one on
+        the axis that is closest to the point of the row before, so a tilt has the same effect in
+        whatever way the rows are written.
         """
         frames, _ = self.place(tuple(self.arm.mid.tolist()), {})
         at, length, off = np.array(frames[BASE].p), 0.0, []
@@ -147,10 +163,14 @@ class Chain:
         return tuple(along if abs(along) > length else 0.0 for along in off[:-1])
 
     def place(self, q: Sequence[Scalar], twists: Twists) -> tuple[list[Frame], list[Scalar]]:
-        """Return every station's frame in the base frame, and every element's length by station.
+        """Return every station's frame in the base frame (m), and every element's length (m).
 
-        The twists are composed inside the chain (the paper's Eq. 1-2, exactly):
-        ``T_1 exp(x_1) T_2 exp(x_2) ...``.
+        Both are lists by station.  The twists are composed inside the chain (the paper's Eq. 1-2,
+        exactly): ``T_1 exp(x_1) T_2 exp(x_2) ...``.
+
+        Args:
+            q: n commanded joints, rad and m.
+            twists: by station.
         """
         arm = self.arm
         frames: list[Frame] = [IDENTITY] * self.stations
@@ -203,14 +223,14 @@ class Chain:
 
 @dataclass(frozen=True)
 class Posture:
-    """The arm at one q (or at N: scalars are then (N,) arrays).
+    """The arm at given joint values, or at N of them (scalars are then (N,) arrays).
 
     Attributes:
         q: commanded joints, n scalars (rad, m).
         frames: every station's frame in the base frame (m).
-        lengths: element length by station (m).
+        lengths: signed length of the element that ends at each station (m); 0 at others.
         gravity: in the base frame (m/s^2).
-        twists: by station, with which the frames were placed.
+        twists: by station, as applied in `frames`.
         extra: masses that effects add.
     """
 
@@ -237,11 +257,11 @@ class Posture:
 
     @cached_property
     def values(self) -> list[Scalar]:
-        """Joint value of every row, passive joints included."""
+        """Joint value of every row (rad or m), including passive joints."""
         return self.chain.values(self.q)
 
     def station_masses(self) -> list[Lumped]:
-        """Return all masses at points of stations, without `line_loads`."""
+        """Return all masses that are lumped at points; those of `line_loads` are not included."""
         made: list[Lumped] = []
         for m in self.arm.point_masses:
             at: Vec = m.position_m
@@ -256,10 +276,10 @@ class Posture:
 
     @cached_property
     def line_loads(self) -> LineLoads:
-        """Loads by element station: (mass per length kg/m, loaded length m back from its far end).
+        """Uniform loads by element station: mass per length (kg/m) and loaded length (m).
 
-        A sliding body lies in its own beam and, for the rest of its length, inside the
-        beams before it.
+        The loaded length is counted back from the element's far end.  A sliding body lies in its
+        own beam and, for the rest of its length, inside the beams before it.
         """
         loads: LineLoads = {}
         for elements in (some for r in self.chain.rows for some in (r.elements_a, r.elements_d)):
@@ -276,7 +296,7 @@ class Posture:
         return loads
 
     def _list_overhangs(self) -> Iterator[Lumped]:
-        """Yield the parts of bodies that reach back behind their row's first beam."""
+        """Yield the masses of sliding bodies as far as they reach behind their row's first beam."""
         for number, row in enumerate(self.chain.rows):
             before = self.chain.frame_station(number)
             for elements, station in ((row.elements_a, before), (row.elements_d, row.bearing)):
@@ -293,7 +313,10 @@ class Posture:
                     yield Lumped(station, density * behind, (at[0], at[1], at[2]))
 
     def _measure_beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
-        """Sum lengths from element k's far end (-1: the row's begin) to the end of `beam`."""
+        """Return the length (m) from the far end of element k to the end of `beam`.
+
+        With k = -1 it counts from the start of the row's first beam.
+        """
         last = max(j for j, e in enumerate(elements) if e.beam is beam)
         beyond: Scalar = 0.0
         for e in elements[k + 1 : last + 1]:
@@ -304,7 +327,7 @@ class Posture:
     def carried_masses(self) -> tuple[list[Scalar], list[Vec]]:
         """Mass (kg) at and beyond every station, and its first moment in the base frame (kg m).
 
-        A beam element's own weight belongs to the stations before its end.
+        The mass of a beam element counts at the stations before its end, not at its end.
         """
         own: dict[int, list[Lumped]] = {}
         for lump in self.station_masses():
@@ -331,17 +354,17 @@ class Posture:
         return masses, moments
 
     def once(self, key: tuple[object, ...], make: Callable[[], _Made]) -> _Made:
-        """Return what `make` returns, made once for this posture."""
+        """Return the result of `make`, which is called only once per key for this posture."""
         if key not in self._made:
             self._made[key] = make()
         return cast(_Made, self._made[key])
 
     def gravity_in(self, station: int) -> Vec:
-        """Return the gravity seen in a station's axes (m/s^2)."""
+        """Return gravity in a station's axes (m/s^2)."""
         return self.once(("gravity", station), lambda: self.frames[station].unrotate(self.gravity))
 
     def force(self, station: int) -> Vec:
-        """Return the weight of all that is carried at a station, in its axes (N)."""
+        """Return the weight of everything carried at a station, in its axes (N)."""
         return self._loads_at(station)[1]
 
     def moment(self, station: int) -> Vec:
@@ -357,7 +380,7 @@ class Posture:
         return self.once(("loads", station), lambda: compute_loads(*carried))
 
     def bearing(self, row: int) -> int:
-        """Return the station of a row's bearing, which its joint turns or slides about."""
+        """Return the station of a row's bearing, whose z axis is the axis of the joint."""
         return self.chain.rows[row - 1].bearing
 
     def frame(self, row: int) -> int:
@@ -365,16 +388,22 @@ class Posture:
         return self.chain.frame_station(row)
 
     def spot(self, marker: str = "") -> int:
-        """Return the station of the tip, or of a marker, on its frame; no mass hangs there."""
+        """Return the station at which the offset of the tip, or of a marker, acts.
+
+        It lies at the frame that carries it, and carries no mass.
+        """
         return self.chain.spots[marker]
 
 
 def compute_loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Vec, Vec]:
-    """Compute gravity, and weight (N) and moment (N m) of what a frame carries, in its axes.
+    """Compute gravity (m/s^2), weight (N) and moment (N m) of the carried mass in a frame's axes.
+
+    The moment is about the frame's origin.
 
     Args:
-        mass, first: carried (kg), and its first moment in the base frame (kg m).
-        gravity: in the base frame (m/s^2).
+        mass: carried mass, kg.
+        first: first moment of this mass in the base frame, kg m.
+        gravity: in the base frame, m/s^2.
     """
     felt = frame.unrotate(gravity)
     lever = spatial.sub(first, spatial.scale(mass, frame.p))

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 LENGTH_TOLERANCE = 1e-3
-"""A quaternion printed with few digits is this far from length 1."""
+"""Largest accepted deviation of a quaternion's length from 1, as printing few digits causes."""
 
 
 def is_unit(quaternion: np.ndarray) -> bool:
@@ -34,7 +34,7 @@ def compute_rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def from_rotation(matrix: np.ndarray) -> np.ndarray:
-    """Return x, y, z, w with w >= 0 of a rotation matrix (3, 3)."""
+    """Return the quaternion (4,), x, y, z, w with w >= 0, of a rotation matrix (3, 3)."""
     m = np.asarray(matrix, dtype=float)
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     squares = np.array([m[0, 0], m[1, 1], m[2, 2], trace])
@@ -52,7 +52,7 @@ def from_rotation(matrix: np.ndarray) -> np.ndarray:
 
 
 def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
-    """Return the axis times angle (3,), rad, of x, y, z, w with w >= 0."""
+    """Return the rotation vector (3,), rad, of a quaternion x, y, z, w with w >= 0."""
     x, y, z, w = (float(v) for v in quaternion)
     sine = math.hypot(x, y, z)
     return np.array([x, y, z]) * (2 * math.atan2(sine, w) / sine if sine else 2.0)
@@ -66,14 +66,14 @@ def compute_pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 def interpolate(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
-    """Return x, y, z, w at a share of the shortest way from one to the other (slerp).
+    """Return the quaternion (4,) at a fraction of the shortest rotation from one to two (slerp).
 
     Source: Shoemake, Animating Rotation with Quaternion Curves (1985).
     """
     cosine = float(one @ two)
     two, cosine = (-two, -cosine) if cosine < 0 else (two, cosine)
     angle = math.acos(min(1.0, cosine))
-    if angle < 1e-6:  # straight and curved ways are the same
+    if angle < 1e-6:  # slerp and linear interpolation are the same
         mixed = (1 - share) * one + share * two
     else:
         mixed = math.sin((1 - share) * angle) * one + math.sin(share * angle) * two
@@ -81,7 +81,7 @@ def interpolate(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
 
 
 def compute_tilt(quaternion: np.ndarray) -> tuple[float, float]:
-    """Return roll and pitch (rad) about the fixed x and y axes: what an inclinometer reads."""
+    """Return roll and pitch (rad) about the fixed x and y axes, as an inclinometer reads them."""
     x, y, z, w = (float(v) for v in quaternion)
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     return roll, math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))

@@ -1,9 +1,9 @@
 """Rigid motions in components: vectors, frames, twists.
 
 Every scalar may be a Python float (one posture), a NumPy array of shape (N,) (a whole session) or
-any other number that knows ``+ - * /`` and the NumPy ufuncs.  A *twist* is ordered ``[d; delta]``
-as in the paper's Eq. (3): translation first (m), rotation second (rad), both seen in the frame it
-acts in.
+any other number that supports ``+ - * /`` and the NumPy ufuncs.  A *twist* is ordered
+``[d; delta]`` as in the paper's Eq. (3): translation first (m), rotation second (rad), both in the
+axes of the frame in which it acts.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ZERO_TWIST: Twist = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def _of_any(of_float: Callable[[float], float], ufunc: np.ufunc) -> Callable[[Scalar], Scalar]:
-    """Return a function of a float or of anything that NumPy's ufunc accepts."""
+    """Return a function that uses `of_float` for a float, and the NumPy ufunc for anything else."""
     return lambda x: of_float(x) if type(x) is float else ufunc(x)
 
 
@@ -35,7 +35,7 @@ floor = _of_any(lambda x: float(math.floor(x)), np.floor)
 
 
 def _of_two(of_floats: Callable[..., float], ufunc: np.ufunc) -> Callable[..., Scalar]:
-    """Return a function of two floats or of any two that NumPy's ufunc accepts."""
+    """Return a function that uses `of_floats` for two floats, and the NumPy ufunc otherwise."""
     return lambda a, b: of_floats(a, b) if type(a) is float and type(b) is float else ufunc(a, b)
 
 
@@ -82,7 +82,7 @@ class Frame(NamedTuple):
     p: Vec
 
     def rotate(self, v: Vec) -> Vec:
-        """Return the direction `v` of this frame, seen in the parent."""
+        """Return the vector `v`, given in this frame's axes, in the parent's axes."""
         n, o, a = self.n, self.o, self.a
         return (
             n[0] * v[0] + o[0] * v[1] + a[0] * v[2],
@@ -91,11 +91,11 @@ class Frame(NamedTuple):
         )
 
     def unrotate(self, v: Vec) -> Vec:
-        """Return the direction `v` of the parent, seen in this frame."""
+        """Return the vector `v`, given in the parent's axes, in this frame's axes."""
         return (dot(self.n, v), dot(self.o, v), dot(self.a, v))
 
     def transform(self, v: Vec) -> Vec:
-        """Return the point `v` (m) of this frame, seen in the parent."""
+        """Return the point `v` (m), given in this frame, in the parent frame."""
         return add(self.rotate(v), self.p)
 
     def along(self, axis: int, length: Scalar) -> Frame:
@@ -119,7 +119,7 @@ class Frame(NamedTuple):
         return self._replace(n=n, o=sub(scale(c, self.o), scale(s, self.n)))
 
     def __matmul__(self, other: Frame) -> Frame:
-        """Compose two motions: `other` is given in this frame."""
+        """Return the frame `other`, given in this frame, in the parent frame."""
         n, o, a = self.rotate(other.n), self.rotate(other.o), self.rotate(other.a)
         return Frame(n, o, a, self.transform(other.p))
 
@@ -135,7 +135,7 @@ IDENTITY = Frame((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO)
 
 
 def _exact_cos_sin(angle: float) -> tuple[float, float]:
-    """Compute cos and sin, exact at multiples of a right angle (so that zeros stay zeros)."""
+    """Compute cos and sin of an angle (rad), exactly 0 or +-1 at multiples of a right angle."""
     quarter = angle / (math.pi / 2)
     if abs(quarter - round(quarter)) < 1e-14:
         return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
@@ -145,7 +145,7 @@ def _exact_cos_sin(angle: float) -> tuple[float, float]:
 def exp(twist: Twist) -> Frame:
     """Return the finite motion exp(twist) of a small twist.
 
-    It is a series, whose error is below 1e-12 up to rotations of 0.3 rad.
+    It is a series with an error below 1e-12 for rotations up to 0.3 rad.
     """
     d, w = twist[:3], twist[3:]
     t = dot(w, w)
@@ -161,14 +161,14 @@ def exp_large(twist: Twist) -> Frame:
 
 
 def _small(t: Scalar) -> tuple[Scalar, Scalar]:
-    """Compute ``b = (1 - cos x) / x^2``, ``c = (x - sin x) / x^3``, x small and ``t = x^2``."""
+    """Compute ``b = (1 - cos x) / x^2`` and ``c = (x - sin x) / x^3`` for small x, ``t = x^2``."""
     b = 0.5 - t * (1 / 24 - t * (1 / 720 - t * (1 / 40320 - t / 3628800)))
     c = 1 / 6 - t * (1 / 120 - t * (1 / 5040 - t * (1 / 362880 - t / 39916800)))
     return b, c
 
 
 def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Return ``a = sin x / x``, and b, c as in `_small`, of any angle but 0, ``t = x^2``."""
+    """Return ``a = sin x / x``, and b and c as `_small`, for any angle x but 0; ``t = x^2``."""
     angle = sqrt(t)
     a = sin(angle) / angle
     half = sin(0.5 * angle) / angle
@@ -177,19 +177,21 @@ def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def tangent(twist: Twist, at: Vec, large: bool = False) -> tuple[list[Vec], list[Vec]]:
-    """Return how ``exp(twist)`` moves what it carries, per unit of each component of the twist.
+    """Return the derivatives of a carried body's motion by the components of its twist.
 
-    The right Jacobian of the motion, ``exp(x + c) = exp(x) exp(J c)``.  With ``-x`` for x its
-    blocks are ``A = 1 + b w^ + c w^w^`` and the derivative of ``p = A d`` by w, less the turn of p.
+    They are the right Jacobian J of the motion, ``exp(x + c) = exp(x) exp(J c)``.  With ``-x`` for
+    x its blocks are ``A = 1 + b w^ + c w^w^`` and the derivative of ``p = A d`` by w, less the
+    part that the rotation of p causes.
 
     Args:
         twist: x.
-        at: a point that is carried, in the frame after the motion (m).
+        at: a point of the carried body, in the frame after the motion (m).
         large: whether x may be large (`exp_large`).
 
     Returns:
-        Turn of what is carried by each rotation, which is also the shift by each translation;
-        shift of the point by each rotation.  All in the frame after the motion.
+        First the rotation of the body per unit of each rotation component, which is also its
+        displacement per unit of each translation component. Second the displacement of the point
+        per unit of each rotation component. All vectors are in the frame after the motion.
     """
     if all(type(x) is float and x == 0.0 for x in twist):
         units = IDENTITY[:3]
@@ -220,7 +222,10 @@ def tangent(twist: Twist, at: Vec, large: bool = False) -> tuple[list[Vec], list
 
 
 def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
-    """Apply Rodrigues: R = 1 + a w^ + b w^w^, p = (1 + b w^ + c w^w^) d, with w^w^ = w w' - t."""
+    """Apply Rodrigues' formula: ``R = 1 + a w^ + b w^w^``, ``p = (1 + b w^ + c w^w^) d``.
+
+    Here ``w^w^ = w w' - t``.
+    """
     x, y, z = w
     diag = 1.0 - b * t
     bx, by, bz = b * x, b * y, b * z
@@ -236,9 +241,10 @@ def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
 
 
 def small_rotation(a: Frame, b: Frame) -> Vec:
-    """Compute the small rotation (rad) from axes of b to those of a, in their parent; to order 2.
+    """Compute the small rotation vector (rad) from frame b to frame a, in their parent's axes.
 
-    With ``a = (1 + w^) b`` the cross products of the axes, b's with a's, sum up to ``2 w``.
+    It is accurate to second order.  With ``a = (1 + w^) b`` the cross products of the axes of b
+    with those of a sum up to ``2 w``.
     """
     total = ZERO
     for before, after in zip(b[:3], a[:3], strict=True):
@@ -247,7 +253,7 @@ def small_rotation(a: Frame, b: Frame) -> Vec:
 
 
 def sum_twists(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
-    """Add up twists (m, rad), station by station."""
+    """Return the sums of several sets of twists (m, rad), by station."""
     total: dict[int, Twist] = {}
     for part in parts:
         for station, twist in part.items():
@@ -258,14 +264,17 @@ def sum_twists(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
 
 
 def _plus(x: Scalar, y: Scalar) -> Scalar:
-    """Return x + y; an array is not copied for nothing."""
+    """Return x + y; if one of them is the float 0, the other is returned without a copy."""
     if type(y) is float and y == 0.0:
         return x
     return y if type(x) is float and x == 0.0 else x + y
 
 
 def rpy_frame(xyz: Vec, rpy: Vec) -> Frame:
-    """Return a pose by roll, pitch, yaw (rad) as in URDF: Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return the pose of a position (m) and roll, pitch, yaw (rad) as in URDF.
+
+    The rotation is ``Rz(yaw) Ry(pitch) Rx(roll)``.
+    """
     (cr, sr), (cp, sp), (cy, sy) = (_exact_cos_sin(float(a)) for a in rpy)
     return Frame(
         (cy * cp, sy * cp, -sp),
@@ -276,7 +285,10 @@ def rpy_frame(xyz: Vec, rpy: Vec) -> Frame:
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Return angles (rad) of ``Rz(yaw) Ry(pitch) Rx(roll)``, exact at pitch +-90 deg too."""
+    """Return roll, pitch and yaw (rad) of a matrix (3, 3) ``Rz(yaw) Ry(pitch) Rx(roll)``.
+
+    They are exact at a pitch of +-90 degrees too.
+    """
     yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)
     level = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation

@@ -1,4 +1,4 @@
-"""Many items of the same kind in one computation: short arrays cost as much as long ones."""
+"""Computes many similar items at once: NumPy takes as long for short arrays as for long ones."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, exp
 
 
 def stack_alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], tuple]]:
-    """Yield items of the same kind, stacked, so that one computation serves all of them.
+    """Yield groups of k items that can be computed together: their keys and their stacked scalars.
 
-    Items of arrays (N,) come together where the same scalars are 0: every scalar is then (k, N),
-    (k, 1) or 0.  Others come alone, as they are.
+    Items that hold arrays (N,) are stacked if the same scalars of them are 0.  Each scalar of the
+    stack is (k, N), (k, 1) or 0.  Any other item is a group of its own and is not changed.
     """
     kinds: dict[tuple[bool, ...], list[Any]] = {}
     for key, item in items.items():
@@ -29,7 +29,7 @@ def stack_alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[
 
 
 def stack_all(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
-    """Stack the scalars of some items: each to (k, N), (k, 1), or 0 where all of them are 0."""
+    """Stack the scalars of k items: each becomes (k, N), (k, 1), or 0 if it is 0 in all items."""
     made: list[Scalar] = []
     for each in zip(*items, strict=True):
         if all(map(_zero, each)):
@@ -47,17 +47,21 @@ def _zero(x: Scalar) -> bool:
 
 
 def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
-    """Split keys of items, each of `size` numbers, into lists that one array may hold."""
+    """Split the keys of items into lists whose stacked arrays fit into the processor's cache.
+
+    Args:
+        size: numbers in an array of one item.
+    """
     each, count = list(keys), max(1, _NEAR // size)
     return (each[n : n + count] for n in range(0, len(each), count))
 
 
 _NEAR = 32768
-"""Numbers in an array of several items: what a processor keeps near."""
+"""Largest number of elements of a stacked array, so that it fits into the processor's cache."""
 
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
-    """Return the scalars of one of the items that `stack_alike` yields."""
+    """Return the scalars of item `row` of a group that `stack_alike` yields."""
     return tuple(
         [
             (x[row] if x.shape[1] > 1 else float(x[row, 0]))
@@ -69,7 +73,7 @@ def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
 
 
 def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
-    """Return `exp` of every twist by station, those of the same kind at once."""
+    """Return the motion `exp(twist)` of every twist, by station; similar twists are stacked."""
     made = {}
     for keys, twist in stack_alike(twists):
         n, o, a, p = exp(twist)

@@ -1,5 +1,7 @@
-"""Calibration: the geometry that is always fitted, and a ladder of ever fuller fits, compared on
-held-out poses."""
+"""Calibration: the geometry that is always fitted, and a ladder of fits with more and more terms.
+
+The fits are compared on held-out poses.
+"""
 
 from __future__ import annotations
 
@@ -43,19 +45,24 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import YIELDS
 
 WORST = 5
-"""Rows that are named as the worst."""
+"""Number of rows with the largest errors that are listed."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """The position errors over a set of poses, in m (and m^2), and of orientations, in rad.
+    """Statistics of the errors over a set of rows, in m, m^2 and rad.
 
-    `mean`, `rms`, `p95`, `max` are of the 3-D length; `mean_abs_z` and `variance` (average of
-    the three axes') are the columns of the paper's Table I.  They are NaN where no row says where
-    the tip is.  `angle` is the mean turn of the measured against the predicted axes, None where no
-    row measured them.  `median` is that of the lengths, `worst` the longest, each with its row.
-    `spread` is the mean distance of the tips from the touched points, solved
-    from the same rows; None where nothing was touched.
+    All lengths are NaN if no row measured the tip's position.
+
+    Attributes:
+        n: number of rows that measured the tip's position.
+        mean, rms, p95, max, median: of the lengths of the position errors, m.
+        mean_abs_z, variance: mean of ``|z|`` (m), and variance averaged over the three axes
+            (m^2): the columns of the paper's Table I.
+        angle: mean angle between measured and predicted orientation, rad; None if not measured.
+        worst: numbers and error lengths (m) of the rows with the largest errors.
+        spread: mean distance (m) of the tips from the touched points, which are solved from
+            the same rows; None if nothing was touched.
     """
 
     n: int = 0
@@ -72,14 +79,14 @@ class Errors:
 
     @property
     def mm(self) -> dict[str, float]:
-        """Return its figures in mm (mm^2), by the names of report.json."""
+        """The statistics in mm (mm^2), by their names in report.json."""
         names = ("mean", "median", "rms", "p95", "max", "mean_abs_z")
         lengths = {f"{name}_mm": 1e3 * getattr(self, name) for name in names}
         return lengths | {"variance_mm2": 1e6 * self.variance}
 
     @property
     def mean_text(self) -> str:
-        """Return the mean with its unit: mm, or mrad where only orientations were measured."""
+        """The mean error with its unit: mm, or mrad if only orientations were measured."""
         if self.n or self.angle is None:
             return f"{1e3 * self.mean:.2f} mm"
         return f"{1e3 * self.angle:.2f} mrad"
@@ -97,8 +104,8 @@ class Errors:
 
         Args:
             error: (N, 3) measured - predicted positions of the tip, m.
-            turn: (M, 3) rotations from predicted to measured tip, rad.
-            numbers: (N,) numbers of the rows, for `worst`; from 0 on where None.
+            turn: (M, 3) rotation vectors from predicted to measured tip, rad.
+            numbers: (N,) numbers of the rows, for `worst`; 0, 1, ... by default.
             spread: (K,) distances of the tip from touched points, m.
         """
         mean_turn = None
@@ -126,9 +133,14 @@ class Errors:
 
 @dataclass(frozen=True)
 class Rung:
-    """One rung of the ladder: a name, its fit and its errors on train and held-out rows.
+    """One rung of the ladder: a model, and its errors at training and held-out rows.
 
-    `commanded` are the held-out errors as a command would have them (`core/data/commanded.py`).
+    Attributes:
+        name: name of the rung.
+        model: the model.
+        fit: its fit; None for the nominal arm.
+        train, held_out: errors at these rows.
+        commanded: held-out errors as a command would have them (`core/data/commanded.py`).
     """
 
     name: str
@@ -140,7 +152,7 @@ class Rung:
 
 
 def geometry_terms(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
-    """Return what is always fitted: base placements, markers, joint zeros, DH rows, cylinders."""
+    """Return the terms that are always fitted: placements, joint zeros, DH rows, cylinder pins."""
     own = (*JointZero.for_arm(arm), *DhError.for_arm(arm), *CylinderPins.for_arm(arm))
     return (*placement_terms(arm, session), *own)
 
@@ -151,16 +163,17 @@ def fit_stages(
     progress: Callable[[str], None] | None = None,
     kind: KindOfArm | None = None,
 ) -> Iterator[tuple[str, ModelFit]]:
-    """Fit frames only, joint zeros, and full geometry on top of a model, each from the last.
+    """Yield three fits with their names: frames only, joint zeros, full geometry.
 
-    The frames are placed in closed form first.  The geometry is fitted from two starts, with the
-    drawing's priors and with the widest, and that of higher evidence is taken: while the noise
-    counts as large, nothing tells that a part is far off.  The last fit is what every command calls
-    calibrated.  Errors are those of `fit_model`.
+    Each adds terms to the model and starts from the fit before it; the frames are first placed in
+    closed form.  The geometry is fitted twice, with the priors of the drawing and with the widest
+    priors, because a part that is far off may only show with the latter.  The fit with the
+    higher evidence is kept; it is what every command calls calibrated.  Errors are those of
+    `fit_model`.
 
     Args:
-        progress: called with each name before it is fitted.
-        kind: what other arms of the kind tell about the full geometry.
+        progress: called with each name before its fit.
+        kind: prior of the full geometry from other arms of the same kind.
     """
     base = placement_terms(model.arm, session)
     start = placed = place_frames(model, session)
@@ -190,7 +203,10 @@ def fit_stages(
 
 
 def _settle_priors(model: Model, session: Session, usual: Mapping[str, float] | None) -> ModelFit:
-    """Fit a model, again and again, until the same parts are beyond what their drawing allows."""
+    """Fit a model repeatedly until the set of parts beyond their tolerances repeats.
+
+    The priors of these parts are widened before each further fit (`_find_beyond`).
+    """
     fitted = fit_model(model, session, usual=usual)
     tried = [fitted.model.beyond]
     while (beyond := _find_beyond(fitted.model)) not in tried:
@@ -201,16 +217,17 @@ def _settle_priors(model: Model, session: Session, usual: Mapping[str, float] | 
 
 
 def _with_widest_priors(model: Model) -> Model:
-    """Return a model of which every part may be as far off as any part is."""
+    """Return the model with the widest prior (`SIZES[-1]`) for every part."""
     slots = [s for s in model.slots if not s.parameter.unknown]
     return dataclasses.replace(model, beyond=tuple((s.identity, SIZES[-1]) for s in slots))
 
 
 def _log_evidence(fit: ModelFit) -> float:
-    """Return the log evidence of a fit, of its noise and of its parts beyond the drawing.
+    """Return the log evidence of a fit, including its noise and its parts beyond the drawing.
 
-    Every long arm yields, so its compliances are marginalised where the fit lacks them: else parts
-    far off would stand for them.  A row that is set aside counts as one at the limit of an outlier.
+    Every long arm yields, so compliances that the fit lacks are marginalised; otherwise parts that
+    are far off would replace them.  A row that is set aside counts as one at the limit of an
+    outlier.
     """
     arm = fit.model.arm
     absent = possible_compliances(arm, {term.key for term in fit.model.terms})
@@ -227,11 +244,10 @@ def _log_evidence(fit: ModelFit) -> float:
 
 
 def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
-    """Return `Model.beyond` by the model's values: the parts beyond what their drawing allows.
+    """Return `Model.beyond` for a model's values: the parts beyond their tolerances, with factors.
 
-    A part far beyond its tolerance pays for that only once.  Otherwise any effect that moves the
-    tip as the part does would be worth what the part's prior costs.  A fit with these parts may
-    give others, so `_settle_priors` repeats both until the same parts come again.
+    A part far beyond its tolerance gets a wider prior at a fixed cost.  Otherwise an effect that
+    moves the tip in the same way would be preferred only because the part's prior is narrow.
     """
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]
@@ -251,13 +267,14 @@ def fit_ladder(
     progress: Callable[[str], None] | None = None,
     kind: KindOfArm | None = None,
 ) -> list[Rung]:
-    """Fit the nominal arm, frames only, joint zeros, full geometry, then each effect on the last.
+    """Return the rungs: nominal arm, frames only, joint zeros, full geometry, then the effects.
 
-    The nominal arm is placed first where the rows see it somewhere else (`place_as_seen`).
+    The nominal arm is not fitted, but placed if the rows show it elsewhere (`place_as_seen`).
 
     Args:
-        train, held_out: rows to fit, and rows to judge by, which are never fitted.
-        effects: (name, terms) rungs above the full geometry, cumulative.
+        train: rows that are fitted.
+        held_out: rows that are never fitted, for the held-out errors.
+        effects: (name, terms) of further rungs; each adds its terms to the model before it.
         deflection: whether declared beams sag, in all rungs.
         progress, kind: as in `fit_stages`.
 
@@ -292,6 +309,6 @@ def fit_ladder(
 
 
 def copy_known_values(known: Model, model: Model) -> Model:
-    """Return a model with the values of a known one, where they share a parameter."""
+    """Return a model with the values of a known model for the parameters that both have."""
     values = {s.identity: s.value for s in known.slots}
     return model.with_values(np.array([values.get(s.identity, s.value) for s in model.slots]))

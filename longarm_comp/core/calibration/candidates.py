@@ -1,5 +1,4 @@
-"""The candidates of a diagnosis: every effect of the library, alone and as a family, in every
-form."""
+"""The candidates of a diagnosis: each effect in each form, at single places and at all together."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ from longarm_comp.core.model.model import Slot, slots_of
 
 Term = Effect | Bias
 NO_PLACE = "the declared arm has no place for it"
-"""Why an effect is not testable that no data could show."""
+"""The reason why an effect without a place on the declared arm is not testable."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,10 @@ class Candidate:
     """A possible cause: some terms of one effect, in one form.
 
     Attributes:
-        scanned: whether its form was found in the residual, not listed by its class.
+        name: name of the effect.
+        terms: its instances, which are fitted together.
+        scanned: whether its form was found by a scan of the residual instead of listed by its
+            class.
     """
 
     name: str
@@ -59,7 +61,7 @@ class Library:
 
     Attributes:
         testable: candidates whose inputs were recorded and varied.
-        not_testable: (effect, reason).
+        not_testable: name of each other effect, and the reason.
         stepped: effects whose steps may be scanned.
     """
 
@@ -74,13 +76,15 @@ def list_candidates(
     kinds: Sequence[type[Effect] | type[Bias]] | None = None,
     declared: Sequence[Term] = (),
 ) -> Library:
-    """List every form of every effect, singly and as a whole family.
+    """List each form of each effect, at every single place and at all places together.
 
-    An effect whose input was not recorded, or never changed, is not testable.
+    An effect is not testable if an input of it was not recorded or never changed, or if it has no
+    place on the arm.
 
     Args:
-        arm, context: decide the places, and which inputs there are.
-        kinds: the effects to try; all of the catalogue where None.
+        arm: determines the places.
+        context: the recorded inputs.
+        kinds: the effects to try; by default `searched_effects`.
         declared: terms that the model holds already; they are never added twice.
     """
     known = {(t.name, t.where) for t in declared}
@@ -121,14 +125,18 @@ def list_candidates(
 
 
 def list_variants(terms: Iterable[Term]) -> tuple[object, ...]:
-    """Return what tells terms apart: effect, place and form, but not the values of parameters."""
+    """Return a key for terms: effect, place and form of each, without the parameters' values."""
     return tuple(t.variant for t in terms)
 
 
 def distinct_terms(
     candidates: Iterable[Candidate], but: Container[tuple[str, str]] = ()
 ) -> tuple[Term, ...]:
-    """Return each term of the candidates once, without those at some places."""
+    """Return each term of the candidates once, except the terms with some keys.
+
+    Args:
+        but: these keys (name and place).
+    """
     made: dict[tuple[object, ...], Term] = {}
     for candidate in candidates:
         for term in candidate.terms:
@@ -138,8 +146,7 @@ def distinct_terms(
 
 
 def _join_places(singles: list[Candidate]) -> list[Candidate]:
-    """Return one candidate per form with all places together, where an effect has several
-    places."""
+    """Return a candidate of all places together for each form of an effect with several places."""
     by_form: dict[tuple[tuple[str, object], ...], list[Term]] = {}
     for c in singles:
         if len(c.terms) == 1:

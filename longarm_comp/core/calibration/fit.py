@@ -1,13 +1,13 @@
 """Robust joint fit of a model to a session: geometry and effects together.
 
-Gauss-Newton on the posterior mode. A step that would raise the cost is shortened along a parabola
-that follows the curvature of the model: of a load and the compliance under it the rows tell hardly
-more than the product (geodesic acceleration; Transtrum and Sethna 2012, arXiv 1201.5885). Where
-that does not help either, it is damped (Levenberg 1944, Marquardt 1963). Every parameter has a
-prior (a tolerance), which holds the gauge freedoms of a redundant geometry. The prior of an unknown
-placement lies around its start, so that what the rows do not determine stays there. Sign bounds are
-kept exactly. Rows that no model of this kind explains get weight 0, decided anew at every step but
-the first, in which all rows count.
+Gauss-Newton iteration to the posterior mode. A step that would raise the cost is shortened along a
+parabola that follows the curvature of the model (geodesic acceleration; Transtrum and Sethna 2012,
+arXiv 1201.5885). Such a curvature is common, because the rows determine hardly more than the
+product of a load and the compliance under it. If this does not help, the step is damped (Levenberg
+1944, Marquardt 1963). Every parameter has a prior (a tolerance), which makes the fit of a redundant
+geometry unique. The prior of an unknown placement is centred on its start, so parameters that the
+rows do not determine stay there. Bounds are kept exactly. Outliers get weight 0, decided anew
+at every step but the first, in which all rows count.
 """
 
 from __future__ import annotations
@@ -25,24 +25,33 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model, Slot
 
 CLOSE = 0.01
-"""A fit has converged when its last step was below so many standard errors."""
+"""A fit has converged when its last step was at most this many standard errors."""
 SHARES = (1.0, 0.5, 0.25)
-"""Shares of the parabola that are tried; only the first while the noise is not known, because goals
-are far then, and a damped step gets nearer."""
+"""Fractions of the parabola that are tried.
+
+Only the first is tried while the noise is not known, because goals are then far away, and a damped
+step gets nearer.
+"""
 LEAST_DAMPING, MOST_DAMPING, DAMPING_FACTOR = 1e-6, 1e3, 30.0
-"""Shares of the normal equations' diagonal that a damped step adds to it: the least, the most, and
-from one to the next."""
+"""Smallest and largest damping, and the factor from one damping to the next.
+
+The damping times the diagonal of the normal equations is added to this diagonal.
+"""
 STALLED = 3
-"""Steps without gain after which a fit ends with the best values it had: where loads and what they
-bend are fitted together, steps may go around the solution for ever."""
+"""Number of steps without gain after which a fit ends with its best values.
+
+If loads and compliances are fitted together, steps may circle around the solution for ever.
+"""
 GAUSS_NEWTON_STEPS = 25
-"""Steps at most: fits of simulated arms take one to six; one that goes around its solution ends by
-`STALLED`."""
+"""Largest number of steps; fits of simulated arms take one to six."""
 GAIN = 0.1
-"""Fall of the cost (minus twice the log posterior) that is a gain."""
+"""Smallest decrease of the cost (minus twice the log posterior) that counts as a gain."""
 AMISS = 1.0
-"""Cost beyond what the design said of a step, from which the design no longer holds, and rise from
-which a step is shortened: a standard error, squared, for the cost is in units of the noise."""
+"""Largest accepted excess of the cost, which is in units of the noise.
+
+If the cost exceeds the prediction of the design by more, the design is computed anew; if it rises
+by more, the step is shortened.
+"""
 
 
 def fit_model(
@@ -83,7 +92,11 @@ def fit_model(
 
 
 def linearise_model(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
-    """Compute residual and design of a model as it is at a session; `near` as in `fit_model`."""
+    """Return the residual and design of a model at a session as a `ModelFit`, without a fit.
+
+    Args:
+        near: a fit of a similar model to the same session, from whose posture the loads start.
+    """
     part = SessionProblem(model, session, robust=False, near=near)
     part.judge_rows(1)
     return part.make_fit(np.diag(prior_widths(model.slots) ** 2))
@@ -92,14 +105,14 @@ def linearise_model(model: Model, session: Session, near: ModelFit | None = None
 def fit_together(
     parts: Sequence[tuple[Model, Session]], own: Callable[[Slot], bool]
 ) -> list[ModelFit]:
-    """Fit several arms that share a part of their chain, as two arms on one torso.
+    """Fit several arms that share a part of their chain, such as two arms on one torso.
 
     Errors are those of `fit_model`.
 
     Args:
-        parts: a starting model and a session each.
-        own: which parameters belong to each part alone; all others with the same label are
-            one parameter.
+        parts: the starting model and the session of each arm.
+        own: tells whether a parameter belongs to one arm alone; all other parameters with the same
+            identity are one common parameter.
     """
     return _fit_parts([SessionProblem(model, session) for model, session in parts], CLOSE, own)
 
@@ -107,7 +120,13 @@ def fit_together(
 def _fit_parts(
     parts: list[SessionProblem], close: float, own: Callable[[Slot], bool] = lambda slot: False
 ) -> list[ModelFit]:
-    """Find the posterior mode of all parts at once by Gauss-Newton."""
+    """Find the joint posterior mode of all sessions by Gauss-Newton.
+
+    Args:
+        parts: the sessions.
+        close: the fit ends when a step is at most this many standard errors.
+        own: as in `fit_together`.
+    """
     problem = _JointProblem(parts, own)
     scale, centre, now = problem.scale, problem.centre, problem.start
     converged, step = False, 0
@@ -163,10 +182,13 @@ class _JointProblem:
     """Sessions that are fitted together, and their p parameters.
 
     Attributes:
-        start, scale, centre: (p,) values to begin with, and width and mean of their priors.
-        limits: (2, p) bounds of the values. Values are clipped to them, because rounding may pass
-            them and no file holds such a value.
-        bounds: the same in units of the priors.
+        start: (p,) values at the start.
+        scale, centre: (p,) standard deviations and means of the priors.
+        limits: (2, p) bounds of the values. Values are clipped to them, because rounding may
+            exceed them and files refuse such values.
+        bounds: (2, p) the bounds relative to `centre`, in units of `scale`.
+        knows_noise: whether noise and weights of all sessions are given.
+        damping: damping of the next damped step; 0: undamped steps are tried first.
     """
 
     def __init__(self, parts: Sequence[SessionProblem], own: Callable[[Slot], bool]) -> None:
@@ -192,8 +214,10 @@ class _JointProblem:
         self.damping = 0.0
 
     def normal_equations(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return matrix (p, p) and right side (p,) in units of the priors, and the square of the
-        data."""
+        """Return the matrix (p, p) and right side (p,) in units of the priors, and the data's norm.
+
+        The latter is the squared norm of the whitened data.
+        """
         p = len(self.scale)
         gram, moment, square = np.zeros((p, p)), np.zeros(p), 0.0
         for part in self.parts:
@@ -220,21 +244,24 @@ class _JointProblem:
         near: bool,
         least: np.ndarray,
     ) -> tuple[np.ndarray, float]:
-        """Go towards a goal (p,) without raising the cost.
+        """Move the values towards a goal (p,) without raising the cost.
 
-        The way is straight, or else the parabola that follows the model's curvature, or else that
-        of a damped step, which goes less far the less the rows tell of a direction.
+        The whole step is tried first, then points of the parabola that follows the model's
+        curvature, then damped steps, which are shortest in directions that the rows determine
+        least.
 
         Args:
-            gram, moment: the normal equations that the goal solves.
+            goal: (p,) values that solve the normal equations.
+            now: (p,) present values.
+            gram, moment: the normal equations.
             near: whether the goal is near; then fewer load passes are needed.
-            least: (p,) a step that is not worth a try, unless it is the goal itself.
+            least: (p,) steps that are at most this large are not tried, except the goal itself.
 
         Returns:
-            The values (p,) reached, and their cost.
+            The values (p,) that were reached, and their cost.
 
         Raises:
-            JobError: the fit is not finite however short the step.
+            JobError: the residual is not finite after any step that was tried.
         """
         before, failed = self.compute_cost(now), None
         for values in self._list_steps(goal, now, gram, moment, near):
@@ -258,7 +285,7 @@ class _JointProblem:
     def _list_steps(
         self, goal: np.ndarray, now: np.ndarray, gram: np.ndarray, moment: np.ndarray, near: bool
     ) -> Iterator[np.ndarray]:
-        """Yield the values (p,) to try in turn, as `step_towards`."""
+        """Yield the values (p,) to try, in the order that `step_towards` describes."""
         if self.damping == 0.0:
             yield goal
             aside = np.zeros(len(now))
@@ -279,7 +306,7 @@ class _JointProblem:
         return np.clip(self.centre + u * self.scale, *self.limits)
 
     def _project_curvature(self, goal: np.ndarray, now: np.ndarray, near: bool) -> np.ndarray:
-        """Return (p,) the right side's change by half the second derivative along the way."""
+        """Return the change (p,) of the right side by half the second derivative along the step."""
         self._move_to(now, near)
         bend = np.zeros(len(now))
         for part in self.parts:

@@ -1,4 +1,4 @@
-"""The columns of candidates at a fit, and the evidence on top of the fit or of a part of it."""
+"""The design columns of candidates at a fit, and their evidence given the fit or a part of it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from longarm_comp.core.model.model import Slot, slots_of
 
 
 class FitColumns:
-    """The columns of any candidate at the rows and the solution of a fit, each computed once.
+    """The design columns of any candidate at the rows and solution of a fit.
 
-    They are stored with the fit.
+    Each column is computed once and stored with the fit.
     """
 
     def __init__(self, fitted: ModelFit) -> None:
@@ -48,7 +48,7 @@ class FitColumns:
         return np.stack([self._known[key] for key in keys], axis=-1)
 
     def shift_by(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the (N, d) shift of the rows by terms at their values, m or rad."""
+        """Return the change (N, d) of the predictions by terms with their values, m or rad."""
         slots = slots_of(self.model.arm, terms)
         values = np.array([s.value for s in slots]) / prior_widths(slots)
         free = {s.term for s in slots}
@@ -67,19 +67,19 @@ class FitColumns:
         instead: Sequence[Term] = (),
         still: Container[tuple[str, str]] = (),
     ) -> Marginal:
-        """Marginalise the fit's own columns, but not those of the terms at some places.
+        """Marginalise the columns of the fit without those of some terms.
 
-        A term with parameters leaves with its columns; one without gives its shift back to the
-        data.  A term that acts through others stays at its value, because the removed terms tell
-        nothing about it.
+        The columns of a removed term are left out.  If it has no parameters, the change that it
+        causes is added to the data instead.  A term that acts through others keeps its value,
+        because it has no influence without the removed terms.
 
         Args:
             places: keys of the terms that are removed.
-            instead: terms with parameters that are put in.
-            still: keys of further terms that stay at their values.
+            instead: terms with parameters that are added.
+            still: keys of further terms that keep their values.
 
         Returns:
-            The marginal, on top of which the evidence of other columns is computed.
+            The marginal, which gives the evidence of other columns.
         """
         fitted = self._fitted
         fixed = np.array(
@@ -98,7 +98,7 @@ class FitColumns:
         )
 
     def white_columns(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return `prior_columns` in units of the noise, (m, k) with m = d times the inliers."""
+        """Return `prior_columns` of some terms, whitened: (dM, k) of the M inliers."""
         key = tuple(term.variant for term in terms)
         if key not in self._white:
             self._white[key] = self._fitted.whiten_columns(self.prior_columns(terms))
@@ -106,6 +106,6 @@ class FitColumns:
 
 
 def rms_shift(fitted: ModelFit, shift: np.ndarray) -> float:
-    """Return the RMS over the rows of a change (N, d, ...) as a length at the tip, m."""
+    """Return the RMS over the rows of a change (N, d, ...) of the channels, as a tip length, m."""
     scale = fitted.metres.reshape(-1, *(1,) * (shift.ndim - 2))
     return float(np.sqrt(((shift * scale) ** 2).reshape(len(shift), -1).sum(-1).mean()))

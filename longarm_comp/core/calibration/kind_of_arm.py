@@ -1,9 +1,9 @@
-"""The prior that calibrated arms of one kind give a further one, before it is measured.
+"""The prior of an arm's errors from calibrated arms of the same kind.
 
-The errors of arms of one kind are related: parts are made on the same machines and zeros are set by
-the same hands.  Their second moment, shrunk towards the drawing's tolerances after Ledoit and Wolf
-(2004, J. Multivariate Anal. 88), is the prior of the next arm: some directions, each with a
-free amount, and a share of the tolerances for the rest.
+The errors of arms of one kind are correlated: their parts are made on the same machines, and the
+same people set their zeros.  The second moment of the errors, shrunk towards the drawing's
+tolerances after Ledoit and Wolf (2004, J. Multivariate Anal. 88), is the prior of the next arm.  It
+consists of some directions, each with a free amount, and a fraction of the tolerances for the rest.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, Slot, slots_of
 
 LEAST = 3
-"""Arms that say how arms of their kind differ; of two, one direction is all that is seen."""
+"""Smallest number of calibrated arms from which a prior is made."""
 _TABLE = ("type", "a_m", "alpha_deg", "d_m", "theta_offset_deg", "pose")
 
 
@@ -32,9 +32,9 @@ class KindOfArm:
     """The prior of a further arm of a kind.
 
     Attributes:
-        directions: directions of errors that the arms share.
-        rest: share of the tolerances by which every single error may be off besides.
-        noise: scatter of the arms' measurements, by kind of measurement, m or rad.
+        directions: directions (combinations of errors) that the arms have in common.
+        rest: prior of every single error in addition, as a fraction of its tolerance.
+        noise: usual noise of the arms' measurements, by kind of measurement, m or rad.
     """
 
     directions: tuple[KindDirection, ...]
@@ -49,15 +49,16 @@ class KindOfArm:
         sources: Sequence[str],
         noise: Mapping[str, float] | None = None,
     ) -> KindOfArm:
-        """Find the prior from calibrated models of arms of the kind.
+        """Make the prior from calibrated models of arms of the same kind.
 
         Args:
-            arm: the further arm, as declared.
-            models, sources: models of the others, and their files, for messages.
-            noise: as the attribute, where it is known.
+            arm: the arm that gets the prior, as declared.
+            models: models of the other arms.
+            sources: their files, for error messages.
+            noise: usual noise, as the attribute, if it is known.
 
         Raises:
-            InputError: there are too few models, or one has another table of rows.
+            InputError: there are too few models, or one has other DH rows.
         """
         if len(models) < LEAST:
             raise InputError("kind of arm", "models", len(models), f"at least {LEAST}, of one kind")
@@ -86,7 +87,7 @@ class KindOfArm:
         return cls(tuple(directions), rest, noise or {})
 
     def apply_to(self, model: Model) -> Model:
-        """Return a model of the further arm whose geometry has this prior."""
+        """Return a model of the arm with this prior of its geometry."""
         parts = {
             t.key: _with_zero_values(t) for d in self.directions for t in d.terms if not t.geometry
         }
@@ -95,8 +96,7 @@ class KindOfArm:
 
 
 def fold_directions(fit: ModelFit) -> ModelFit:
-    """Return a fit whose shared directions are replaced by the single errors that they consist
-    of."""
+    """Return the fit with each `KindDirection` replaced by the single errors that it combines."""
     kept = tuple(e for e in fit.model.effects if not isinstance(e, KindDirection))
     if kept == fit.model.effects:
         return fit
@@ -122,12 +122,12 @@ def fold_directions(fit: ModelFit) -> ModelFit:
 
 
 def describe_table(arm: Arm) -> tuple[tuple[object, ...], ...]:
-    """Return the rows that arms of one kind have in common."""
+    """Return the DH rows in a comparable form; arms of one kind have the same ones."""
     return tuple(tuple(repr(getattr(j, name)) for name in _TABLE) for j in arm.joints)
 
 
 def _check_table(arm: Arm, other: Arm, source: str) -> None:
-    """Refuse an arm with another table, because its errors are not errors of this one."""
+    """Raise `InputError` if another arm has other DH rows, so that its errors mean others."""
     if len(arm.joints) != len(other.joints):
         rows = f"{len(arm.joints)} rows, as {arm.name}"
         raise InputError(source, "joints", f"{len(other.joints)} rows", rows)
@@ -141,13 +141,17 @@ def _check_table(arm: Arm, other: Arm, source: str) -> None:
 
 
 def _shrink(values: np.ndarray) -> tuple[np.ndarray, float]:
-    """Shrink the second moment of (n, p) errors, in tolerances, of n arms.
+    """Shrink the second moment of the errors of n arms.
 
-    The second moment S becomes ``(1 - w) S + w m I``, with m the mean of its diagonal and w the
-    share that is expected to be closest to the truth.
+    The second moment S becomes ``(1 - w) S + w m I``, with m the mean of its diagonal, and w the
+    weight with the smallest expected error.
+
+    Args:
+        values: (n, p) errors, in units of their tolerances.
 
     Returns:
-        Directions (k, p), and the standard deviation of the rest.
+        The directions (k, p) of the first part, scaled by their standard deviations, and the
+        standard deviation of the second part.
     """
     n, p = values.shape
     moment = values.T @ values / n

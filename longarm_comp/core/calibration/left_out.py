@@ -1,4 +1,4 @@
-"""The errors that a fit would make at rows if these were left out, and what they say of commands.
+"""The errors of a fit at rows that are left out of it, and the error of commands that follows.
 
 Each part of the rows is left out in turn, and the error is computed from the design: no fit is
 repeated.
@@ -16,26 +16,32 @@ from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
 PARTS, SMALL = 4, 20
-"""Parts of a joint's range, and random parts, that are left out one at a time."""
+"""Number of parts of each joint's range, and number of random parts, that are left out in turn."""
 MOST = 1000
-"""Rows that are left out, at most, evenly over the session: they tell 90 % to one percent."""
+"""Largest number of rows whose errors are computed, evenly over the session.
+
+They determine the 90 % level to one percent.
+"""
 AMID = (1.0 + LEVEL) / 2.0
-"""Of the rows amid the others, the share that is inside at most: halfway from `LEVEL` to all. The
-model was chosen on these rows, so that it errs more at others: with `LEVEL` itself, 55 % of WAM's
-test rows are inside instead of 80 %."""
+"""Largest fraction of the random rows inside the stated radius: halfway from `LEVEL` to 1.
+
+It is above `LEVEL` because the model was chosen on these rows, and so has larger errors at others.
+With `LEVEL` itself, 55 % of WAM's test rows are inside instead of 80 %.
+"""
 HALVINGS = 30
-"""Of a range: to nine digits."""
+"""Number of bisections of a range: to nine digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """The rows that are left out of a fit, each several times.
+    """The errors of rows that are left out of a fit. Each row occurs several times among the M.
 
     Attributes:
-        error: (M, 3) m, measured - predicted without them.
-        covariance: (M, 3, 3) m^2 by the parameters fitted without them.
-        count: (M,) weight of each; one row's weights sum to 1.
-        amid: (M,) whether a row was left out amid the others, not with all that are near it.
+        error: (M, 3) measured - predicted by a fit without the row, m.
+        covariance: (M, 3, 3) covariance of this prediction by the fitted parameters, m^2.
+        count: (M,) weight of each; the weights of one row sum up to 1.
+        amid: (M,) True if similar rows stayed in the fit (random parts), False if a whole part of
+            a joint's range, or of the touched places, was left out.
     """
 
     error: np.ndarray
@@ -45,9 +51,9 @@ class LeftOut:
 
     @classmethod
     def of(cls, fit: ModelFit) -> LeftOut | None:
-        """Leave rows out of a fit to positions or touches; None where too few rows hold one.
+        """Leave rows out of a fit to positions or touches; None if fewer than two rows have one.
 
-        A touched point is not known, so its rows are judged against their mean.
+        The place of a touched point is not known, so its rows are compared with their mean.
         """
         kept = np.flatnonzero((fit.weights > 0) & fit.has_point)
         if len(kept) < 2:
@@ -62,7 +68,7 @@ class LeftOut:
         judged = choose_evenly(np.arange(len(kept)), MOST)
         errors, covariances, counts, amid = [], [], [], []
         places = None
-        if touched is not None:  # points of known distances are one tool's: one place
+        if touched is not None:  # points at known distances belong to one tool: one place
             places = touched.copy()
             for first, second, *_ in fit.session.touch_distances:
                 places[places == second] = first
@@ -86,17 +92,19 @@ class LeftOut:
         return cls(*(np.concatenate(each) for each in (errors, covariances, counts, amid)))
 
     def find_least_errors(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
-        """Find the least errors that bring 90 % of the rows inside.
+        """Find the smallest stated errors that contain 90 % of the rows that were left out.
 
-        An error that no parameter explains is the same everywhere, and no larger than rows amid the
-        others err.  Where it would be more than nearly all of these err, they contradict it: then
-        the parameters are known less, because the rows err alike and many of them count as one.
+        The errors can be enlarged in two ways.  One is a further covariance, the same everywhere,
+        for errors that no parameter explains.  But if it would exceed the errors of nearly all rows
+        that were left out at random, these contradict it.  Then the covariance of the
+        parameters is enlarged, because similar rows have similar errors, so that many of them
+        count as one.
 
         Args:
-            noise: (3, 3) m^2, of the measurement.
+            noise: (3, 3) covariance of the measurement, m^2.
 
         Returns:
-            How many rows count as one, and the further covariance (3, 3), m^2.
+            The number of rows that count as one, and the further covariance (3, 3), m^2.
         """
         amid = self.amid if self.amid.any() else ~self.amid
         size, best = np.linalg.norm(self.error, axis=1)[amid], math.inf
@@ -114,9 +122,14 @@ class LeftOut:
         return alike, structure
 
     def _find_structure(self, noise: np.ndarray, alike: float, largest: float) -> np.ndarray | None:
-        """Find the least further covariance (3, 3) m^2 that brings 90 % of the rows inside.
+        """Find the smallest further covariance (3, 3), m^2, so that 90 % of the rows are inside.
 
-        Its shape is that of the errors; None where its size would be more than `largest`, m.
+        Its shape is that of the errors.
+
+        Args:
+            noise: (3, 3) covariance of the measurement, m^2.
+            alike: the number of rows that count as one.
+            largest: limit of its size, m; None is returned if this is not enough.
         """
         shape = np.einsum("n,ni,nj->ij", self.count, self.error, self.error)
         shape /= np.trace(shape) or 1.0
@@ -137,12 +150,15 @@ class LeftOut:
 
 
 def subtract_point_means(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Subtract from rows (N, ...) the mean of those that touched the same point.
+    """Subtract from each row (N, ...) the mean of the rows that touched the same point.
 
-    They are scaled so that independent noise keeps its variance.
+    The differences are scaled so that independent noise keeps its variance.
+
+    Args:
+        touched: (N,) name of each row's point.
 
     Returns:
-        The rows; (N,) whether a row is the only one that touched its point.
+        The scaled differences, and (N,) True for a row that alone touched its point.
     """
     _, which, count = np.unique(touched, return_inverse=True, return_counts=True)
     sums = np.zeros((len(count), *rows.shape[1:]))
@@ -155,11 +171,18 @@ def subtract_point_means(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndar
 def _divide_rows(
     q: np.ndarray, places: np.ndarray | None = None
 ) -> Iterator[tuple[np.ndarray, float, bool]]:
-    """Yield divisions of the rows into parts (N,) to leave out, a row's weight in each division,
-    and whether the parts lie amid the other rows.
+    """Yield divisions of the rows into parts that are left out.
 
-    Half of the weight is with new places, half with rows amid the others, as targets are.  Where
-    points were touched, these are the places.
+    Half of the weight is on parts of the joints' ranges, half on random parts, because targets are
+    at new and at known places.  If several points were touched, each of them is a part instead.
+
+    Args:
+        q: (N, n) joints.
+        places: (N,) name of each row's touched place, for a session of touches.
+
+    Yields:
+        The number (N,) of each row's part, the weight of a row in this division, and whether the
+        parts are random, so that similar rows stay.
     """
     if places is not None and len(np.unique(places)) > 1:
         yield np.unique(places, return_inverse=True)[1], 1.0, False

@@ -1,7 +1,7 @@
-"""The Gaussian problem under every fit: weights and noise of the rows, priors, bounds, evidence.
+"""The linear Gaussian problem of every fit: weights and noise of rows, priors, bounds, evidence.
 
-Rows are whitened (divided by the noise), parameters are scaled by their prior standard
-deviations, so that the prior is the unit normal.
+Rows are whitened (divided by the noise). Parameters are scaled by their prior standard deviations,
+so that the prior is the unit normal distribution.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Posterior:
 
     Attributes:
         u: (p,) scaled parameters.
-        covariance: (p, p) of u, bounds ignored.
+        covariance: (p, p) covariance of u, without the bounds.
         effective: number of parameters that the data determine (trace of the hat matrix).
     """
 
@@ -36,10 +36,12 @@ class Posterior:
 def solve_posterior(
     a: np.ndarray, y: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
 ) -> Posterior:
-    """Return the MAP estimate of ``y = A u + e``, e and u unit normal, u within any bounds (p,).
+    """Return the MAP estimate of u in ``y = A u + e``, with e and u unit normal.
 
     Args:
-        a, y: (m, p) whitened, prior-scaled design, and (m,) whitened data.
+        a: (m, p) whitened, prior-scaled design.
+        y: (m,) whitened data.
+        lower, upper: (p,) bounds of u, if any.
     """
     return solve_products(a.T @ a, a.T @ y, lower, upper)
 
@@ -61,9 +63,10 @@ def solve_products(
 
 
 def _factor_with_prior(gram: np.ndarray) -> np.ndarray:
-    """Return a lower triangle (p, p) whose product with itself is ``gram + I``.
+    """Return the lower triangle L (p, p) with ``L L' = gram + I``.
 
-    No eigenvalue of that is below 1; where rounding takes one there, it is set to 1.
+    No eigenvalue of ``gram + I`` is below 1. If rounding makes it indefinite, such eigenvalues are
+    set to 1.
     """
     precision = gram + np.eye(len(gram))
     try:
@@ -75,7 +78,7 @@ def _factor_with_prior(gram: np.ndarray) -> np.ndarray:
 
 
 _ROUNDING = 1e-9
-"""Share of a variance that rounding leaves where nothing is left."""
+"""Ratio of variances below which a variance is rounding error."""
 
 
 def most_probable_within(
@@ -83,7 +86,12 @@ def most_probable_within(
 ) -> np.ndarray:
     """Return the most probable values (p,) of a normal distribution within bounds (p,).
 
-    Where a bound holds one value, those that are correlated with it follow.
+    If a bound limits one value, values that are correlated with it change too.
+
+    Args:
+        mean: (p,) mean of the distribution.
+        covariance: (p, p).
+        lower, upper: (p,) bounds; infinite where there is none.
     """
     if ((mean >= lower) & (mean <= upper)).all():
         return mean
@@ -100,16 +108,16 @@ def most_probable_within(
 
 
 class Marginal:
-    """The evidence of further columns, with the columns already there marginalised.
+    """The evidence of further columns, with the present columns marginalised.
 
     With ``y = A u + B v + e`` and everything unit normal, the log Bayes factor of B against
-    nothing is ``t'(I+S)^-1 t / 2 - ln|I+S| / 2``, ``S = B'PB``, ``t = B'Py``,
-    ``P = I - A (I + A'A)^-1 A'``.  One Marginal serves any number of candidates.
+    no further columns is ``t'(I+S)^-1 t / 2 - ln|I+S| / 2`` with ``S = B'PB``, ``t = B'Py``,
+    ``P = I - A (I + A'A)^-1 A'``.  One `Marginal` is used for any number of candidates.
 
     Args:
-        a: (m, p) columns that are there already.
+        a: (m, p) present columns A.
         y: (m,) data.
-        gram: A'A, where it is known.
+        gram: A'A, if it is known.
     """
 
     def __init__(self, a: np.ndarray, y: np.ndarray, gram: np.ndarray | None = None) -> None:
@@ -120,7 +128,7 @@ class Marginal:
 
     @property
     def evidence(self) -> float:
-        """The log evidence of the columns already there, up to a constant of the data."""
+        """The log evidence of the present columns, up to a constant that depends on the data."""
         return float(-0.5 * self.y @ self.projected_data - np.log(np.diag(self._factor[0])).sum())
 
     @cached_property
@@ -129,11 +137,11 @@ class Marginal:
         return self.y - self.a @ self._coefficients
 
     def project(self, b: np.ndarray) -> np.ndarray:
-        """Return P b: the part of b that the columns already there cannot (cheaply) explain."""
+        """Return P b (m, k) of columns b: the part that the present columns hardly explain."""
         return b - self.a @ self._solve(self.a.T @ b)
 
     def project_products(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
+        """Return ``S`` (k, k) and ``t`` (k,) of further columns b (m, k)."""
         cross = self.a.T @ b
         s = b.T @ b - cross.T @ self._solve(cross)
         return (s + s.T) / 2, b.T @ self.projected_data
@@ -145,15 +153,15 @@ class Marginal:
 def marginalise_first(
     gram: np.ndarray, along: np.ndarray, sizes: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Marginalise the first k columns, in the products of all (`Marginal.project_products`).
+    """Marginalise the first k of K columns, given the products of all of them.
 
     Args:
-        gram, along: (K, K) and (K,) products of the columns with themselves and with the data.
+        gram, along: (K, K) and (K,) products S and t of `Marginal.project_products`.
         sizes: (k,) prior standard deviations of the first k coefficients; 0 leaves a column out.
 
     Returns:
-        Log Bayes factor of the first k against none; the two products of the other columns after
-        it.
+        The log Bayes factor of the first k columns against none, and the two products of the other
+        columns with the first k marginalised.
     """
     rest, on = slice(len(sizes), None), np.flatnonzero(sizes)
     size = sizes[on]
@@ -167,12 +175,11 @@ def marginalise_first(
 
 
 _WIDE = 18.0
-"""Width of an interval, in standard deviations, at which the farther of its tails holds less than
-rounding."""
+"""Width of an interval, in standard deviations, above which its farther tail is negligible."""
 
 
 def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the log of the unit normal's mass between bounds."""
+    """Return the log probability (same shape) of a unit normal variable between two bounds."""
     flip = lower > -upper  # the smaller tail, where differences keep their digits
     low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
     mass = np.asarray(log_ndtr(high))
@@ -183,20 +190,26 @@ def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 
 
 def prior_root(like: np.ndarray) -> np.ndarray:
-    """Return a root R (..., k, k) of the prior covariance: coefficients are R w, w unit normal.
+    """Return the Cholesky factor R (..., k, k) of the prior covariance of k coefficients.
 
-    Coefficients of one group are correlated by `ALIKE`.
+    Coefficients of one group have the correlation `ALIKE`, others none; the variances are 1.
 
     Args:
-        like: (..., k) group numbers; coefficients of one group are like each other.
+        like: (..., k) number of each coefficient's group.
     """
     one, same = np.eye(like.shape[-1]), _in_same_group(like)
     return np.linalg.cholesky(np.where(one > 0, 1.0, ALIKE * same)) if (same > one).any() else one
 
 
 def log_prior_mass(lower: np.ndarray, upper: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Return (...) the log of the prior mass between bounds (..., k); the prior is that of
-    `prior_root`."""
+    """Return the log prior probability (...) that k coefficients lie between bounds.
+
+    The prior is that of `prior_root`.
+
+    Args:
+        lower, upper: (..., k) bounds.
+        like: (..., k) number of each coefficient's group.
+    """
     same = _in_same_group(like)
     mates = same.sum(-1)
     alone = log_mass(lower, upper)
@@ -213,26 +226,31 @@ def _in_same_group(like: np.ndarray) -> np.ndarray:
 
 
 _FACTOR = ndtri((np.arange(64) + 0.5) / 64)
-"""A unit normal: what coefficients that are like each other have in common."""
+"""Quantiles of a unit normal variable: the common part of coefficients of one group."""
 SIZES = (1.0, 4.0, 16.0)
-"""Prior standard deviations of what may be wrong, in its own prior's: few arms are so ill, and few
-parts so far from their drawing, but some are."""
+"""Factors that may enlarge the prior standard deviation of a single coefficient.
+
+Few effects are so large, and few parts so far from their drawing, but some are.
+"""
 CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
 
 
 def choose_sizes(
     mean: np.ndarray, sizes: np.ndarray, chances: np.ndarray, like: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (..., k) most probable prior sizes of (..., k) coefficients, and their log chance
-    (...).
+    """Return the most probable prior sizes of k coefficients.
 
     One place may be far worse than the next, and a base that sinks need not tilt. So each
-    coefficient has a size of its own, but those that are like each other share one.
+    coefficient has its own size, but coefficients of one group (`like`) have the same.
 
     Args:
-        mean: the coefficients.
-        sizes, chances: (..., k, s) prior standard deviations, and their log probabilities.
-        like: as in `prior_root`; no two are alike where None.
+        mean: (..., k) the coefficients.
+        sizes: (..., k, s) prior standard deviations to choose from.
+        chances: (..., k, s) log probabilities of these sizes.
+        like: (..., k) number of each coefficient's group; by default each has its own.
+
+    Returns:
+        The sizes (..., k), and their log probability (...).
     """
     if like is None:
         like = np.arange(mean.shape[-1])
@@ -246,13 +264,14 @@ def choose_sizes(
 
 
 BETTER = 1.0
-"""Log evidence by which an explanation, form or fit must be better to take the place of another.
-"""
+"""Difference of log evidence from which an explanation, form or fit replaces another."""
 OUTLIER = 4.2
-"""Rows beyond this many robust standard deviations (per axis norm) get weight 0."""
+"""Rows beyond this many robust standard deviations in any channel get weight 0."""
 BEFOREHAND = 4.0
-"""Equations that the noise of what is alike is worth: of a sensor's other channels, of arms of one
-kind.  Among these it differs by about a third, as an estimate from so many does."""
+"""Number of equations for which a known noise counts: of a sensor's other channels, or other arms.
+
+The noise of these differs by about a third, like an estimate from this many equations.
+"""
 MAD = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
 
@@ -264,15 +283,17 @@ def whiten_rows(
     rho: float,
     measured: np.ndarray,
 ) -> np.ndarray:
-    """Map (N, d, k) columns in m or rad to (dM, k), with unit white noise; M rows have weight > 0.
+    """Return columns (N, d, k), whitened, of the M rows with weight > 0: (dM, k), unit noise.
 
-    Noise that is correlated by `rho` from row to row is whitened as AR(1), each channel against
-    the inlier before it.  What was not measured must be 0 in the columns and stays so.
+    Noise that is correlated from row to row is whitened as AR(1), each channel against the inlier
+    before it.  Channels that were not measured must be 0 in the columns and stay 0.
 
     Args:
-        weights: (N,), 0 or how much a row counts.
-        sigma: (d,) noise of the channels.
-        measured: (N, d) which channels a row holds.
+        columns: in m or rad.
+        weights: (N,) weights of the rows; 0 for an outlier.
+        sigma: (d,) noise of the channels, m or rad.
+        rho: correlation of the noise from one row to the next.
+        measured: (N, d) True for the channels that a row measured.
     """
     kept = weights > 0
     rows = columns[kept] * (np.sqrt(weights[kept])[:, None] / sigma)[..., None]
@@ -285,15 +306,16 @@ def whiten_rows(
 
 
 def weigh_rows(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return (N,) how much each row counts: by the noise that it states, or all the same.
+    """Return the weights (N,) of the rows: by their stated noise, or 1 for all.
 
-    Stated noise counts if it makes the residual more probable. That is judged by Laplace's law,
-    whose scale in each channel is estimated, so that outliers, and a common factor, do not matter.
+    The stated noise is used if it makes the residual more probable. This is judged by a Laplace
+    distribution with an estimated scale in each channel, so outliers and a common factor have
+    little influence.
 
     Args:
-        residual: (N, d).
-        uneven: (N,) stated noise of each row over the usual one.
-        measured: (N, d) which channels a row holds.
+        residual: (N, d) m or rad.
+        uneven: (N,) stated noise of each row over the usual noise.
+        measured: (N, d) True for the channels that a row measured.
     """
     alike = np.ones(len(residual))
     if (uneven == 1.0).all():
@@ -307,11 +329,15 @@ def weigh_rows(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -
 def mark_inliers(
     residual: np.ndarray, measured: np.ndarray, sigma: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return (N,) 1, or 0 for rows beyond `OUTLIER` robust standard deviations, of (N, d)
-    residuals.
+    """Return (N,) 1.0 for inliers, 0.0 for rows beyond `OUTLIER` robust standard deviations.
 
-    A row is judged by its largest channel, scaled by the larger of the robust spread and the
-    known noise; only channels that were measured count.
+    A row is judged by its largest channel, relative to the robust spread of this channel or to the
+    known noise, whichever is larger.
+
+    Args:
+        residual: (N, d) m or rad.
+        measured: (N, d) True for the channels that a row measured; others do not count.
+        sigma: (d,) known noise, if any.
     """
     held = np.where(measured, residual, np.nan)
     centre = channel_medians(held)
@@ -325,9 +351,10 @@ def mark_inliers(
 def estimate_noise(
     residual: np.ndarray, weights: np.ndarray, effective: float, measured: np.ndarray
 ) -> np.ndarray:
-    """Return (d,) noise per channel from weighted residuals; all share the degrees of freedom.
+    """Return the noise (d,) per channel from weighted residuals (N, d), m or rad.
 
-    It is infinite for a channel that no inlier holds.
+    It is infinite for a channel that no inlier measured.  The other arguments are as in
+    `degrees_of_freedom`.
     """
     count = degrees_of_freedom(weights, effective, measured)
     sigma = np.maximum(np.sqrt((weights[:, None] * residual**2).sum(0) / count), 1e-7)
@@ -335,14 +362,14 @@ def estimate_noise(
 
 
 def degrees_of_freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.ndarray:
-    """Return (d,) degrees of freedom: a channel's inliers less its share of fitted parameters.
+    """Return the degrees of freedom (d,): a channel's inliers less its part of the parameters.
 
-    It is at least 1, if the channel has any inlier.
+    They are at least 1 if the channel has any inlier.
 
     Args:
-        weights: (N,).
-        effective: number of parameters that the data determine.
-        measured: (N, d).
+        weights: (N,) weights of the rows; 0 for an outlier.
+        effective: number of parameters that the data determine, of all channels together.
+        measured: (N, d) True for the channels that a row measured.
     """
     count = measured[weights > 0].sum(0)
     share = count / max(count.sum(), 1.0)
@@ -350,7 +377,7 @@ def degrees_of_freedom(weights: np.ndarray, effective: float, measured: np.ndarr
 
 
 def channel_medians(values: np.ndarray) -> np.ndarray:
-    """Return (d,) medians of (N, d) over what is not NaN; 0 for an empty column."""
+    """Return the medians (d,) of values (N, d) without NaN; 0 for a column of NaN only."""
     if not np.isnan(values).any():
         return np.asarray(np.median(values, axis=0))
     columns = (column[~np.isnan(column)] for column in values.T)
@@ -358,6 +385,6 @@ def channel_medians(values: np.ndarray) -> np.ndarray:
 
 
 def channel_means(values: np.ndarray) -> np.ndarray:
-    """Return (d,) means of (N, d) over what is not NaN; 0 for an empty column."""
+    """Return the means (d,) of the finite values of (N, d); 0 for a column without any."""
     held = np.isfinite(values)
     return np.asarray(np.where(held, values, 0.0).sum(0) / np.maximum(held.sum(0), 1))

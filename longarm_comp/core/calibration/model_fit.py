@@ -29,9 +29,9 @@ class ModelFit:
             a row does not hold a channel.
         columns: (N, d, p) design at the solution.
         covariance: (p, p) of the parameters, Laplace approximation.
-        weights: (N,) 0 (outlier), or how much a row counts (`linear.weigh_rows`): mostly 1.
-        sigma: (d,) noise per channel, m or rad; infinite where nothing was measured. Where the
-            weights of inliers differ, that of a weight of 1.
+        weights: (N,) weight of each row (`linear.weigh_rows`): 0 for an outlier, mostly 1.
+        sigma: (d,) noise per channel, m or rad, of a row with weight 1; infinite where nothing
+            was measured.
         effective: number of parameters that the data determine.
         iterations: number of Gauss-Newton steps.
         converged: whether the last step was small enough.
@@ -63,7 +63,7 @@ class ModelFit:
 
     @property
     def noise_arguments(self) -> dict[str, Any]:
-        """The noise and weights of the rows: arguments for another `fit_model` of these rows."""
+        """The noise and weights of the rows, as arguments of another `fit_model` of these rows."""
         return {"sigma": self.sigma, "rho": self.rho, "weights": self.weights}
 
     @property
@@ -72,27 +72,32 @@ class ModelFit:
         return np.flatnonzero(self.weights == 0)
 
     def whiten_columns(self, columns: np.ndarray) -> np.ndarray:
-        """Map (N, d, k) columns per unit to (dM, k) of the M inliers, in units of the noise."""
+        """Whiten columns (N, d, k), m or rad: return (dM, k) of the M inliers, in noise units."""
         return whiten_rows(columns, self.weights, self.sigma, self.rho, self.session.measured)
 
     def whiten_with_residual(self, sigma: np.ndarray) -> np.ndarray:
-        """Return (dM, p + 1) prior-scaled columns, then the residual, in units of a noise (d,).
+        """Return the prior-scaled columns and the residual, whitened by a noise, (dM, p + 1).
 
-        Rows count by their weights, and each alone: correlation of the noise is left aside.
+        Rows count by their weights. Correlation of the noise between rows is ignored.
+
+        Args:
+            sigma: (d,) noise per channel, m or rad.
         """
         columns = self.columns * prior_widths(self.slots)
         both = np.concatenate([columns, self.residual[..., None]], axis=-1)
         return whiten_rows(both, self.weights, sigma, 0.0, self.session.measured)
 
     def stated_noise_ratio(self, rows: Session) -> np.ndarray:
-        """Return (M,) stated noise of rows over the usual one; 1 if the fit did not believe it."""
+        """Return the stated noise of M rows over the usual noise, (M,).
+
+        It is 1 for all rows if the fit did not weight its rows by their stated noise.
+        """
         believed = not np.isin(self.weights, (0.0, 1.0)).all()
         return rows.uneven(self.session.claimed_sigma) if believed else np.ones(len(rows))
 
     @cached_property
     def has_point(self) -> np.ndarray:
-        """The (N,) rows that hold all three coordinates of the tip: a position or a touched
-        point."""
+        """(N,) True for rows with three equations of the tip's place: a position or a touch."""
         if self.session.blocks[0].kind not in ("position", "touch"):
             return np.zeros(len(self.session), dtype=bool)
         return np.asarray(self.session.measured[:, :3].all(axis=1))
@@ -104,20 +109,17 @@ class ModelFit:
 
     @cached_property
     def known_columns(self) -> tuple[Columns, Columns, Columns]:
-        """A store for `FitColumns`: columns of candidates, shifts, and white columns computed so
-        far."""
+        """Caches of `FitColumns`: columns of candidates, displacements, and whitened columns."""
         return {}, {}, {}
 
     @cached_property
     def metres(self) -> np.ndarray:
-        """The (d,) length (m) that a unit of each channel stands for; 0 where it stands for
-        none."""
+        """The length at the tip (m) that a unit of each channel corresponds to, (d,); 0 if none."""
         return compute_unit_lengths(self.model, self.session)
 
     @cached_property
     def noise_m(self) -> np.ndarray:
-        """The (d,) noise of the channels as lengths at the tip, m; 0 where a channel is no
-        length."""
+        """The (d,) noise of the channels as lengths at the tip, m; 0 if there is no such length."""
         return np.where(np.isfinite(self.sigma), self.sigma, 0.0) * self.metres
 
     def to_lengths(self, white: np.ndarray) -> np.ndarray:
@@ -143,7 +145,7 @@ class ModelFit:
 
 
 def choose_evenly(rows: np.ndarray, most: int) -> np.ndarray:
-    """Choose at most so many of the numbers of rows (N,), evenly from the first to the last."""
+    """Return at most `most` of the row numbers (N,), evenly from the first to the last."""
     return np.asarray(rows[np.unique(np.linspace(0, len(rows) - 1, most).round().astype(int))])
 
 

@@ -1,8 +1,8 @@
-"""Checks that the arm and its markers stayed where they were while the rows were recorded.
+"""Checks that bases and markers did not move while the rows were recorded.
 
-From each row on in turn, to the end or to a later row, a base or a marker is supposed to stand
-elsewhere. How much of the residual that would explain is computed from the design, with everything
-fitted anew (no fit is repeated).
+Each interval of rows, to the end or to an earlier row, is tried with a base or marker at another
+place.  The part of the residual that this explains is computed from the design, with all other
+parameters free (no fit is repeated).
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.errors import JobError
 
 CUTS = 64
-"""Rows at which a move is supposed to begin or end at first; the best two are then moved."""
+"""Number of rows at which a move may begin or end in the first trial.
+
+The best two of them are then refined.
+"""
 MOST_TAKEN = 0.5
-"""Share of the squared residual that a move may take: beyond it, it is what is wrong."""
+"""Largest fraction of the squared residual that a move may explain without being an error."""
 
 
 def refuse_moved_parts(fit: ModelFit) -> None:
     """Refuse rows during which a base or a marker moved.
 
     Raises:
-        JobError: a move explains most of what the fit leaves; it names the base or marker, and the
-            row from which on it stood elsewhere.
+        JobError: a move explains most of the residual of the fit. The error names the base or
+            marker, and the rows in which it stood elsewhere.
     """
     kept = fit.weights > 0
     rows = fit.session.take(kept)
@@ -91,14 +94,15 @@ def refuse_moved_parts(fit: ModelFit) -> None:
 def _worth_of_gross_errors(
     fitted: np.ndarray, residual: np.ndarray, equations: np.ndarray, effective: float
 ) -> float:
-    """Return the change of the log evidence (as a price, 0 or less) if the worst rows are gross.
+    """Return the change of the Bayesian information criterion if the worst rows are gross errors.
 
-    Each then has a place of its own, as many parameters as equations.
+    It is 0 or negative; a lower value means a better explanation.  Each gross error has a place of
+    its own, with as many parameters as equations.
 
     Args:
         fitted: (N, d, p) orthonormal basis of what the parameters of the fit explain.
-        residual: (N, d).
-        equations: (N,) numbers of equations.
+        residual: (N, d) whitened residual.
+        equations: (N,) number of measured channels of each row.
         effective: number of parameters of the fit.
     """
     count, number, whole = len(residual), int(equations.sum()), float((residual**2).sum())
@@ -118,9 +122,14 @@ Falls = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def _find_best_interval(falls: Falls, count: int) -> tuple[int, int]:
-    """Return the interval [first, end) of rows in which a move explains most.
+    """Return the interval [first, end) of rows in which a move explains most of the residual.
 
-    What moves before a row stands elsewhere from that row on: the interval ends with the rows then.
+    An interval that starts with the first row is replaced by the rows after it, because one part
+    stands elsewhere relative to the other.
+
+    Args:
+        falls: function of `_falls_by_interval`.
+        count: number of rows.
     """
     cuts = np.unique(np.linspace(0, count, min(count, CUTS) + 1).astype(int))
     pairs = np.array([pair for pair in combinations(cuts, 2) if pair != (0, count)])
@@ -136,8 +145,10 @@ def _find_best_interval(falls: Falls, count: int) -> tuple[int, int]:
 
 
 def _falls_by_interval(fitted: np.ndarray, moving: np.ndarray, residual: np.ndarray) -> Falls:
-    """Return the function of K first rows and K ends of intervals that computes (K,) by how much
-    the squared residual falls if some parameters change there.
+    """Return a function that computes the reductions (K,) of the squared residual by K moves.
+
+    Its arguments are the first rows (K,) and the ends (K,) of the intervals in which some
+    parameters have other values.
 
     Args:
         fitted: (M, d, p) orthonormal basis of what the parameters of the fit explain.

@@ -1,4 +1,4 @@
-"""Estimates the noise of the measurements: from enough repeats, else from a rich fit."""
+"""Estimates the noise of the measurements, from repeats and from a fit with all candidates."""
 
 from __future__ import annotations
 
@@ -26,43 +26,48 @@ from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.model import Model
 
 ENOUGH_REPEATS = 15
-"""Degrees of freedom that repeats must have to be trusted."""
+"""Smallest number of degrees of freedom of repeats whose scatter is trusted."""
 ALLOWED = 1e-3
-"""Chance of an axis, one of several in every session, to be noisier than its repeats allow."""
+"""Probability that the noise of an axis exceeds by chance the limit by its repeats."""
 RIGHT_WITHIN = 2.0
-"""Factor within which a sensor's stated noise is right: one standard deviation."""
+"""Factor by which a sensor's stated noise may be wrong: one standard deviation."""
 EXCESS_WITHIN = 1e3
-"""Range of what else may scatter the rows: from the least that matters to a thousand times that."""
+"""Range of the scatter by other causes: from the smallest that matters to this many times more."""
 NEWTON_STEPS = 10
 MOST_STEPS = 60
-"""Of the noise and the size of the library's effects together."""
+"""Largest number of steps if the noise and the size of the library's effects are both estimated."""
 LEAST_ROWS = 12
-"""Rows from which the shape of their scatter tells something: two covariances of six numbers."""
+"""Smallest number of rows to judge the shape of their scatter: two covariances of six numbers."""
 SHARES = np.linspace(0.0, 0.95, 20)
-"""Shares of the arm in what scatters that are tried; all are equally likely beforehand."""
+"""Shares of the arm in the scatter that are tried; all have the same prior probability."""
 TURNING = math.log(20.0)
-"""Log odds, before the rows, that nothing scatters with the tool: one session in twenty."""
+"""Prior log odds that all scatter is the sensor's: another cause is in about one session of 20."""
 APART = 4.5
-"""Distance of two groups of rows, in their scatter, from which hardly a row lies between them;
-halves of even scatter, as of a coarse display, are 3.5 apart."""
+"""Distance of two groups of rows, over their scatter, from which hardly a row lies between them.
+
+The halves of a uniform distribution, as of a coarse display, are 3.5 apart.
+"""
 EM_STEPS = 30
 USUAL = 3e-4
-"""Noise of a sighting before any row is seen, m or rad; a factor of `_WITHIN` is one standard
-deviation."""
+"""Prior median of the noise of a sighting, m or rad.
+
+A factor of `_WITHIN` is one standard deviation.
+"""
 _WITHIN = 10.0
 PLACES = ("group", "marker", *dict.fromkeys(k.label for k in KINDS.values() if k.label))
-"""Text columns that say what is measured, and from where."""
+"""Text columns that distinguish the measured targets, and the places they are measured from."""
 
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """The standard deviation per axis and the correlation from row to row.
+    """An estimate of the noise of a session.
 
     Attributes:
-        sigma: (d,) of the session's channels, m or rad.
+        sigma: (d,) standard deviation per channel, m or rad.
         source: ``repeats`` or ``residual``.
-        rho: correlation of one row's noise with the next one's; 0 where insignificant.
-        degrees: degrees of freedom per axis.
+        rho: correlation of the noise from one row to the next; 0 if it is insignificant.
+        degrees: degrees of freedom of a channel: the fewest of those with enough repeats, or the
+            most by a residual.
     """
 
     sigma: np.ndarray
@@ -72,15 +77,15 @@ class NoiseEstimate:
 
 
 def noise_from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
-    """Estimate the noise from repeats of a pose that was reached from the same side, if enough.
+    """Estimate the noise from repeats of a pose that was reached from the same side.
 
-    The model's prediction for a pose is subtracted, so that the scatter is the same by any model.
-    Repeats from different sides differ by hysteresis too, so each side is a group of its own, as
-    is each anchor, marker and base.  Deviations beyond 4.2 robust standard deviations are left out.
-    A row that repeats another to the last digit is a copy, and no second measurement.
+    Only differences within a pose count, so the result hardly depends on the model.  Repeats from
+    different sides also differ by hysteresis, so each side is a group of its own, as is each
+    anchor, marker and base.  Deviations beyond `OUTLIER` robust standard deviations are left out.
+    A row that is equal to another one to the last digit is a copy, and no second measurement.
 
     Returns:
-        The noise, infinite in channels of too few repeats; None where all have too few.
+        The noise, infinite in channels with too few repeats; None if all have too few.
     """
     size, degrees = repeat_scatter(model, session)
     enough = degrees >= ENOUGH_REPEATS
@@ -91,7 +96,10 @@ def noise_from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
 
 
 def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (d,) scatter of repeats, as of `noise_from_repeats`, and degrees of freedom."""
+    """Return the standard deviation (d,) of repeats, m or rad, and its degrees of freedom (d,).
+
+    Repeats are defined as in `noise_from_repeats`.
+    """
     seen = session.take(session.seen)
     keys = np.column_stack([number_sightings(seen), seen.approach])
     _, group = np.unique(keys, axis=0, return_inverse=True)
@@ -99,8 +107,8 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
         values = seen.xyz
     else:
         residual = make_equations(model, seen, ()).residual
-        # Where the reading is that the joints stand so, the same joints again are no second
-        # reading; nor is one of an encoder, which repeats its own error
+        # In a touch the joints are the reading, so the same joints again are no second reading;
+        # nor is a second one of an encoder, which repeats its own error
         again = np.ones(len(seen), dtype=bool)
         again[np.unique(seen.q, axis=0, return_index=True)[1]] = False
         kinds = [KINDS[b.kind] for b in seen.blocks for _ in b.channels]
@@ -122,12 +130,12 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
 
 
 class SensorShare(NamedTuple):
-    """How much of the white residual is the sensor's.
+    """The share of the sensor in the white residual.
 
     Attributes:
-        share: expected share of its variance.
-        whole: probability that all of it is.
-        sign: what shows the rest.
+        share: expected share of the variance.
+        whole: probability that all of the residual is the sensor's.
+        sign: the sign of other causes, in words.
     """
 
     share: float
@@ -136,11 +144,11 @@ class SensorShare(NamedTuple):
 
 
 def share_of_sensor(fit: ModelFit) -> SensorShare:
-    """Judge how much of the white residual is the sensor's.
+    """Estimate the share of the sensor in the white residual.
 
-    Either all of it is the sensor's, or something else that no input tells adds to it: two tools
-    that nobody wrote down, a tool that is loose, an arm that does not come back.  Either what the
-    rows state or the shape of the scatter may say so.
+    Either all of the residual is the sensor's, or a cause that no input shows adds to it: two
+    unrecorded tools, a loose tool, an arm that does not return.  The stated noise of the rows and
+    the shape of the scatter are judged separately, and the smallest share is returned.
     """
     found, kept = [_share_by_statement(fit)], (fit.weights > 0) & fit.has_point
     if kept.sum() >= LEAST_ROWS and fit.session.blocks[0].kind == "position":
@@ -155,13 +163,15 @@ def share_of_sensor(fit: ModelFit) -> SensorShare:
 
 
 def _share_by_shape(residual: np.ndarray, by_tip: np.ndarray) -> SensorShare:
-    """Judge it by the shape of the scatter: a sensor's does not turn with the tool.
+    """Estimate the sensor's share by the shape of the scatter.
 
-    The residual is normal with one covariance in the frame of the measurements, or in that of the
-    tip. In the latter case the sensor has what scatters alike in all directions.
+    The residual is normal with a constant covariance either in the frame of the measurements, as
+    for a sensor, or in the frame of the tip. In the latter case the sensor's part is the part that
+    is equal in all directions.
 
     Args:
-        residual, by_tip: (N, 3) m, in either frame.
+        residual: (N, 3) in the frame of the measurements, m.
+        by_tip: (N, 3) the same in the frame of the tip, m.
     """
     logs, spread = [], np.zeros(3)
     for each in (residual, by_tip):
@@ -173,14 +183,15 @@ def _share_by_shape(residual: np.ndarray, by_tip: np.ndarray) -> SensorShare:
 
 
 def _share_by_joints(residual: np.ndarray, columns: np.ndarray) -> SensorShare:
-    """Judge it by the postures: joints that do not come back scatter as far as their levers reach.
+    """Estimate the sensor's share by the postures: scatter of joints grows with their levers.
 
-    The residual is normal with one covariance; or the sensor scatters alike in all directions, and
-    each joint by its unit besides. All shares are equally likely beforehand.
+    The residual is either normal with a constant covariance, as for a sensor. Or it is the sum of
+    sensor noise, equal in all directions, and of joints that scatter by the same number of units.
+    All shares have the same prior probability.
 
     Args:
         residual: (N, 3) m.
-        columns: (N, 3, n) m for a unit of each joint.
+        columns: (N, 3, n) displacement of the tip by a unit of each joint, m.
     """
     levers = columns @ columns.transpose(0, 2, 1)
     reach, ways = np.linalg.eigh(levers / max(float(np.trace(levers.mean(axis=0))) / 3.0, 1e-30))
@@ -197,11 +208,11 @@ def _share_by_joints(residual: np.ndarray, columns: np.ndarray) -> SensorShare:
 
 
 def _share_by_groups(residual: np.ndarray) -> SensorShare:
-    """Judge it by groups of rows: a sensor's scatter (N, 3), m, has one middle.
+    """Estimate the sensor's share by groups of rows: the noise of a sensor has one centre.
 
-    It is normal about one middle, or about two with the same covariance. Then the sensor has what
-    scatters about each of them.  The two must lie apart, because other noise than normal has long
-    tails or none.
+    The residual (N, 3), m, is normal about one centre, or about two centres with the same
+    covariance. In the latter case the sensor's part is the scatter about them.  The two centres
+    must be far apart (`APART`), because noise that is not normal may look like two close groups.
     """
     count, split = len(residual), residual @ np.linalg.eigh(residual.T @ residual)[1][:, -1] > 0
     there, whole, share, apart = split.astype(float), 1.0, 1.0, 0.0
@@ -227,7 +238,10 @@ def _share_by_groups(residual: np.ndarray) -> SensorShare:
 
 
 def _share_by_statement(fit: ModelFit) -> SensorShare:
-    """Judge it by what the rows state of their noise: whatever else there is may be of any size."""
+    """Estimate the sensor's share by the noise that the rows state.
+
+    Other causes may be of any size. The share is 1 if the rows state no noise.
+    """
     sign = "is scatter far beyond the noise that the rows state"
     stated = [fit.session.claimed_sigma.get(name, math.nan) for name in fit.session.channels]
     ratios = np.log(fit.sigma) - np.log(stated)
@@ -243,15 +257,20 @@ def _share_by_statement(fit: ModelFit) -> SensorShare:
 
 
 def number_sightings(rows: Session) -> np.ndarray:
-    """Return (N, k) numbers of each row's pose, target and standpoint, which repeats share."""
+    """Return numbers (N, k) of each row's pose and text columns (`PLACES`); equal for repeats."""
     texts = [np.unique(rows.labels[k], return_inverse=True)[1] for k in PLACES if k in rows.labels]
     return np.column_stack([rows.pose_id, *texts])
 
 
 def _deviations_from_group(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N, d) deviations from the middle of their group, and each one's degrees of freedom.
+    """Return the deviations (N, d) from the middle of each row's group, and degrees of freedom.
 
-    They are NaN where a channel was not measured, or only once in the group.
+    The degrees of freedom (N, d) are those that each value contributes.  Both are NaN where a
+    channel was not measured; the deviations also where it was measured only once in the group.
+
+    Args:
+        values: (N, d); NaN where not measured.
+        group: (N,) number of each row's group.
     """
     scatter, share = np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     for g in np.unique(group):
@@ -270,21 +289,22 @@ def _deviations_from_group(values: np.ndarray, group: np.ndarray) -> tuple[np.nd
 def noise_from_residual(
     fit: ModelFit, extra: np.ndarray, steps: int = 12
 ) -> tuple[NoiseEstimate, np.ndarray]:
-    """Estimate the noise as the residual when everything in the library is fitted at once.
+    """Estimate the noise from the residual of a linear fit with all candidates at once.
 
-    It is the noise of highest evidence: each channel counts its rows less the part that the fit
-    explains (trace of the hat matrix; MacKay 1992, Neural Comput. 4).  Channels of one sensor share
-    their noise, or one of them could be fitted exactly and then outweigh all.  With more columns
-    than equations all could be, so the size of the library's effects is estimated too. And with
-    more columns than rows the noise is no smaller than the sightings' own standard deviation, where
-    the session has one.
+    It is the noise of highest evidence: the degrees of freedom of a channel are its rows less the
+    parameters that it determines (trace of the hat matrix; MacKay 1992, Neural Comput. 4).
+    Channels of one sensor are assumed to have similar noise, because otherwise one of them might be
+    fitted exactly and outweigh all others.  With more columns than equations all might be fitted
+    exactly, so the size of the candidates' effects is estimated too.  With more columns than rows
+    the noise is at least the standard deviation that the rows state.
 
     Args:
         fit: the model so far.
-        extra: (N, d, k) prior-scaled columns of every candidate.
+        extra: (N, d, k) prior-scaled columns of all candidates.
+        steps: largest number of steps; `MOST_STEPS` with more columns than equations.
 
     Returns:
-        The noise, and the (N,) weights it was found with.
+        The noise, and the weights (N,) of the rows with which it was found.
     """
     columns = np.concatenate([fit.columns * prior_widths(fit.slots), extra], axis=-1)
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
@@ -335,10 +355,14 @@ def noise_from_residual(
 
 
 def _likeliest_noise(square: np.ndarray, degrees: np.ndarray) -> np.ndarray:
-    """Return (d,) the most probable noise by a sum of squares and its degrees of freedom.
+    """Return the most probable noise (d,), given sums of squares and their degrees of freedom.
 
-    Beforehand its logarithm is normal about that of `USUAL`.  Few equations can be fitted exactly,
-    and would have no noise at all; many outweigh what was thought beforehand.
+    The prior of its logarithm is normal about that of `USUAL`.  It matters only for few equations,
+    which might be fitted exactly and then seem to have no noise.
+
+    Args:
+        square: (d,) sum of the squared residuals, m^2 or rad^2.
+        degrees: (d,) degrees of freedom.
     """
     price, middle = 1.0 / math.log(_WITHIN) ** 2, math.log(USUAL)
     log_sigma = np.minimum(0.5 * np.log(np.maximum(square, 1e-30) / degrees), middle)
@@ -350,12 +374,13 @@ def _likeliest_noise(square: np.ndarray, degrees: np.ndarray) -> np.ndarray:
 
 
 def limit_by_repeats(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
-    """Return the noise from the residual, but no more than the repeats allow.
+    """Return the noise from the residual, limited by the noise from repeats.
 
-    A few dozen repeats tell sigma only to a factor of 1.5, too rough to weigh evidence with. The
-    rich fit tells it to a few percent, unless it lacks something: then its noise is more than the
-    repeats allow (F distribution, `ALLOWED`), and the most that they allow is taken.  Repeats that
-    scatter more (temperature, time) do not count.
+    A few dozen repeats determine the noise only to a factor of 1.5, which is too rough for an
+    evidence. The fit with all candidates determines it to a few percent, unless a cause is missing.
+    Then its noise exceeds the limit that the repeats allow (F distribution, `ALLOWED`), and the
+    limit is returned.  If repeats scatter more than the residual (temperature, time), they have
+    no influence.
     """
     limit = np.sqrt(fdtri(repeats.degrees, max(residual.degrees, 1.0), ALLOWED))
     most = repeats.sigma / limit
@@ -366,7 +391,15 @@ def limit_by_repeats(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEs
 
 
 def lag_correlation(white: np.ndarray, weights: np.ndarray, measured: np.ndarray) -> float:
-    """Return the correlation of successive inlier rows, 0 unless beyond 4 standard errors."""
+    """Return the correlation of the noise of successive inliers.
+
+    It is 0 for fewer than 20 inliers, and unless it is above 0.1 and 4 standard errors in size.
+
+    Args:
+        white: (N, d) residual in units of the noise.
+        weights: (N,) weights of the rows; 0 for an outlier.
+        measured: (N, d) True for the channels that a row measured.
+    """
     kept = white[weights > 0]
     if len(kept) < 20:
         return 0.0
@@ -376,5 +409,5 @@ def lag_correlation(white: np.ndarray, weights: np.ndarray, measured: np.ndarray
 
 
 def rows_as_one(rho: float) -> float:
-    """Return how many rows count as one, where noise goes together from row to row by `rho`."""
+    """Return the number of rows that count as one if successive rows have the correlation `rho`."""
     return (1.0 + rho) / (1.0 - rho)

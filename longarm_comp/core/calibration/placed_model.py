@@ -29,11 +29,17 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
 TWICE = 2
-"""Numbers that rows hold, in those that place an arm, from which the rest says what it errs by."""
+"""Smallest ratio of measured numbers to the numbers that place the arm.
+
+With fewer, the residuals after the placement do not show the errors of the arm.
+"""
 
 
 def placement_terms(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
-    """Return the placement terms of any measurement: bases, markers and what sensors leave open."""
+    """Return the placement terms of a session: those of bases, markers and sensors.
+
+    Base placements are left out if no sensor has a frame of its own.
+    """
     groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
     placed = bases if session.has_own_frame(arm) else ()
@@ -41,16 +47,18 @@ def placement_terms(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
 
 
 def place_frames(model: Model, session: Session) -> Model:
-    """Return the model with bases, markers and sensors placed by the rows, in closed form."""
+    """Return the model with bases, markers and sensors placed by the rows, without a fit."""
     whole = model.with_missing(placement_terms(model.arm, session))
     return place_sensors(place_bases(whole, choose_reference_rows(session)), session)
 
 
 class SeenModel(NamedTuple):
-    """A model whose errors can be shown.
+    """A model, and how it was placed to show its errors.
 
-    `elsewhere`: whether the rows show the arm at another place. `placed`: whether they placed it,
-    because they tell more than a place.
+    Attributes:
+        model: the model.
+        elsewhere: whether the rows show the arm at another place.
+        placed: whether the model was therefore placed by the rows.
     """
 
     model: Model
@@ -59,12 +67,12 @@ class SeenModel(NamedTuple):
 
 
 def place_as_seen(model: Model, session: Session) -> SeenModel:
-    """Place a model by the rows if they show it at another place, and tell more than a place.
+    """Place a model by the rows, if these show it at another place and hold enough numbers.
 
-    The axes of a tracked body are never declared, so how they sit on the tip is always solved. Rows
-    tell more if they hold `TWICE` the numbers that place the model, each sighting counted once:
-    with hardly more numbers the placement would fit them whatever the arm does.  The numbers that
-    solve touched points are subtracted from both.
+    Enough is `TWICE` the numbers that the placement needs, with each sighting counted once.  With
+    fewer the placement would fit the rows of any arm.  The numbers that place touched points are
+    subtracted from both.  The rotation of a tracked body on the tip is never declared, so it is
+    always solved.
     """
     bodies = [t for t in placement_terms(model.arm, session) if isinstance(t, TipOrientation)]
     whole = model.with_missing(bodies)
@@ -84,10 +92,11 @@ def place_as_seen(model: Model, session: Session) -> SeenModel:
 
 
 def is_misplaced(model: Model, session: Session) -> bool:
-    """Tell whether the rows show the arm at another place than a model puts it.
+    """Tell whether the rows show the arm at another place than the model.
 
-    Then the median error exceeds `ELSEWHERE` of the way that its frames travel (or in rad).  A tip
-    that touches a point does not travel; the arm behind it does.
+    That is so if the median error exceeds `ELSEWHERE` times the spread of the arm's frame that
+    moves most, because a tip that touches a point hardly moves.  If only orientations were
+    measured, the limit is `ELSEWHERE` in rad.
     """
     if not session.placed.any():
         return (

@@ -1,7 +1,8 @@
-"""The placement: solves from the sightings where bases, markers, sensors, anchors and points are.
+"""Places bases, markers, sensors, anchors and touched points by the measurements, before a fit.
 
-A placement is never a finding.  Its start is computed here in closed form, and it is fitted jointly
-with all else by `fit_model`, with priors that do not pull (`Parameter.unknown`).
+A placement is never a finding.  Its start is computed here in closed form.  Then `fit_model` fits
+it with all other parameters, with priors so wide that they have no influence
+(`Parameter.unknown`).
 """
 
 from __future__ import annotations
@@ -32,18 +33,21 @@ from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.math.points import ROUNDS, robust_kabsch, robust_weights
 
 CLEARLY = 2.0
-"""A placement that the model holds is kept unless the solved one fits so many times better."""
+"""Ratio of errors from which the computed placement replaces the one that the model has."""
 ENOUGH = 4
-"""Rows with a full position, at least, to register bases and markers to them."""
+"""Smallest number of rows with a whole position for the registration of bases and markers."""
 BEYOND, ROUGHLY = 10.0, 0.2
-"""Standard deviations that a known base may be off, and m or rad for what registration misses."""
+"""Largest deviation of a known base: `BEYOND` standard deviations plus `ROUGHLY` (m or rad).
+
+The second part allows for errors of the registration.
+"""
 
 
 def place_bases(model: Model, session: Session) -> Model:
-    """Put the model's unknown bases and markers where the sightings say.
+    """Return the model with its unknown bases and markers placed by the sightings.
 
-    Where hardly any row holds a full position, the bases are placed by what else was measured, and
-    the markers are left as they are.
+    With fewer than `ENOUGH` whole positions, the bases are placed by the other measurements, and
+    the markers are not changed.  The model is also not changed if it fits well already (`CLEARLY`).
 
     Args:
         model: holds a `base_pose` per group and the markers' `tip_offset`.
@@ -93,7 +97,10 @@ def place_bases(model: Model, session: Session) -> Model:
 
 
 def _lift_bases(model: Model, session: Session) -> Model:
-    """Put unknown bases where coordinates, distances, rays and axes say, if that fits better."""
+    """Return the model with unknown bases placed by coordinates, distances, rays, orientations.
+
+    A base is not changed unless this fits much better (`CLEARLY`).
+    """
     for effect in model.effects:
         if not (isinstance(effect, BasePose) and _is_unknown(model, effect)):
             continue
@@ -112,10 +119,10 @@ def _replace_term(model: Model, old: Effect, new: Effect) -> Model:
 
 
 def _median_misfit(model: Model, rows: Session) -> float:
-    """Return the median error of the rows (m).
+    """Return the median error of the rows, m.
 
-    Where only orientations are measured, it is the median angle (rad) by which the marker's turn on
-    the tip differs from its mean.
+    If only orientations were measured, it is the median angle (rad) between the marker's rotation
+    on the tip and its mean.
     """
     if rows.placed.any():
         return median_distance(compute_tip_errors(model, rows))
@@ -131,7 +138,7 @@ def _is_unknown(model: Model, effect: Effect) -> bool:
 
 
 def _move_base(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) -> Effect:
-    """Return the base that has been moved from the declared one by a rotation and an offset."""
+    """Return a base placement moved from the declared base by a rotation (3, 3) and offset (3,)."""
     home = model.arm.base.frame().matrix()
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = rotation, offset
@@ -140,7 +147,7 @@ def _move_base(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: 
 
 
 def _twist_values(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
-    """Return the twist of a finite motion by its parts' names: `spatial.exp_large` inverted."""
+    """Return the twist of a rigid motion, by component name; the inverse of `spatial.exp_large`."""
     w = Rotation.from_matrix(rotation).as_rotvec()
     angle = np.linalg.norm(w)
     hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
@@ -152,7 +159,10 @@ def _twist_values(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
 
 
 def sensor_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
-    """Return the placement terms that a session's measurements need besides base and tip."""
+    """Return the placement terms of a session's measurements other than those of base and tip.
+
+    These are tracked bodies, anchors, further sensors, encoders, touched points and planes.
+    """
     nothing = np.full(len(session), "")
     several = len({b.sensor for b in session.blocks if b.kind == "orientation"}) > 1
     marker = session.labels.get("marker", nothing) if arm.markers else nothing
@@ -170,13 +180,16 @@ def sensor_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
 
 
 def choose_reference_rows(session: Session) -> Session:
-    """Return the rows in whose frame the base is placed: those of the first sensor of positions."""
+    """Return the rows in whose frame the base is placed: those of the first sensor.
+
+    It is the sensor with the most whole positions.
+    """
     names = _list_sensors(session)
     return session if len(names) < 2 else session.where("sensor", names[0])
 
 
 def _list_sensors(session: Session) -> list[str]:
-    """List the sensors of positions and poses, the one with most complete positions first."""
+    """List the sensors of positions and orientations, the one with most whole positions first."""
     framed = {b.sensor for b in session.blocks if b.kind in ("position", "orientation")}
     names = sorted(name for name in framed if name is not None)
     labels = session.labels.get("sensor", np.array([]))
@@ -184,10 +197,10 @@ def _list_sensors(session: Session) -> list[str]:
 
 
 def place_sensors(model: Model, session: Session) -> Model:
-    """Put the model's sensor frames where the rows say; others are left as they are.
+    """Return the model with anchors, sensors, tracked bodies and touched points placed by the rows.
 
     Raises:
-        InputError: fewer rows than an anchor's place has unknowns.
+        InputError: an anchor has fewer than four distances.
     """
     puts = (
         (AnchorPlace, _place_anchor),
@@ -204,7 +217,7 @@ def place_sensors(model: Model, session: Session) -> Model:
 
 
 def _place_sensor(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
-    """Place a sensor by a rigid registration of the predicted tips to what it sees."""
+    """Place a sensor by a rigid registration of the predicted tips to its positions."""
     rows = session.take(session.has_position & (session.labels["sensor"] == term.sensor))
     if len(rows) < 4:
         return term
@@ -213,7 +226,10 @@ def _place_sensor(term: SensorPlace, model: Model, session: Session) -> SensorPl
 
 
 def _turn_axes(term: TipOrientation, model: Model, session: Session) -> TipOrientation:
-    """Find the mean rotation from the predicted to the measured axes, in the tip's frame."""
+    """Set the rotation of a tracked body to the robust mean rotation from predicted to measured.
+
+    It is in the tip's frame.
+    """
     mine = session.has_orientation.copy()
     for label, value in (("marker", term.marker), ("sensor", term.sensor)):
         if value:
@@ -231,7 +247,7 @@ def _turn_axes(term: TipOrientation, model: Model, session: Session) -> TipOrien
 
 
 def _place_anchor(term: AnchorPlace, model: Model, session: Session) -> AnchorPlace:
-    """Find an anchor's place by multilateration from the predicted tips."""
+    """Place an anchor by multilateration from the predicted tips."""
     measured = np.isfinite(session.readings["distance"][:, 0])
     rows = session.take(measured & (session.labels["anchor"] == term.anchor))
     if len(rows) < 4:

@@ -1,4 +1,4 @@
-"""Refuses a finished fit that may not be believed, so that its model is never written."""
+"""Refuses a finished fit that is not plausible, so that its model is never written."""
 
 from __future__ import annotations
 
@@ -21,21 +21,29 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model, slots_of
 
 WORSE = 1.5
-"""Held-out error of a model, in that of placed frames alone, from which it is worse."""
+"""Ratio of a model's held-out error to that of a plainer model, above which it is refused."""
 WORST = 0.1
-"""Share of the rows, the worst, that is looked at besides all: a tenth may be one joint's."""
+"""Fraction of the rows, the worst ones, that is compared in addition to all rows.
+
+A tenth of the rows may be those in which one joint is wrong.
+"""
 RISES = 4.0
-"""Held-out error, in that of the fitted rows, from which the fit does not carry over."""
+"""Ratio of the held-out error to the error at fitted rows, above which a model is refused."""
 NO_NOISE = 0.05
-"""Noise, as a share of the sightings' spread, that no instrument has."""
+"""Ratio of the noise to the spread of the sightings, above which it is no instrument's noise."""
 UNLIKE = 1e-5
-"""Chance of the noise along one axis beside that of the others, where they are as alike as a fit
-takes them to be (`linear.BEFOREHAND`): 21 times, as of a camera's depth at 21 base lines."""
+"""Smallest plausible probability of the noise along one axis, given that of the other axes.
+
+The axes are assumed to be as similar as a fit assumes (`linear.BEFOREHAND`).  The limit is at a
+ratio of 21, as of a camera's depth at a distance of 21 base lines.
+"""
 MOST_SHARING, MOST_ASIDE = 0.05, 0.2
-"""Share of the rows that a fit may set aside: where they share something, and where they come
-alone. A tenth of the rows is what instruments lose on a bad day."""
+"""Largest fraction of rows set aside: if they have a trait in common, and if they are isolated.
+
+On a bad day, instruments lose a tenth of the rows.
+"""
 INCREDIBLE = 15.0
-"""Size of an effect, in its prior standard deviations, that no arm has."""
+"""Largest plausible size of an effect, in its prior standard deviations."""
 
 
 def refuse_implausible(
@@ -45,26 +53,27 @@ def refuse_implausible(
     plainer: Mapping[str, np.ndarray],
     unit: str = "mm",
 ) -> SetAside:
-    """Refuse a model that may not be believed, for `calibrate` and `diagnose`.
+    """Refuse a model that is not plausible, for `calibrate` and `diagnose`.
 
     The errors are those of the rows that `mark_believed_rows` keeps, because single gross errors
     are no fault of a model.
 
     Args:
         final: the model that would be written, fitted to all rows.
-        fitted: (N, 3) its errors on rows that it was fitted to, m or rad; None where every row is
+        fitted: (N, 3) its errors on rows that it was fitted to, m or rad; None if every row is
             held out, so that the stated error already holds for other rows.
-        held_out: (M, 3) errors of rows that were not fitted.
-        plainer: errors of plainer models at the same held-out rows, by what they are called.
+        held_out: (M, 3) errors of rows that were not fitted, m or rad.
+        plainer: errors (M, 3) of plainer models at the same held-out rows, by the models' names.
         unit: unit of a thousandth of these errors.
 
     Returns:
         The rows that the final fit set aside.
 
     Raises:
-        JobError: the rows set aside are many or share something; the rows fall into two groups in
-            order; the model is worse than a plainer one, fails at held-out rows, does not put the
-            arm where it is seen, or has an effect of a size that no arm has (a tip mass of 89 kg).
+        JobError: too many rows were set aside, the more so if they have a trait in common; a base
+            or marker moved while the rows were recorded; the model is worse than a plainer one,
+            fails at held-out rows, or does not put the arm where it is measured; or an effect has
+            an impossible size (a tip mass of 89 kg).
     """
     session, source = final.session, final.session.source
     aside = SetAside.of(session, final.weights == 0)
@@ -117,15 +126,17 @@ def mark_believed_rows(final: ModelFit, rows: Session) -> np.ndarray:
 
 
 def describe_rise(before: np.ndarray, held_out: np.ndarray, most: float, *shares: float) -> str:
-    """Say by how much errors rise from those before to those at held-out rows.
+    """Describe how much larger the errors at held-out rows are than other errors.
 
     Args:
-        before, held_out: (N, 3) and (M, 3) errors, m or rad.
-        most: factor by which the mean length may rise.
-        shares: shares of the rows, the worst ones, whose mean may not rise by more either.
+        before: (N, 3) the errors to compare with, m or rad.
+        held_out: (M, 3) errors at held-out rows, m or rad.
+        most: factor by which the mean length may be larger.
+        shares: fractions of the rows, the worst ones, whose mean is limited by this factor too.
 
     Returns:
-        Both means in thousandths; empty where no mean rises so, or too few rows are held out.
+        Both means in thousandths, in words; empty if no mean is larger by more than the factor, or
+        too few rows are held out.
     """
     lengths = [np.sort(np.linalg.norm(each, axis=1)) for each in (before, held_out)]
     if len(held_out) < ENOUGH_REPEATS:
@@ -142,7 +153,7 @@ def describe_rise(before: np.ndarray, held_out: np.ndarray, most: float, *shares
 
 
 def measure_offset(model: Model, session: Session) -> float:
-    """Return how far (median, m) the arm is from where a model puts it; 0 if it is in its place."""
+    """Return the median error (m) of a model, if it shows that the arm stands elsewhere; else 0."""
     rows = session.take(session.placed)
     if len(rows) < ENOUGH_REPEATS or not is_misplaced(model, rows):
         return 0.0
@@ -150,7 +161,7 @@ def measure_offset(model: Model, session: Session) -> float:
 
 
 def describe_offset(model: Model, session: Session) -> str:
-    """Say how far the arm is from where a model puts it; "" if it is there."""
+    """Return a text on how far the arm is from where a model puts it; "" if it is there."""
     if off := measure_offset(model, session):
         return (
             f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
@@ -160,7 +171,12 @@ def describe_offset(model: Model, session: Session) -> str:
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:
-    """Raise `JobError` if the fitted noise (d,) of positions, m, is more than an instrument has."""
+    """Check that the fitted noise (d,) of positions is that of an instrument, m.
+
+    Raises:
+        JobError: the noise is large compared with the spread of the sightings, or one axis has
+            much more noise than the others.
+    """
     if session.blocks[0].kind != "position" or not np.isfinite(sigma[:3]).all():
         return
     axis, ratio = int(np.argmax(sigma[:3])), float((sigma[:3].max() / np.median(sigma[:3])) ** 2)

@@ -1,8 +1,7 @@
-"""Finds encoder readings that a fit meets to within half a step; these tell nothing more of the
-fit.
+"""Finds encoder readings that a fit predicts to within half a step.
 
-At poses that are spaced regularly, the error of a rounded reading repeats and looks like a function
-of the joint.
+Their remaining errors are rounding only.  At regularly spaced poses such errors repeat, and would
+look like a function of the joint.
 """
 
 from __future__ import annotations
@@ -12,13 +11,13 @@ import numpy as np
 from longarm_comp.core.calibration.model_fit import ModelFit
 
 SMALLEST = 1e-6
-"""Steps (rad, m) that are none: a file's digits, and less than an encoder tells."""
+"""Smallest step (rad, m) of an encoder; smaller ones are the rounding of a file's digits."""
 
 
 def find_step(readings: np.ndarray) -> float:
-    """Return the largest step of which readings (M,) differ by whole numbers; 0 without one.
+    """Return the largest step whose multiples are the differences of readings (M,); 0 if none.
 
-    It is the common divisor of the differences (Euclid), refined by the whole span.
+    It is the greatest common divisor of the differences (Euclid), refined by the whole range.
     """
     apart = np.diff(np.unique(readings))
     step = 0.0
@@ -30,7 +29,7 @@ def find_step(readings: np.ndarray) -> float:
 
 
 def mark_exact_readings(fit: ModelFit) -> np.ndarray:
-    """Return (N, d) whether a fit is within half a step of an encoder's reading."""
+    """Return (N, d) True for encoder readings that a fit predicts to within half a step."""
     exact = np.zeros(fit.residual.shape, dtype=bool)
     for joint in fit.session.read_joints:
         name = f"read_q{joint + 1}"

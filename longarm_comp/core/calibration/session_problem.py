@@ -1,4 +1,4 @@
-"""The session of a fit during its Gauss-Newton steps."""
+"""One session during the Gauss-Newton steps of a fit: its residual, design, weights and noise."""
 
 from __future__ import annotations
 
@@ -24,18 +24,23 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 
 AHEAD = 0.1
-"""Share of a step over which its second derivative is taken (Transtrum and Sethna): the third order
-adds a tenth of itself, and rounding nothing."""
+"""Fraction of a step over which the second derivative is computed (Transtrum and Sethna).
+
+The third order then contributes a tenth of itself, and rounding nothing.
+"""
 
 FARTHEST_M = 200.0
-"""Largest coordinate of a measured point, m: at 300 m rounding widens an interval by a half."""
+"""Largest allowed coordinate of a measured point, m.
+
+At 300 m rounding errors widen an interval of uncertainty by a half.
+"""
 
 
 class SessionProblem:
-    """A session during the Gauss-Newton steps; arguments and errors as of `fit_model`.
+    """A session during the Gauss-Newton steps; arguments and errors are those of `fit_model`.
 
-    `own_places` are the numbers of its parameters among those of all sessions that are fitted
-    together.
+    Attributes:
+        own_places: indices of its parameters among those of all sessions that are fitted together.
     """
 
     own_places: np.ndarray
@@ -82,14 +87,13 @@ class SessionProblem:
             self.update_design()
 
     def _predict_rows(self, at: Posture) -> None:
-        """Compute the residual of the model as it is now, with the arm at a posture."""
+        """Compute the residual of the present model, with the arm at a posture."""
         self.posture = at
         self.residual = make_equations(self.model, self.seen, (), at=at).residual
         self._check_finite(self.residual)
 
     def update_design(self) -> None:
-        """Compute the design of the model as it is now; later postures are computed from this
-        one."""
+        """Compute the design of the present model; later postures start from its posture."""
         self.columns = make_equations(self.model, self.seen, at=self.posture).columns
         self._check_finite(self.columns)
         self.near = self.posture
@@ -101,7 +105,13 @@ class SessionProblem:
     def make_fit(
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
     ) -> ModelFit:
-        """Return the fit with the model as it is now."""
+        """Return the fit with the present model.
+
+        Args:
+            covariance: (p, p) of the parameters.
+            iterations: number of Gauss-Newton steps.
+            converged: whether the last step was small enough.
+        """
         model = self.model
         if any(not b.geometry for b in model.biases):
             model = with_frame_shift(model, self.seen)
@@ -121,16 +131,25 @@ class SessionProblem:
         )
 
     def move_to(self, values: np.ndarray, close: bool) -> None:
-        """Compute the residual at other parameter values; the design stays.
+        """Compute the residual at other parameter values (p,); the design stays.
 
-        `close`: whether the values are close to those at which the design was computed.
+        Args:
+            close: whether the values are close to those at which the design was computed.
         """
         self.model = self.model.with_values(values)
         self._predict_rows(self.model.posture_near(self.near, close))
 
     def project_curvature(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
-        """Return (p,) the product of the prior-scaled design with half the second derivative of
-        the rows along a step (p,)."""
+        """Return the product (p,) of the prior-scaled design with the curvature of the predictions.
+
+        The curvature is half the second derivative along a step. Afterwards the model is at a part
+        of the step.
+
+        Args:
+            step: (p,) change of the values.
+            scale: (p,) standard deviations of the priors.
+            close: as in `move_to`.
+        """
         values, residual = self.model.values, self.residual
         self.move_to(values + AHEAD * step, close)
         half = (residual - self.residual - AHEAD * (self.columns @ step)) / AHEAD**2
@@ -142,10 +161,13 @@ class SessionProblem:
         return float((self._whiten_rows(self.residual[..., None]) ** 2).sum())
 
     def judge_rows(self, step: int) -> None:
-        """Find outliers and noise in the residual as it is now, at step `step` of the fit, from 1.
+        """Find outliers and noise in the present residual.
 
-        At the first step all rows count, so that the start does not decide which of them are
-        believed; with all of them in, a row is judged by what the whole session tells.
+        At the first step all rows count, so that the start values do not decide which rows are
+        outliers.
+
+        Args:
+            step: number of the step of the fit, from 1.
         """
         if self.robust and self.fixed is None:
             self.weights = weigh_rows(self.residual, self.uneven, self.seen.measured)
@@ -157,13 +179,16 @@ class SessionProblem:
             self.noise = self._pool_noise(self.estimate_noise())
 
     def estimate_noise(self) -> np.ndarray:
-        """Return (d,) the noise of every channel in the residual as it is now."""
+        """Return the noise (d,) of every channel in the present residual, m or rad."""
         return estimate_noise(self.residual, self.weights, self.effective, self.seen.measured)
 
     def _pool_noise(self, sigma: np.ndarray) -> np.ndarray:
-        """Return (d,) the noise, the same for all channels of a kind and sensor.
+        """Return the noise (d,) with one value for all channels of a kind and sensor.
 
-        Where the usual noise of the kind is known it counts as `BEFOREHAND` further equations.
+        If the usual noise of the kind is known, it counts as `BEFOREHAND` further equations.
+
+        Args:
+            sigma: (d,) noise of each channel.
         """
         pooled = np.full(len(sigma), np.inf)
         free = degrees_of_freedom(self.weights, self.effective, self.seen.measured)
@@ -183,7 +208,13 @@ class SessionProblem:
     def linearise_rows(
         self, scale: np.ndarray, centre: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (dN, p) prior-scaled design, (dN,) linearised data, in units of the noise."""
+        """Return the prior-scaled design (dM, p) and the linearised data (dM,) of the M inliers.
+
+        Both are in units of the noise.
+
+        Args:
+            scale, centre: (p,) standard deviations and means of the priors.
+        """
         y = self.residual + self.columns @ (self.model.values - centre)
         white = self._whiten_rows(np.concatenate([self.columns * scale, y[..., None]], axis=-1))
         return white[:, :-1], white[:, -1]

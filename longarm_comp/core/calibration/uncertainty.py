@@ -1,24 +1,24 @@
-"""The record of how good a fitted model is where it was not fitted, which every command reads.
+"""The uncertainty of a fitted model at poses to which it was not fitted; every command reads it.
 
-The posterior of a fit is too sure where the model's form is not quite right: what it lacks is
-alike from row to row, so many rows count as few.  Therefore rows are left out, a part of one
-joint's range at a time and in small random parts, and the error that the fit would then make at
-them is computed from the design (no fit is repeated).  An error that no parameter explains is added
-so that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann.
-Math. Artif. Intell. 74).  Where that is more than rows amid the others err, the error grows with
-the distance instead: the parameters are then known as by fewer rows.
+The posterior of a fit is too certain if the form of the model is not quite right: the error by what
+the model lacks is similar in similar rows, so many rows count as few.  Therefore rows are left out,
+one part of a joint's range at a time and in small random parts.  The error of the fit at these rows
+is computed from the design (no fit is repeated).  An error that no parameter explains is added, so
+that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann. Math.
+Artif. Intell. 74).  If this would exceed the errors of the random parts, the error grows with the
+distance from the rows instead: the parameters are then as uncertain as with fewer rows.
 
-Not all of a fit's residual is noise.  At similar poses the arm behaves alike, so a fault that the
-model lacks looks as if the parameters changed with the joints.  The residual is white noise and
-such a Gaussian process; their shares are weighed by the evidence of the rows, with the part that
-the fit explains projected out (restricted likelihood; Patterson and Thompson 1971, Biometrika 58),
-and by repeats, however few.  No more of it is the sensor's than it may have stated, and than
-scatters alike in all directions where the scatter turns with the tool.
+Not all of a fit's residual is noise.  The arm behaves similarly at similar poses, so an error that
+the model lacks looks as if the parameters changed with the joints.  The residual is modelled as
+white noise plus such a Gaussian process.  Their shares follow from the evidence of the rows, with
+the part that the fit explains projected out (restricted likelihood; Patterson and Thompson 1971,
+Biometrika 58), and from repeats.  The share of the sensor is limited by the noise that the rows
+state; if the scatter turns with the tool, also to the part that is equal in all directions.
 
-Every long arm yields, and a fit whose rows do not show it has put it into the geometry.  And what
-measures it may drift: in rows that were measured along one joint's range that looks like a fault of
-this joint.  So the covariance is that of the fitted parameters together with the compliances and
-the drift that were not fitted.
+Every long arm yields; if the rows do not show it, the fit has put it into the geometry.  The
+measuring device may drift too: if the rows were measured along one joint's range, this looks like
+an error of this joint.  So the covariance is that of the fitted parameters together with the
+compliances and the drift that were not fitted.
 """
 
 from __future__ import annotations
@@ -50,12 +50,14 @@ from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.uncertainty import YIELDS, ModelUncertainty, factor_of, sizes
 
 FRAME = 2.0
-"""Standard deviations of what the measuring side did, that a frame may be off by: the ends of a
-steady drift lie 1.7 from its mean, those of one that dies away farther."""
+"""Possible error of a frame, in standard deviations of its motion during the session.
+
+The ends of a steady drift lie 1.7 standard deviations from its mean, those of a decaying one more.
+"""
 
 
 def with_uncertainty(fit: ModelFit) -> Model:
-    """Return the fitted model with the record of how good it is, and the end of its session."""
+    """Return the fitted model with its uncertainty and the time at which its session ended."""
     record = measure_uncertainty(fit)
     return dataclasses.replace(fit.model, uncertainty=record, ended_s=fit.session.ended_s)
 
@@ -126,14 +128,20 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
 
 
 def _columns_with_absent(fit: ModelFit, absent: Sequence[Effect]) -> np.ndarray:
-    """Return (N, d, p + k) the columns of a fit, then those of effects that it does not hold."""
+    """Return the columns of a fit's p parameters and of k of absent effects, (N, d, p + k).
+
+    They are derivatives by the parameters in their own units.
+    """
     further = FitColumns(fit).prior_columns(absent) / prior_widths(slots_of(fit.model.arm, absent))
     return np.concatenate([fit.columns, further], axis=-1)
 
 
 def _usual_drift(fit: ModelFit) -> np.ndarray:
-    """Return (3,) m, how far what measures usually drifts in the session, an hour if no time is
-    known; hardly, where the model holds what moves with time alone."""
+    """Return the usual drift (3,) of the measuring device during the session, m.
+
+    Without a recorded time the session counts as one hour.  The drift is nearly 0 if the model
+    holds an effect that depends on time alone.
+    """
     held = any(term.inputs and {CLOCK, ORDER}.issuperset(term.inputs) for term in fit.model.terms)
     hours = 1.0 if fit.session.t_s is None else float(np.ptp(fit.session.t_s)) / 3600.0
     rates = [p.prior for p in CameraDrift().parameters(fit.model.arm)]
@@ -141,8 +149,10 @@ def _usual_drift(fit: ModelFit) -> np.ndarray:
 
 
 def _drift_columns(fit: ModelFit) -> np.ndarray:
-    """Return (N, d, 3) change of the channels by a steady drift of what measures, m from first row
-    to last, along each axis."""
+    """Return the change (N, d, 3) of the channels by a steady drift along each of three axes.
+
+    It is per metre of drift of the measuring device from the first row to the last.
+    """
     rows = fit.session
     pull = np.eye(3) if rows.plain else make_equations(fit.model, rows, (), at=fit.posture).pull
     return np.asarray(pull * (rows.share_of_time - rows.share_of_time.mean())[:, None, None])
@@ -151,16 +161,20 @@ def _drift_columns(fit: ModelFit) -> np.ndarray:
 def _covariance_with_absent(
     fit: ModelFit, absent: Sequence[Effect], alike: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far the fitted parameters and k absent ones may be off together, (p + k, p + k).
+    """Compute the covariance of the fitted parameters together with k absent ones.
 
-    Beforehand every compliance may be as large as `YIELDS` says, also one that the fit held to a
-    little, and what measures may drift as `CameraDrift` says.  Where the rows ask for other values
-    than the model's, the square of the difference is in it.  Further (3,) m, the steady drift
-    from the first row to the last that the rows ask for.
+    The prior of every compliance is at least `YIELDS` times its usual one, also if the fit had a
+    narrower prior.  The prior of the drift is that of `CameraDrift`.  If the rows then prefer other
+    values than the model's, the squared differences are added.
 
     Args:
         absent: elastic effects that the fit does not hold.
-        alike: how many rows count as one; what is known of a fitted parameter counts as little.
+        alike: the number of rows that count as one; the prior variances of other fitted parameters
+            are multiplied by it too.
+
+    Returns:
+        The covariance (p + k, p + k), and the steady drift (3,), m from the first row to the last,
+        that the rows prefer.
     """
     arm, count = fit.model.arm, len(fit.slots)
     slots = (*fit.slots, *slots_of(arm, absent))
@@ -185,17 +199,16 @@ def _covariance_with_absent(
 
 
 ROWS = 200
-"""Rows that the arm's share is judged by, spread over the session: three axes make a matrix of 600.
-"""
+"""Largest number of rows for the arm's share, spread over the session: with three axes, 600."""
 WIDTHS = (0.25, 0.5, 1.0)
-"""Over which part of an input's range the process is alike."""
+"""Correlation lengths of the Gaussian process, as fractions of an input's range."""
 _NOTHING = 1e-8  # of the largest: rounding
 
 
 def estimate_arm_share(fit: ModelFit) -> float:
     """Return the expected share of the arm in the residual's variance, 0 to 1.
 
-    All shares are equally likely beforehand.
+    The rest is noise. All tried shares (`SHARES`) have the same prior probability.
     """
     kept = choose_evenly(np.flatnonzero((fit.weights > 0) & fit.has_point), ROWS)
     residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
@@ -229,7 +242,15 @@ def estimate_arm_share(fit: ModelFit) -> float:
 
 
 def _log_likelihood(free: np.ndarray, y: np.ndarray, process: np.ndarray) -> np.ndarray:
-    """Return (shares,) log likelihood of the projected residual, its size maximised."""
+    """Return the log likelihood of the projected residual for each of the `SHARES`.
+
+    The size of the residual is chosen to maximise it.
+
+    Args:
+        free: orthonormal basis of the space that the fit cannot explain, in columns.
+        y: the residual projected to this space.
+        process: covariance of the Gaussian process.
+    """
     values, vectors = np.linalg.eigh(free.T @ process @ free)
     values = np.maximum(values, 0.0)
     z = vectors.T @ y
@@ -239,7 +260,11 @@ def _log_likelihood(free: np.ndarray, y: np.ndarray, process: np.ndarray) -> np.
 
 
 def _log_likelihood_of_repeats(fit: ModelFit, whole: float) -> np.ndarray:
-    """Return (shares,) log likelihood of the repeats' scatter; `whole` is arm and noise, m^2."""
+    """Return the log likelihood of the scatter of repeats for each of the `SHARES`.
+
+    Args:
+        whole: variance of the residual by arm and noise together, summed over three axes, m^2.
+    """
     sigma, degrees = repeat_scatter(fit.model, fit.session)
     count = float(np.nansum(degrees[:3]))
     if not count or fit.session.blocks[0].kind != "position":

@@ -1,7 +1,7 @@
-"""Tells where a fit puts bases and sensors, and what the rows do not tell about it.
+"""Lists where a fit puts bases and sensors, and which parts of this the rows do not determine.
 
-A tip that only ever touched unknown points looks the same on an arm twice as large.  The size is
-then that of the drawing. To know it takes a known distance between two points, or a slide's travel.
+If the tip only touched unknown points, an arm of twice the size would fit as well.  The size is
+then that of the drawing.  A known distance between two points, or a slide's travel, determines it.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from longarm_comp.core.effects.placements import BasePose, RigidMotion
 from longarm_comp.core.model.model import Model
 
 UNTOLD = 0.1
-"""Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
+"""Ratio of posterior to prior standard deviation above which an unknown is not determined."""
 STEP = 1e-4
-"""Share by which the arm is made larger, to see what changes."""
+"""Relative enlargement of the arm for the derivative by its size."""
 
 
 def list_undetermined(fit: ModelFit) -> tuple[str, ...]:
-    """Name what the rows do not tell of bases, markers and sensors: ``base: x, y, turn about z``.
+    """List the placements that the rows do not determine, as ``base: x, y, turn about z``.
 
-    The size of the arm may be among it; it stays as declared.  A base's directions are those of the
-    measurements' frame.
+    If the size of the arm is not determined, it is listed too and stays as declared.  The
+    directions of a base are those of the frame of the measurements.
     """
     found = []
     for k, term in enumerate(fit.model.terms):
@@ -53,8 +53,8 @@ class Place:
     """The place of a base or a sensor in the frame of the measurements, and its uncertainty.
 
     Attributes:
-        where: its name.
-        xyz_m, rpy_deg: (3,) its pose.
+        where: name of the base or sensor.
+        xyz_m, rpy_deg: (3,) position (m) and roll, pitch, yaw (deg).
         sd_mm, sd_deg: (3,) standard deviations along and about the axes of that frame.
     """
 
@@ -66,7 +66,7 @@ class Place:
 
 
 def list_places(fit: ModelFit) -> tuple[Place, ...]:
-    """Return where a fit puts bases, further sensors and a fitted camera."""
+    """Return the poses of bases, further sensors and a fitted camera in a fit."""
     made = []
     for k, term in enumerate(fit.model.terms):
         if not isinstance(term, RigidMotion):
@@ -82,18 +82,20 @@ def list_places(fit: ModelFit) -> tuple[Place, ...]:
 
 
 def _pose_derivative(term: RigidMotion, at: Frame) -> np.ndarray:
-    """Return the derivative (6, 6) of a pose's shift (m) and turn (rad) in its outer frame by its
-    term's values."""
+    """Return the derivative (6, 6) of a pose by the six values of its term.
+
+    Rows are displacement (m) and rotation (rad) in the frame in which the pose `at` is given.
+    """
     turns, shifts = (np.array(each).T for each in tangent(term.twist, ZERO, large=True))
     axes = at.matrix()[:3, :3]
     return np.block([[axes @ turns, axes @ shifts], [np.zeros((3, 3)), axes @ turns]])
 
 
 def is_size_determined(fit: ModelFit) -> bool:
-    """Tell whether the rows tell more of the arm's size than the tolerances of its drawing do.
+    """Tell whether the rows determine the arm's size better than the tolerances of its drawing.
 
-    Both are informations (inverse variances) about the size: that of the rows, with touched points
-    solved anew, and that of the drawing, the sum of (length / tolerance)^2.
+    The inverse variances of the relative size are compared: that by the rows, with touched points
+    free, and that by the drawing, which is the sum of (length / tolerance)^2.
     """
     larger = _enlarge_arm(fit.model, 1.0 + STEP)
     seen = make_equations(larger, fit.session, ()).residual
@@ -112,7 +114,7 @@ def is_size_determined(fit: ModelFit) -> bool:
 
 
 def _enlarge_arm(model: Model, times: float) -> Model:
-    """Return the model with every length of its geometry multiplied, except known distances."""
+    """Return the model with all lengths of its geometry, except known distances, times a factor."""
     values = model.values.copy()
     for k, slot in enumerate(model.slots):
         if slot.owner.geometry and slot.parameter.unit == "m" and slot.parameter.name != "stretch":

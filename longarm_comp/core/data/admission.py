@@ -1,4 +1,4 @@
-"""Admission: checks a session against the arm that it claims to show.  Nothing is repaired.
+"""Admission: checks whether a session fits the arm.  Errors in it are not repaired.
 
 An invalid session (millimetres, degrees, rows out of order) is refused with an `InputError` that
 names the likely mistake.  A limitation of a valid one (a joint that never moved) is a finding.
@@ -27,12 +27,18 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.math.points import robust_kabsch
 
 FEW_POSES = 4
-"""Distinct poses, at least: three points place a frame, one more contradicts."""
+"""Smallest number of distinct poses: three points place a frame, and a fourth one checks it."""
 
 
 @dataclass(frozen=True)
 class AdmissionFinding:
-    """A limitation of a session that is admitted."""
+    """A limitation of an admitted session.
+
+    Attributes:
+        check: name of the check.
+        field: the column or input that it concerns.
+        message: its text for people.
+    """
 
     check: str
     field: str
@@ -58,11 +64,18 @@ def admit(
     *,
     judge: bool = False,
 ) -> Admission:
-    """Check a session against an arm. It needs `min_poses` distinct poses with a marker.
+    """Check a session against an arm, and return it with the findings.
+
+    Rows without a reading of an inclinometer are left out.
 
     Args:
         model: predicts the tip; the rigid declared arm by default.
-        judge: the rows judge the model: what does not fit it is a finding.
+        min_poses: smallest number of distinct poses with a measurement.
+        judge: the rows are used to judge the model, so rows that do not fit it are a finding
+            instead of an error.
+
+    Raises:
+        InputError: the session is invalid, is too small, or does not belong to the arm.
     """
     findings: list[AdmissionFinding] = []
     session = _with_readings(session, findings)
@@ -101,7 +114,10 @@ def admit(
 
 
 def _with_readings(session: Session, findings: list[AdmissionFinding]) -> Session:
-    """Take the rows in which every inclinometer was read; one that mostly was not is left out."""
+    """Return the rows in which every inclinometer was read, and add findings about the others.
+
+    An inclinometer that was not read in most of the rows is left out instead of these rows.
+    """
     for name, values in session.columns.items():
         blank = np.isnan(values)
         if blank.mean() > 0.5:  # the inclinometer is left out instead of the rows
@@ -121,7 +137,7 @@ def _with_readings(session: Session, findings: list[AdmissionFinding]) -> Sessio
 
 
 def _check_names(session: Session, arm: Arm) -> None:
-    """Refuse joints, labels and columns that name nothing of the arm, or lack what it needs."""
+    """Refuse joints, labels and columns that the arm does not have, and missing ones it needs."""
     if session.n != arm.n:
         allowed = f"{arm.n} commanded joints of arm {arm.name}"
         raise session.error("joints", session.n, allowed)
@@ -165,9 +181,9 @@ def _check_loads(session: Session, arm: Arm) -> None:
 
 
 def _check_groups(session: Session) -> None:
-    """Refuse, from each place of the base, rows out of order and sightings that do not fix it.
+    """Refuse groups with rows out of order, a repeated index, or fewer than three positions.
 
-    A frame takes three points.
+    A group holds the rows from one place of the base. Three points determine this place.
     """
     groups, markers = session.texts("group"), session.texts("marker")
     for group in np.unique(groups):
@@ -228,7 +244,10 @@ def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
 
 
 def _find_exchange(arm: Arm, session: Session) -> str:
-    """Find the sign or order of joints that brings all of them within their limits; else empty."""
+    """Return the mistake of sign or order of joints that explains values outside the limits.
+
+    Without it all joints lie within their limits. Empty if there is no such mistake.
+    """
     slack = 0.05 * (arm.upper - arm.lower)
     for what, undone in undo_mistakes(arm, session):
         inside = (undone.q > arm.lower - slack) & (undone.q < arm.upper + slack)
@@ -303,7 +322,9 @@ def _check_spread(session: Session, arm: Arm, predicted: np.ndarray) -> None:
 def _check_frame(
     session: Session, arm: Arm, predicted: np.ndarray, group: str
 ) -> Iterator[AdmissionFinding]:
-    """Hold the rows (N, 3), m, of one frame against the predicted ones: its axes, place, outliers.
+    """Compare the positions of one frame with the predicted ones (N, 3), m.
+
+    Yields findings about the axes and place of the frame, and about outliers.
 
     Raises:
         InputError: the axes are mirrored.
@@ -344,7 +365,11 @@ def _check_frame(
 
 
 def _check_belonging(session: Session, model: Model, judge: bool) -> Iterator[AdmissionFinding]:
-    """Refuse rows that the arm does not make, wherever it stands, with the likely mistake."""
+    """Refuse rows that do not belong to the arm at any placement, and name the likely mistake.
+
+    Raises:
+        InputError: the rows do not belong to the arm; with `judge` this is a finding instead.
+    """
     belief = find_mistake(model, session)
     if belief is None:
         return
@@ -366,7 +391,10 @@ def _check_belonging(session: Session, model: Model, judge: bool) -> Iterator[Ad
 
 
 def _nearest_axes(turn: np.ndarray) -> tuple[np.ndarray, str]:
-    """Find the exchange of axes, with signs, nearest to a rotation or mirror (3, 3); its name."""
+    """Return the signed permutation of axes (3, 3) nearest to a rotation or mirror, and its name.
+
+    The name lists the axes with their signs, as ``y,-x,z``.
+    """
     place = np.abs(turn).argmax(axis=1)
     signs = np.sign(turn[range(3), place])
     names = ("-" * bool(v < 0) + "xyz"[k] for k, v in zip(place, signs, strict=True))

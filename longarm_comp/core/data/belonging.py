@@ -1,10 +1,11 @@
-"""Do the rows belong to the arm?  What users get wrong, each tried without any declared placement.
+"""Checks whether the rows of a session belong to the arm, and finds common mistakes in them.
 
-The rigid arm is registered to the sightings (`registration`) as the rows are, and under every
-mistake that is easily made.  A mistake that explains much more than the rows as they are is told,
-never repaired.  All rows count, a stranger's no more than any other stranger's: a mistake in one
-joint may spoil the few rows in which it moves.  Then every mistake is tried on the rows that are
-far off the others alone, where the others place the arm: a gross error comes right by no mistake.
+The model's arm is registered to the sightings (`registration`) twice: with the rows as they are,
+and with each common mistake undone.  A mistake that explains much of the misfit is reported, but
+not repaired.  Distances are limited, so that single gross errors do not dominate; a mistake in one
+joint may spoil only the few rows in which it moves.  Then every mistake is tried on the rows that
+are far off the others, with the arm placed by the others.  Undoing a mistake does not correct gross
+errors.
 """
 
 from __future__ import annotations
@@ -26,39 +27,51 @@ from longarm_comp.core.effects.sites import near
 from longarm_comp.core.model.model import Model
 
 MIN_POSES = 20
-"""Poses of which it is asked, at least: two for each unknown of a base and a marker."""
+"""Smallest number of poses for the check: two for each unknown of a base and a marker."""
 _SUSPECT_SHARE = 0.015
-"""Misfit, as a share of the sightings' spread, from which on the mistakes are tried: an arm that is
-not calibrated errs by less, a mistake by more."""
+"""Misfit, over the spread of the sightings, from which on the mistakes are tried.
+
+The errors of an uncalibrated arm are smaller, those of a mistake larger.
+"""
 _STRANGE_SHARE = 0.25
-"""Misfit, as such a share, of rows that are not this arm's: no row counts for more."""
+"""Misfit, over the spread of the sightings, from which on rows are not this arm's.
+
+The distance of a single row is limited to this too.
+"""
 _TELLING_SHARE = 0.7
-"""A mistake that leaves less of the misfit than this (half of its square) is told."""
+"""A mistake is reported if undoing it leaves less than this fraction of the misfit.
+
+That is half of its square.
+"""
 _ALIKE_RATIO = 1.02
-"""Mistakes whose misfits differ by less than this cannot be told apart; the first is told."""
+"""Largest ratio of misfits at which two mistakes count as equal; the first one is reported."""
 _STRAY_RATIO, MOST_STRAYS = 8.0, 0.3
-"""Rows so many times farther off than the closest quarter stray (of normal errors none does);
-this share of them may: the median of the others still fits."""
+"""A row strays if it is `_STRAY_RATIO` times farther off than the closest quarter of the rows.
+
+Normal errors do not stray.  Up to a fraction `MOST_STRAYS` of the rows may stray, because the
+median of the others still fits.
+"""
 SUSPECT_TURN, _STRANGE_TURN = 0.1, 0.5
-"""The same for the tip's axes, rad."""
+"""Angles (rad) of the tip's axes that correspond to `_SUSPECT_SHARE` and `_STRANGE_SHARE`."""
 _TRIED_ROWS = 100
-"""Rows that the mistakes are tried on, spread over the session."""
+"""Number of rows, spread over the session, on which the mistakes are tried."""
 
 
 @dataclass(frozen=True)
 class _Belief:
-    """The fit of rows to the arm, its placement apart."""
+    """How well rows fit an arm whose base and markers are placed by these rows."""
 
-    misfit: float
-    """misfit, spread: median distance (m) of the rows as they are; of the sightings from their
-    middle."""
-    spread: float
-    strays: SetAside  # rows far beyond where the closest quarter is
-    mistake: str = ""  # what explains much more of them, if anything does
-    fall: str = ""  # mean error with and without that mistake, in words
+    misfit: float  # median distance of the rows, as they are, from the arm, m
+    spread: float  # median distance of the sightings from their middle, m
+    strays: SetAside  # rows that are `_STRAY_RATIO` times farther off than the closest quarter
+    mistake: str = ""  # the mistake that was found, in words; empty if none
+    fall: str = ""  # the errors with the mistake and without it, in words
     signs: tuple[tuple[int, float], ...] = ()
-    """Joints whose sign cannot be told, with the RMS distance (m) by which the tip moves when they
-    are negated and base and tip are placed anew."""
+    """Joints (0-based) whose sign the rows do not show.
+
+    With each is the RMS distance (m) by which the tip moves if the joint is negated and base and
+    tip are placed anew.
+    """
 
     @property
     def belong(self) -> bool:
@@ -68,8 +81,10 @@ class _Belief:
 
     @property
     def is_scattered(self) -> bool:
-        """True if many rows stray and share nothing: what they share is a cause that a fit finds,
-        as friction has rows on either side."""
+        """True if many rows stray and have nothing in common.
+
+        A common trait would be a cause that a fit can find, such as friction by side of arrival.
+        """
         return self.strays.share >= MOST_STRAYS and not self.strays.shared_by
 
 
@@ -117,16 +132,23 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
 
 
 def _mean_distance(found: Registration, spread: float) -> float:
-    """Return the mean distance (m) of all rows, none farther off than a stranger's."""
+    """Return the mean distance of the rows (m), each limited to `_STRANGE_SHARE` of the spread."""
     return float(np.minimum(found.distance, _STRANGE_SHARE * spread).mean())
 
 
 def _find_mistakes(
     model: Model, session: Session, parts: tuple[str, Session], spread: float
 ) -> tuple[list[str], Session]:
-    """Find the mistakes that explain much of the misfit, the most telling first.
+    """Find the mistakes that explain much of the misfit, the one that explains most first.
 
-    The rows are returned without them. Another is looked for while what is left is suspect.
+    A further mistake is searched for while the remaining misfit is suspect.
+
+    Args:
+        parts: the text and the session of `_split_at_shift`, which count as one more mistake.
+        spread: of the sightings, m.
+
+    Returns:
+        The mistakes, and the session with all of them undone.
     """
     rows = np.unique(np.linspace(0, len(session) - 1, _TRIED_ROWS).astype(int))
 
@@ -149,13 +171,14 @@ def _find_mistakes(
 def _find_mistake_in_part(
     model: Model, session: Session, found: Registration, least: float
 ) -> tuple[str, str] | None:
-    """Find the mistake without which most rows farther off than `least` (m) are nearer than that.
+    """Find the mistake that explains most of the rows that are farther off than `least` (m).
 
-    Base and markers stay where the other rows place them.  An error of any direction and size falls
-    to a share s of itself with the chance s^3; those of all rows are combined (Fisher's method).
+    Base and markers stay where `found` places them.  A random error decreases to a fraction s of
+    itself with the probability s^3; those of all these rows are combined (Fisher's method).
 
     Returns:
-        The mistake, and the fall of these rows' median distance; None where none is significant.
+        The mistake, and the rows' median distance with and without it, in words; None if no
+        mistake is significant and explains more than half of the rows.
     """
 
     def distance(rows: Session) -> np.ndarray:
@@ -181,10 +204,13 @@ def _find_mistake_in_part(
 
 
 def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session]:
-    """Split the rows in the two parts, in order, that are farthest apart, as from two bases.
+    """Split the rows, in their order, in two parts that look measured from two bases.
 
-    The place is where the sums of the distances (bounded, as those of strangers are) from their
-    median are largest (Page 1954, Biometrika 41).
+    The split is where the cumulative sum of the residuals, limited in size and less their median,
+    deviates most (Page 1954, Biometrika 41).
+
+    Returns:
+        The text of this mistake, and the session with the later rows in a group of their own.
     """
     seen = np.flatnonzero(session.has_position)
     away = found.residual - np.median(found.residual, axis=0)
@@ -203,10 +229,10 @@ def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session
 
 
 def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
-    """Return a function of x, y, z, w (N, 4) beside rows that all have a position.
+    """Return a function that computes the mean error (rad) of measured orientations of the rows.
 
-    It gives the mean angle (rad) that remains to the tip's axes where the base stands as the
-    positions say, and the measured body in any way on the tool.
+    Its argument is the quaternions x, y, z, w (N, 4) of N rows, which must all have a position.
+    The base is placed by the positions, and the rotation of the measured body on the tool is free.
     """
     sightings = Sightings.of(model, rows)
     placed = register(sightings).rotation[sightings.group]
@@ -220,8 +246,12 @@ def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
 
 
 def _find_mistake_of_axes(model: Model, session: Session) -> tuple[str, str] | None:
-    """Find how measured axes look written, with the fall of the error: None where they fit, or no
-    row has them beside a position."""
+    """Find the mistake in the format of the measured orientations.
+
+    Returns:
+        The mistake, and the error with and without it, in words; None if the orientations fit, or
+        fewer than `MIN_POSES` poses have both an orientation and a position.
+    """
     rows = session.take(session.has_position & session.has_orientation)
     if len(np.unique(rows.pose_id)) < MIN_POSES:
         return None
@@ -247,7 +277,10 @@ def _find_mistake_of_axes(model: Model, session: Session) -> tuple[str, str] | N
 def _find_unknown_signs(
     model: Model, rows: Session, misfit: float
 ) -> tuple[tuple[int, float], ...]:
-    """Find moving joints that the rows would fit as well negated: they hardly move the tip."""
+    """Return the moving joints (0-based) that would fit the rows as well if they were negated.
+
+    With each is the RMS distance (m) by which the tip then moves, which is less than `misfit` (m).
+    """
     made = dataclasses.replace(rows, xyz=model.tip(rows.q, rows.context()))
     unknown = []
     for j in np.flatnonzero(np.ptp(rows.q, axis=0) > 0):
@@ -261,7 +294,7 @@ def _find_unknown_signs(
 
 
 def undo_mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
-    """Yield each common mistake, and the session with it undone."""
+    """Yield each common mistake, in words, and the session with this mistake undone."""
     q, xyz = session.q, session.xyz
 
     def joint(j: int, values: np.ndarray) -> Session:

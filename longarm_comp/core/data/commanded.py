@@ -1,8 +1,9 @@
-"""Errors as a command would have them: what the tip would miss a target by, with this model.
+"""Errors of commands: by how much the tip would miss its target if a model computed the command.
 
-A measurement holds more than a command can use, and `compute_tip_errors` uses all of it: causes on
-the measuring side, moves before the last that only a side was recorded of, circumstances that no
-command is told (docs/report.md, "As seen and as commanded").
+A session holds more than is known for a command: causes on the measuring side, earlier moves of
+joints of which only the last side was recorded, and circumstances that are unknown when a command
+is sent.  `compute_tip_errors` uses all of it, and this module leaves it out (docs/report.md, "As
+seen and as commanded").
 """
 
 from __future__ import annotations
@@ -23,11 +24,14 @@ MEASURING_SIDE = "(measuring side)"
 
 
 def commanded_errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
-    """Compute measured - predicted, (M, 3) m, with what a command knows; by `compute_tip_errors`.
+    """Compute measured - predicted, (M, 3) m, with a prediction from what a command knows.
 
-    What the measuring side moves the fitted rows by alike is a choice of frame (`frame_shift`), in
-    which targets are taken too (`core/compensation/target_frame.py`).
-    `near` is a similar model's posture at these rows, as there.
+    The M rows are those of `compute_tip_errors`.  The mean displacement of the fitted rows by the
+    measuring side is a choice of frame (`frame_shift`) and is no error: targets are given in this
+    frame too (`core/compensation/target_frame.py`).
+
+    Args:
+        near: a similar model's posture at the M rows, which saves time.
     """
     told = as_commanded(model)
     missed = compute_tip_errors(told, own_way(session), near)
@@ -35,16 +39,17 @@ def commanded_errors(model: Model, session: Session, near: Posture | None = None
 
 
 def with_frame_shift(model: Model, session: Session) -> Model:
-    """Return the model with the mean shift of a session's rows by its biases, as `frame_shift`."""
+    """Return the model with `frame_shift` set to its biases' mean displacement of the rows, m."""
     moved = moved_by_measuring(model, session)
     x, y, z = moved.mean(axis=0).tolist() if len(moved) else (0.0, 0.0, 0.0)
     return dataclasses.replace(model, frame_shift=(x, y, z))
 
 
 def in_frame_of_start(model: Model, session: Session) -> Model:
-    """Return the model with targets in the frame of the session's first row, if it drifts.
+    """Return the model with targets in the measuring frame as it was at the session's first row.
 
-    The tip does not move with what measures it, and points are marked before a session.
+    Without a drift of this frame the model is not changed.  The frame of the first row is used
+    because points are marked before a session, and the tip does not follow the drift.
     """
     if not any(CLOCK in b.inputs for b in model.biases):
         return model
@@ -54,21 +59,24 @@ def in_frame_of_start(model: Model, session: Session) -> Model:
 
 
 def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
-    """Compute how far the measuring side moves the M rows that say where the tip is, (M, 3) m; no
-    rows where the model has nothing there."""
+    """Compute the displacement of the seen tip by the model's biases, (M, 3) m.
+
+    The M rows are those that measure the tip's position.  Without such biases the result is (0, 3).
+    """
     told = as_commanded(model)
     return _difference(told, dataclasses.replace(told, biases=model.biases), session)
 
 
 def moved_with_time(model: Model, session: Session, variance: float) -> np.ndarray:
-    """Return (M, 3) m, how far a frame may have moved instead of what moves with time in the model.
+    """Return the displacement of the tip that may be a moving frame instead of a moving arm.
 
-    It is relative to the last row: commands take the arm as the session left it.  No measurement
-    tells a base that moved, or a marker, from a camera that did.  An effect of a joint counts by
-    the likelihood, relative to its own, that the frame moved so.
+    It is the displacement (M, 3), m, by the model's effects that depend on time, because
+    measurements cannot distinguish a base or marker that moved from a camera that moved.  It is
+    relative to the last row, because commands start from the arm at the end of the session.  An
+    effect at a joint is weighted by the likelihood ratio of the best moving frame to the effect.
 
     Args:
-        variance: of a coordinate's noise, m^2.
+        variance: variance of the noise of a coordinate, m^2.
     """
     told, moved = as_commanded(model), np.zeros((0, 3))
     for effect in told.effects:
@@ -84,7 +92,10 @@ def moved_with_time(model: Model, session: Session, variance: float) -> np.ndarr
 
 
 def _as_moved_frame(moved: np.ndarray, model: Model, session: Session) -> np.ndarray:
-    """Return the motion of a frame, a cubic of time, that comes nearest to moves (M, 3), m."""
+    """Return the displacements by a moving frame that are closest to given ones (M, 3), m.
+
+    Position and rotation of the frame are cubic polynomials of time.
+    """
     rows = own_way(session)
     rows = rows.take(rows.placed)
     tips = model.tip(rows.q, rows.context())
@@ -96,7 +107,7 @@ def _as_moved_frame(moved: np.ndarray, model: Model, session: Session) -> np.nda
 
 
 def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
-    """Return the shift (M, 3), m, of rows by the terms of `more` that `less` lacks."""
+    """Return the displacement (M, 3), m, of the rows by the terms of `more` that `less` lacks."""
     if less.terms == more.terms:
         return np.zeros((0, 3))
     rows = own_way(session)
@@ -107,9 +118,10 @@ def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
 
 
 def as_commanded(model: Model) -> Model:
-    """Return the model without what no command compensates: measuring side, what is never told.
+    """Return the model without the terms that no command can compensate.
 
-    Frames of sensors and anchors stay: they say in which frame a row was measured.
+    These are the biases, and effects with an input that is unknown for a command.  Biases that
+    place sensors and anchors stay, because they define the frame of a row.
     """
     return dataclasses.replace(
         model,
@@ -119,14 +131,14 @@ def as_commanded(model: Model) -> Model:
 
 
 def own_way(session: Session) -> Session:
-    """Return the rows without moves before the last that nobody recorded: only a side was told."""
+    """Return the session without the legs before the last, for joints with only a recorded side."""
     legs = session.legs.copy()
     legs[session.told != 0, 1:] = 0.0
     return dataclasses.replace(session, legs=legs)
 
 
 def not_commanded(model: Model, session: Session) -> list[str]:
-    """Name what `commanded_errors` leaves out of a model at these rows."""
+    """Return the names of the terms and inputs that `commanded_errors` leaves out at these rows."""
     said = [
         f"{term.name} {MEASURING_SIDE if isinstance(term, Bias) else NEVER_TOLD}"
         for term in model.terms

@@ -1,4 +1,4 @@
-"""Rows held out, and rows drawn again, by whole blocks of successive poses."""
+"""Held-out rows and resampled rows, both in whole blocks of successive poses."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from longarm_comp.core.errors import InputError
 def blocked_split(
     session: Session, fraction: float = 0.2, rng: np.random.Generator | int = 0
 ) -> tuple[Session, Session]:
-    """Split a session into training set and hold-out in whole blocks of time.
+    """Split a session into training rows and held-out rows, in whole blocks of time.
 
-    The poses are divided into about 25 blocks, each pose with all of its visits. Blocks are drawn
-    until the hold-out has `fraction` of the rows and 30 poses with a marker, but never more than a
-    third of the poses.
+    The poses are divided into up to `BLOCKS` blocks, each pose with all of its visits. Blocks are
+    drawn until `fraction` of the rows and 30 measured poses are held out. After the first block,
+    a block that would raise the held-out poses above a third is left out.
     """
     if not 0 < fraction < 1:
         raise InputError("split", "fraction", fraction, "between 0 and 1")
@@ -36,11 +36,11 @@ def blocked_split(
 
 
 _RUN = 50
-"""Rows in a run of `take_spread_rows`: short beside a session, long beside its noise's memory."""
+"""Rows in a run of `take_spread_rows`: few in a session, but more than its noise is correlated."""
 
 
 def take_spread_rows(session: Session, most: int) -> Session:
-    """Take at most so many rows: runs of neighbours, evenly over the session."""
+    """Return at most `most` rows (`_RUN` or more): runs of `_RUN` rows, evenly over the session."""
     runs = most // _RUN
     if len(session) <= most:
         return session
@@ -49,17 +49,20 @@ def take_spread_rows(session: Session, most: int) -> Session:
 
 
 FOLDS, MORE_FOLDS = 5, 10
-"""Folds of a session, and of one with fewer poses than `FEW`, whose fits need most of them."""
+"""Number of folds of a session, and of one with fewer poses than `FEW`, whose fits need more."""
 FEW = 100
-"""Poses below which a fold takes a tenth of them."""
+"""Number of poses below which a session has `MORE_FOLDS` folds."""
 BLOCKS = 25
-"""Blocks of successive poses; noise that lasts for a while stays within one."""
+"""Number of blocks of successive poses; most correlated noise stays within one block."""
 PLACED_APART = ("group", "marker", "sensor", "anchor")
-"""Labels whose placement is solved from their own rows."""
+"""Labels whose values are each placed by the rows that hold them."""
 
 
 def blocks_of(session: Session) -> np.ndarray:
-    """Return the number (N,) of the block of successive poses that each row is in, whole poses."""
+    """Return for each row (N,) the number of its block of successive poses.
+
+    All visits to a pose are in one block.
+    """
     _, first, inverse = np.unique(session.pose_id, return_index=True, return_inverse=True)
     poses = len(first)
     place = np.empty(poses, dtype=np.int64)
@@ -68,13 +71,13 @@ def blocks_of(session: Session) -> np.ndarray:
 
 
 def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """Return (N,) number of the fold in which each row is held out, by whole blocks.
+    """Return for each row (N,) the number of the fold in which it is held out, by whole blocks.
 
-    -1 of a row that is in every fit: the other folds do not tell where its marker, sensor or base
-    is.
+    It is -1 for a row that is in every fit, because no other fold shows where its marker, sensor,
+    anchor or base is.
 
     Raises:
-        InputError: there is no row that can be held out.
+        InputError: no row can be held out.
     """
     block = blocks_of(session)
     names = np.unique(block)
@@ -93,7 +96,7 @@ def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray
 
 
 def draw_row_counts(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """Draw (count, N) how often each row counts where whole blocks are drawn with replacement."""
+    """Draw bootstrap samples of whole blocks: how often each row occurs in each, (count, N)."""
     block = blocks_of(session)
     names, inverse = np.unique(block, return_inverse=True)
     share = np.full(len(names), 1.0 / len(names))
@@ -102,7 +105,7 @@ def draw_row_counts(session: Session, count: int, rng: np.random.Generator | int
 
 
 def split_in_half(session: Session, rng: np.random.Generator | int = 0) -> tuple[np.ndarray, ...]:
-    """Return (N,) masks of two random halves of the rows; rows of one pose stay together."""
+    """Return the masks (N,) of two random halves of the rows, split by whole poses."""
     rng = np.random.default_rng(rng)
     poses = np.unique(session.pose_id)
     drawn = rng.permutation(poses)[: len(poses) // 2]

@@ -1,6 +1,6 @@
-"""Kinds of measurement: what a sensor's reading says of the tip, as scalar equations.
+"""Kinds of measurement: each turns a sensor's readings into scalar equations of the tip.
 
-Fit, diagnosis and report know channels and equations only: a further kind is one class here.
+Fit, diagnosis and report use only channels and equations, so a new kind is one class here.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ _Labels = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Equations:
-    """N rows of k scalar equations; what was not measured is 0 in all of them."""
+    """N rows of k scalar equations.
 
-    residual: np.ndarray  # (N, k) measured - predicted, m or rad
+    Attributes:
+        residual: (N, k) measured - predicted, m or rad.
+        columns: (N, k, p) derivative of the prediction by each of p parameters.
+        pull: (N, k, 3) derivative of the prediction by the position of the tip.
+    """
+
+    residual: np.ndarray
     columns: np.ndarray
-    """columns, pull: (N, k, p), (N, k, 3) derivative of the prediction by every parameter, and by
-    the position of the tip."""
     pull: np.ndarray
 
 
@@ -35,36 +39,45 @@ class Kind(ABC):
     """A kind of measurement."""
 
     name: ClassVar[str]  # in messages, and in `Bias.sees`
-    cells: ClassVar[tuple[str, ...]]  # the numbers of a reading, as columns of a file
+    cells: ClassVar[tuple[str, ...]]  # the c numbers of a reading, as columns of a file
     scalars: ClassVar[tuple[str, ...]]  # names of its k equations
     unit: ClassVar[str] = "m"  # of the equations, ``m`` or ``rad``
-    turns: ClassVar[bool] = False  # whether the prediction depends on the tip's axes
+    turns: ClassVar[bool] = False  # whether the prediction depends on the tip's orientation
     label: ClassVar[str] = ""
-    """Text column that every reading needs, or empty. Where there are no cells, a row with a text
-    measures that the tip was there."""
+    """Text column that every reading needs, or empty.
+
+    For a kind without cells, a text in it says that the tip was at the place of this name.
+    """
     takes: ClassVar[int] = 0
-    """Rows that it takes to solve what a text names, where there are no cells."""
+    """Number of rows that determine the place of one name, for a kind without cells."""
     sigma: ClassVar[str] = ""  # column of its standard deviation in a file, or empty
     outside: ClassVar[bool] = True  # whether it measures from outside the arm
     of_joint: ClassVar[bool] = False  # whether it measures a joint and not the tip
     number: int = 0  # of that joint, from 1
 
     def find_measured(self, values: np.ndarray) -> np.ndarray:
-        """Tell (N, k) which equations readings (N, c) hold; NaN is not measured."""
+        """Return (N, k) True for the equations that readings (N, c) give; NaN: not measured."""
         whole = np.isfinite(values).all(axis=1, keepdims=True)
         return np.repeat(whole, len(self.scalars), axis=1)
 
     def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
-        """Tell (N,) which readings cannot be, and what is allowed instead."""
+        """Return (N,) True for impossible readings, and the text of what is allowed instead."""
         return np.zeros(len(values), dtype=bool), ""
 
     def has_own_frame(self, arm: Arm) -> bool:
-        """Tell whether it measures in a frame of its own, in which the base is to be placed."""
+        """Tell whether the sensor has a frame of its own, in which the base is to be placed."""
         return self.outside
 
     @abstractmethod
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
-        """Return equations of readings (N, c); rows that are not measured may hold anything."""
+        """Return the equations of readings (N, c).
+
+        Their values are arbitrary in rows where nothing was measured.
+
+        Args:
+            tip: the model's tip at the N rows.
+            labels: text columns of the rows, (N,) each.
+        """
 
 
 class _Position(Kind):
@@ -84,7 +97,7 @@ class _Position(Kind):
 
 
 class _Orientation(Kind):
-    """The tip's axes; the residual is the rotation (rad) from the predicted to the measured."""
+    """The tip's orientation; the residual is the rotation vector (rad), predicted to measured."""
 
     name = "orientation"
     cells = ("qx", "qy", "qz", "qw")
@@ -116,7 +129,7 @@ class _Distance(Kind):
         return values[:, 0] <= 0, "above 0 (m)"
 
     def has_own_frame(self, arm: Arm) -> bool:
-        """Tell whether an anchor's place is declared; else their frame is the base itself."""
+        """Tell whether an anchor's place is declared; else the anchors' frame is the base."""
         return any(anchor.xyz_m is not None for anchor in arm.anchors.values())
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
@@ -129,9 +142,9 @@ class _Distance(Kind):
 
 
 class _Ray(Kind):
-    """Direction in which a calibrated camera sees the tip, in its own axes; of any length.
+    """Direction in which a calibrated camera sees the tip, in the camera's axes; of any length.
 
-    The residual is the angle (rad) across the measured direction, along two axes.
+    The residual is the angle (rad) between measured and predicted direction, about two axes.
     """
 
     name = "ray"
@@ -159,7 +172,7 @@ class _Ray(Kind):
 
 
 class _Touch(Kind):
-    """The tip touched a point: all rows of one name touched the same one, which may be anywhere."""
+    """The tip touched a point: the same one in all rows of one name, at an unknown place."""
 
     name = "touch"
     cells = ()
@@ -174,7 +187,7 @@ class _Touch(Kind):
 
 
 class _Plane(Kind):
-    """The tip touched a plane: all rows of one name the same one, which may be anywhere."""
+    """The tip touched a plane: the same one in all rows of one name, at an unknown place."""
 
     name = "plane"
     cells = ()
@@ -189,7 +202,7 @@ class _Plane(Kind):
 
 
 class EncoderReading(Kind):
-    """The joint value that its encoder reads at rest, rad (m of a slide)."""
+    """The value that a joint's encoder reads at rest, rad (m for a prismatic joint)."""
 
     unit = "rad"
     of_joint = True
@@ -206,7 +219,7 @@ class EncoderReading(Kind):
 
 
 class _Kinds(dict[str, Kind]):
-    """The kinds that measure the tip, and by name one for the reading of every joint."""
+    """The kinds that measure the tip; a name such as ``read_q2`` gives an `EncoderReading`."""
 
     def __missing__(self, name: str) -> Kind:
         return EncoderReading(int(name.removeprefix("read_q")))
@@ -222,7 +235,10 @@ KINDS: Mapping[str, Kind] = _Kinds(
 
 
 def compute_axes_across(directions: np.ndarray) -> np.ndarray:
-    """Return two unit axes (N, 2, 3) across directions (N, 3), which NaN may stand for."""
+    """Return two unit vectors (N, 2, 3) perpendicular to each direction (N, 3).
+
+    A direction of NaN, which was not measured, counts as (1, 1, 1).
+    """
     known = np.where(np.isfinite(directions), directions, 1.0)
     along = known / np.linalg.norm(known, axis=1, keepdims=True)
     least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
@@ -232,7 +248,7 @@ def compute_axes_across(directions: np.ndarray) -> np.ndarray:
 
 
 def compute_rotations(quaternions: np.ndarray) -> np.ndarray:
-    """Return rotation matrices (N, 3, 3) of x, y, z, w (N, 4); the identity where one is NaN."""
+    """Return the matrices (N, 3, 3) of quaternions x, y, z, w (N, 4); the identity for NaN."""
     from scipy.spatial.transform import Rotation  # not for a control program
 
     known = np.isfinite(quaternions).all(axis=1, keepdims=True)
@@ -241,15 +257,20 @@ def compute_rotations(quaternions: np.ndarray) -> np.ndarray:
 
 
 def by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:
-    """Return what is declared under each of (N,) names, (N, ...)."""
+    """Return the declared value of each name, (N, ...).
+
+    Args:
+        declared: returns the value of one name.
+        names: (N,).
+    """
     known, which = np.unique(names, return_inverse=True)
     return np.array([declared(str(name)) for name in known])[which]
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
-    """Return rotation vectors (N, 3) in rad of matrices (N, 3, 3), whatever the scale of each.
+    """Return the rotation vectors (N, 3), rad, of matrices (N, 3, 3), which may be scaled.
 
-    NaN where a matrix is none of a rotation: not finite, or mirrored.
+    They are NaN where a matrix is not finite, singular or mirrored.
     """
     from scipy.spatial.transform import Rotation  # not for a control program
 

@@ -1,9 +1,10 @@
-"""Places a base by coordinates, distances, rays and axes, none of them a whole position.
+"""Finds the pose of a base from coordinates, distances, rays and orientations.
 
-With the base's rotation R and place p as twelve free numbers ("lifting"), most readings of a tip
-whose place o in the base is predicted are linear: ``c . (R o + p) = v``.  A coordinate has c along
-its axis; a ray two of them across it, through its camera.  Distances to an anchor give its place
-in the base (multilateration), a point whose sighting is declared.  Axes give R alone.
+It is for sessions without whole positions.  If the base's rotation R and position p are taken as
+twelve independent numbers ("lifting"), most readings are linear: ``c . (R o + p) = v`` with the
+predicted tip o in the base.  For a coordinate c is its axis; a ray gives two equations, with c
+perpendicular to the ray.  Distances to an anchor of known place give its position in the base
+(multilateration), and so three equations.  Orientations give R alone.
 """
 
 from __future__ import annotations
@@ -20,22 +21,37 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.math.points import ROUNDS, nearest_rotation, robust_kabsch, robust_weights
 
 _MIN_EQUATIONS = 4
-"""Distances to an anchor, or equations of a base, at least: three leave a mirror image."""
+"""Smallest number of distances to an anchor, or of equations of a base.
+
+Three would leave a mirror image.
+"""
 _SEEN_SHARE = 0.1
-"""Singular value of R, in the largest, below which its direction was not measured; of a rotation
-all are 1."""
+"""Smallest ratio of a singular value of the lifted R to the largest, if its direction was measured.
+
+All singular values of a rotation are 1.
+"""
 _FAR_MEDIANS = 6.0
-"""Misfit of a distance, in their median, from which it is left out: four standard deviations."""
+"""Misfit above which a distance is left out, as a multiple of the median misfit.
+
+For normal errors it is four standard deviations.
+"""
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.05, 2.8
-"""Turns between two rows that tell the axis of the turn: noise tilts that of smaller ones, and near
-pi its sign is not known."""
+"""Range of rotations between two rows whose axis is used.
+
+The axis of a smaller rotation is too noisy, and near pi its sign is not known.
+"""
 _RANK, EXACT = 1e-6, 1e-9
-"""Share of the largest singular value, and length (m), below which there is rounding only."""
+"""Ratio to the largest singular value, and length (m), below which a value is rounding error."""
 
 
 class _LinearEquations(NamedTuple):
-    """``direction . (R point + p) = value``: (M, 3) unit vectors in the frame of the
-    measurements, (M, 3) m in the base, (M,) m."""
+    """M equations ``direction . (R point + p) = value`` of the base's pose (R, p).
+
+    Attributes:
+        direction: (M, 3) unit vectors in the frame of the measurements.
+        point: (M, 3) m, in the base frame.
+        value: (M,) m.
+    """
 
     direction: np.ndarray
     point: np.ndarray
@@ -45,12 +61,15 @@ class _LinearEquations(NamedTuple):
 def lifted_base(
     arm: Arm, points: np.ndarray, axes: np.ndarray, rows: Session
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotation (3, 3) and place (3,) m of the base that agree with N rows measured from it.
+    """Return the rotation (3, 3) and position (3,), m, of the base that agree best with N rows.
 
-    What they do not determine is left as declared: the base unturned and at the origin.
+    Where the rows do not determine them, the rotation is the smallest one and the position the one
+    closest to the origin.
 
     Args:
-        points, axes: of N predicted tips in the base: (N, 3) m; (N, 3, 3) in columns.
+        points: (N, 3) predicted tips in the base frame, m.
+        axes: (N, 3, 3) axes of these tips in the base frame, as columns.
+        rows: the N measured rows.
     """
     parts = _linear_equations(arm, points, rows)
     found = _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
@@ -62,7 +81,12 @@ def lifted_base(
 
 
 def multilaterate(points: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Return the place (3,) of an anchor by N >= 4 distances (N,) from points (N, 3), m."""
+    """Return the position (3,) of an anchor, m, from its distances to known points, robustly.
+
+    Args:
+        points: (N, 3) m, N >= 4.
+        length: (N,) distances of the anchor from these points, m.
+    """
     kept = np.ones(len(length), dtype=bool)
     for _ in range(ROUNDS):
         place = _fit_anchor(points[kept], length[kept])
@@ -75,10 +99,11 @@ def multilaterate(points: np.ndarray, length: np.ndarray) -> np.ndarray:
 
 
 def _fit_anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Fit the place (3,) of an anchor to its distances, by least squares.
+    """Fit the position (3,) of an anchor to its distances by least squares.
 
-    ``|p|^2 - d^2 = 2 p.a - |a|^2`` is linear in a, but weighs far points more than they deserve, so
-    the distances themselves are fitted after it.  Points in a plane leave its side open.
+    ``|p|^2 - d^2 = 2 p.a - |a|^2`` is linear in a and |a|^2, but gives too much weight to far
+    points.  So its solution is only the start of a fit to the distances themselves.  If all points
+    lie in a plane, the anchor may be found on the wrong side of it.
     """
     middle = points.mean(axis=0)
     local = points - middle
@@ -94,7 +119,8 @@ def _fit_anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
 def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
     """Yield the equations of coordinates, of rays, and of declared anchors.
 
-    Each anchor is placed in the base by its distances, as a point that was seen.
+    An anchor is first located in the base frame by its distances. It then counts as a point whose
+    position in the frame of the measurements is known.
     """
     for k, axis in enumerate(np.eye(3)):
         some = np.isfinite(rows.xyz[:, k])
@@ -120,7 +146,11 @@ def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_
 
 
 def _solve_rotation_by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
-    """Solve R from axes ``A = R B X`` of any body X: between rows ``A_i A_j' = R B_i B_j' R'``."""
+    """Return the base's rotation R (3, 3) from measured orientations; None if there are too few.
+
+    An orientation is ``A = R B X`` with the predicted axes B and the unknown rotation X of the
+    tracked body on the tip.  Between two rows X cancels: ``A_i A_j' = R B_i B_j' R'``.
+    """
     turned = rows.take(rows.has_orientation)
     if len(turned) < _MIN_EQUATIONS:
         return None
@@ -137,7 +167,7 @@ def _solve_rotation_by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | Non
 
 
 def _solve_rotation(found: _LinearEquations) -> np.ndarray:
-    """Return R of the lifted problem, brought back to a rotation."""
+    """Return the rotation (3, 3) that is nearest to the matrix R of the lifted problem."""
     middle = found.point.mean(axis=0)
     local = found.point - middle
     turned = (found.direction[:, :, None] * local[:, None, :]).reshape(-1, 9)
@@ -163,7 +193,10 @@ def _solve_rotation(found: _LinearEquations) -> np.ndarray:
 
 
 def _robust(design: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve by least squares of smallest norm, the farther half of the equations counted less."""
+    """Return the robust least-squares solution of smallest norm.
+
+    Equations with large residuals get smaller weights.
+    """
     weights = np.ones(len(right))
     for _ in range(ROUNDS):
         root = np.sqrt(weights)

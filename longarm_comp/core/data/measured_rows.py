@@ -1,4 +1,4 @@
-"""The rows of a session: readings of any kind, and the channels of their equations."""
+"""The measurements of a session's rows, of any kind, and the channels of their equations."""
 
 from __future__ import annotations
 
@@ -16,14 +16,19 @@ from longarm_comp.core.errors import InputError
 
 @dataclass(frozen=True)
 class ChannelBlock:
-    """Channels of one kind of measurement, of one `sensor` (text column); None: one for all."""
+    """The channels of one kind of measurement.
+
+    Attributes:
+        kind: name of the kind.
+        sensor: the text in the column `sensor` of its rows; None: all rows.
+    """
 
     kind: str
     sensor: str | None = None
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of its scalars: ``x``, or ``left x`` of a sensor."""
+        """Names of its scalar equations: ``x``, or ``left x`` for the sensor ``left``."""
         return tuple(f"{self.sensor or ''} {name}".strip() for name in KINDS[self.kind].scalars)
 
 
@@ -41,75 +46,81 @@ class MeasuredRows:
     blocks: tuple[ChannelBlock, ...]
 
     def error(self, field: str, value: object, allowed: str) -> InputError:
-        """Return the error that the rows say something wrong."""
+        """Return an error about the rows, with their source.
+
+        Args:
+            field: the column or input that is wrong.
+            value: its value.
+            allowed: what is allowed instead.
+        """
         return InputError(self.source, field, value, allowed)
 
     def texts(self, label: str) -> np.ndarray:
-        """Return (N,) texts of a column, empty where it was not recorded."""
+        """Return the texts (N,) of a column; all empty if it was not recorded."""
         return self.labels.get(label, np.full(len(self.xyz), ""))
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(N,) whether anything was measured of the tip."""
+        """(N,) True for rows with any measurement of the tip."""
         of_tip = [not KINDS[b.kind].of_joint for b in self.blocks for _ in b.channels]
         return np.asarray(self.measured[:, of_tip].any(axis=1))
 
     @cached_property
     def has_position(self) -> np.ndarray:
-        """(N,) whether all three coordinates of the tip were measured."""
+        """(N,) True for rows with all three coordinates of the tip."""
         return np.isfinite(self.xyz).all(axis=1)
 
     @cached_property
     def has_orientation(self) -> np.ndarray:
-        """(N,) whether the tip's orientation was measured."""
+        """(N,) True for rows with a measured orientation of the tip."""
         return np.isfinite(self.reading(KINDS["orientation"])).all(axis=1)
 
     @cached_property
     def placed(self) -> np.ndarray:
-        """(N,) whether anything was measured that depends on where the tip is."""
+        """(N,) True for rows with a measurement that depends on the tip's position."""
         kinds = [KINDS[b.kind] for b in self.blocks for _ in b.channels]
         where = [not kind.turns and not kind.of_joint for kind in kinds]
         return np.asarray(self.measured[:, where].any(axis=1))
 
     @cached_property
     def plain(self) -> bool:
-        """True if whole positions by one sensor are all that was measured."""
+        """True if the only measurements are whole positions by one sensor."""
         half = np.isfinite(self.xyz).any(axis=1) & ~self.has_position
         return self.blocks == (ChannelBlock("position"),) and not half.any()
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
-        """The kinds of measurement of its channels, each once, in their order."""
+        """The kinds of measurement in the session, each once, in the order of the channels."""
         return tuple(KINDS[name] for name in dict.fromkeys(b.kind for b in self.blocks))
 
     def has_own_frame(self, arm: Arm) -> bool:
-        """Tell whether the rows measure in a frame of their own, so that the base is placed."""
+        """Tell whether a sensor has a frame of its own, in which the base is to be placed."""
         return any(kind.has_own_frame(arm) for kind in self.kinds)
 
     @property
     def turns(self) -> bool:
-        """True if a kind of measurement depends on the tip's axes."""
+        """True if a kind of measurement depends on the tip's orientation."""
         return any(kind.turns for kind in self.kinds)
 
     @cached_property
     def read_joints(self) -> tuple[int, ...]:
-        """Numbers of the joints whose encoders were read, 0-based among the commanded joints."""
+        """Indices (0-based, among the commanded joints) of the joints with encoder readings."""
         kinds = (KINDS[b.kind] for b in self.blocks)
         return tuple(kind.number - 1 for kind in kinds if isinstance(kind, EncoderReading))
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
-        """Names of the d scalar equations that a row may hold."""
+        """Names of the d scalar equations (channels) of a row."""
         return tuple(name for block in self.blocks for name in block.channels)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """``m`` or ``rad`` of each channel."""
+        """The unit of each of the d channels, ``m`` or ``rad``."""
         return tuple(KINDS[b.kind].unit for b in self.blocks for _ in b.channels)
 
     @cached_property
     def measured(self) -> np.ndarray:
-        """(N, d) which channels each row measured."""
+        """(N, d) True for the channels that each row measured."""
         made = []
         for block in self.blocks:
             rows = KINDS[block.kind].find_measured(self.reading(KINDS[block.kind]))
@@ -120,7 +131,10 @@ class MeasuredRows:
 
     @cached_property
     def frames(self) -> np.ndarray:
-        """(N,) name of the frame that each row is measured in: its group, and sensor of several."""
+        """(N,) name of the frame in which each row was measured.
+
+        It is the row's group; if there are several sensors, group and sensor.
+        """
         group = self.texts("group")
         if len({block.sensor for block in self.blocks}) < 2:
             return group
@@ -129,7 +143,7 @@ class MeasuredRows:
 
     @cached_property
     def stated_sigma(self) -> np.ndarray:
-        """(N, d) standard deviations that the rows state, m or rad; NaN where none."""
+        """(N, d) standard deviations recorded in the rows, m or rad; NaN where there is none."""
         made = []
         for block in self.blocks:
             own = self.sigmas.get(block.kind)
@@ -141,7 +155,10 @@ class MeasuredRows:
         return np.where(told, whole, np.nan)
 
     def names_of(self, kind: Kind) -> tuple[str, ...]:
-        """Return the texts beside its readings of one kind, each once: anchors, touched points."""
+        """Return the names in the label column of one kind of measurement, each once.
+
+        They are the anchors, touched points, planes or cameras of the rows that measured it.
+        """
         if kind.label not in self.labels:
             return ()
         rows = kind.find_measured(self.reading(kind)).any(axis=1)
@@ -149,7 +166,7 @@ class MeasuredRows:
 
     @cached_property
     def claimed_sigma(self) -> dict[str, float]:
-        """Median of `stated_sigma` by channel, of those in which a row states any."""
+        """Median of `stated_sigma` by channel name; channels without any are left out."""
         pairs = zip(self.channels, self.stated_sigma.T, strict=True)
         stated = ((name, values[np.isfinite(values)]) for name, values in pairs)
         return {name: float(np.median(values)) for name, values in stated if len(values)}
@@ -168,7 +185,10 @@ class MeasuredRows:
         return np.asarray(np.exp(logs.sum(axis=1) / np.maximum(known.sum(axis=1), 1)))
 
     def reading(self, kind: Kind) -> np.ndarray:
-        """Return (N, c) readings of one kind, NaN where not measured; 0 where a text measures."""
+        """Return the readings (N, c) of one kind; NaN where it was not measured.
+
+        A kind without numbers, such as a touch, has one column: 0 in rows that measured it.
+        """
         if kind.name == "position":
             return self.xyz
         if not kind.cells:
@@ -178,10 +198,10 @@ class MeasuredRows:
 
     @cached_property
     def _stood(self) -> dict[str, np.ndarray]:
-        """(N, 1) by kind that a text measures: 0 where one does, else NaN.
+        """Readings (N, 1) of the kinds without numbers: 0 in rows that measured it, else NaN.
 
-        A name in so few rows that they only tell where it is measures nothing, unless its distance
-        from another that was touched is known.
+        A name (of a touched point or plane) counts only if it is in more rows than determine its
+        place, or if its distance from another touched point is known.
         """
         made = {}
         for kind in KINDS.values():
@@ -228,7 +248,7 @@ class MeasuredRows:
         object.__setattr__(self, "sigmas", sigmas)
 
     def _blocks(self) -> tuple[ChannelBlock, ...]:
-        """Return a block a kind, or a kind and sensor where several sensors measured."""
+        """Return one block per kind of measurement, or per kind and sensor if there are several."""
         names = np.unique(self.texts("sensor"))
         rows = {k: v.find_measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
         kinds = [k for k in KINDS if rows[k].any()] or ["position"]
@@ -242,6 +262,6 @@ class MeasuredRows:
 
 
 def check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Raise `InputError` where an array has another shape."""
+    """Raise `InputError` if an array does not have a given shape."""
     if values.shape != shape:
         raise InputError(where, name, f"shape {values.shape}", f"shape {shape}")

@@ -1,7 +1,7 @@
-"""Stacked scalar equations: what a session measured against what a model predicts.
+"""Scalar equations of a session: its measurements less the predictions of a model.
 
-Every row has the session's d channels, and what it did not measure is 0 in residual and columns:
-such an equation says nothing in a least-squares problem.
+Every row has the session's d channels.  In channels that a row did not measure, residual and
+columns are 0, so these equations have no influence in a least-squares problem.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ def make_equations(
     *,
     at: Posture | None = None,
 ) -> Equations:
-    """Make the equations of a session, all channels.
+    """Make the equations of all rows and channels of a session.
 
     Args:
-        slots: p parameters that the columns are of; by default the model's.
-        at: posture of the arm at the rows, where it is known already.
+        slots: the p parameters of the columns; by default all of the model's.
+        at: posture of the arm at the rows, if it was computed already.
 
     Returns:
         Residuals (N, d) in m and rad, columns (N, d, p) and pulls (N, d, 3).
@@ -52,16 +52,22 @@ def make_equations(
 def compute_shifts(
     model: Model, session: Session, at: Posture, terms: Sequence[Effect | Bias]
 ) -> np.ndarray:
-    """Compute the change (N, d, k) of the prediction by each of k terms outside the model."""
+    """Compute the change (N, d, k) of the prediction by each of k terms outside the model.
+
+    Args:
+        at: posture of the arm at the N rows.
+        terms: the k terms, with the values that they shall have.
+    """
     model = with_touched(model, session, at)
     return _stack(model.motion_with(at, terms, session.turns), session).columns
 
 
 def compute_unit_lengths(model: Model, session: Session) -> np.ndarray:
-    """Compute (d,) lengths at the tip, m, that a unit of each channel means: 0 of an orientation.
+    """Compute the length at the tip (m) that corresponds to a unit of each channel, (d,).
 
-    A ray's is the median distance of the tip from its camera, an encoder's the median lever of the
-    tip about its joint.
+    It is 1 for channels in m and 0 for orientations.  For a ray it is the median distance of the
+    tip from the camera, and for an encoder the median displacement of the tip per unit of its
+    joint.
     """
     units = np.array(session.units)
     made = (units == "m").astype(float)
@@ -81,10 +87,13 @@ def compute_unit_lengths(model: Model, session: Session) -> np.ndarray:
 
 
 def compute_tip_errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
-    """Compute measured - predicted, (M, 3) m, of the M rows that say where the tip is.
+    """Compute measured - predicted, (M, 3) m, of the M rows that measure the tip's position.
 
-    Where fewer than three coordinates were measured it is the smallest displacement of the tip
-    that explains the row.  A similar model's posture at the M rows (`near`) saves time.
+    In rows without a whole position it is the smallest displacement of the tip that explains the
+    measurement.
+
+    Args:
+        near: a similar model's posture at the M rows, which saves time.
     """
     placed = session.take(session.placed)
     if not len(placed):
@@ -94,7 +103,11 @@ def compute_tip_errors(model: Model, session: Session, near: Posture | None = No
 
 
 def tip_errors_at(model: Model, placed: Session, at: Posture) -> np.ndarray:
-    """Compute `compute_tip_errors` of rows that all say where the tip is, at the arm's posture."""
+    """Compute `compute_tip_errors` of rows that all measure the tip's position.
+
+    Args:
+        at: posture of the arm at these rows.
+    """
     positions = np.asarray(placed.xyz - model.measured_at(at))
     if placed.plain:
         return positions
@@ -104,9 +117,9 @@ def tip_errors_at(model: Model, placed: Session, at: Posture) -> np.ndarray:
 
 
 def compute_touch_errors(model: Model, session: Session) -> np.ndarray:
-    """Compute distances of predicted tip and touched point, (M,) m, of the M rows of a touch.
+    """Compute the distances (M,), m, between predicted tip and touched point, in the M touch rows.
 
-    The points are solved from these rows alone.
+    The touched points are placed by these rows alone.
     """
     rows = session.take(session.reading(KINDS["touch"])[:, 0] == 0.0)
     if not len(rows):
@@ -119,7 +132,10 @@ def compute_touch_errors(model: Model, session: Session) -> np.ndarray:
 
 
 def compute_turn_errors(model: Model, session: Session) -> np.ndarray:
-    """Compute rotations from predicted to measured tip, (M, 3) rad, of the M rows that tell it."""
+    """Compute the rotation vectors (M, 3), rad, from predicted to measured tip orientation.
+
+    M is the number of rows with a measured orientation.
+    """
     turned = session.take(session.has_orientation)
     if not len(turned):
         return np.zeros((0, 3))

@@ -1,7 +1,8 @@
-"""Poses to measure: the paper's grid, space-filling points, random targets; which may be.
+"""Plans of poses to measure: the paper's grid, space-filling points, random poses.
 
-A plan is an array of commanded joints (N, n) inside the joint box, and the side from which each
-joint shall arrive.  Poses that separate two effects are planned by the diagnosis.
+A plan holds commanded joints (N, n) inside the joint limits (the joint box), and the side from
+which each joint shall arrive.  It may be filtered, for instance by keep-out boxes.  Poses that
+separate two effects are planned by the diagnosis.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from longarm_comp.core.model.link_frames import boxes_entered
 from longarm_comp.core.model.model import Model
 
 _PAPER_STROKES = np.array([(0, 0), (0, 63), (60, 10), (53, 63), (104, 18), (105, 63)]) / (105, 63)
-"""Section III.B: the six pairs of prismatic strokes, as shares of each stroke."""
+"""Section III.B of the paper: the six pairs of prismatic strokes, as fractions of each stroke."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +31,13 @@ class Plan:
 
     q: np.ndarray  # (N, n) commanded joints, rad and m
     approach: np.ndarray
-    """(N, n) side each joint arrives from: +1 from below, -1 from above, 0 from wherever it is;
-    (N,) where one side holds for all joints."""
-    payload_kg: np.ndarray | None = None  # (N,) mass to carry, or None for as it is
+    """(N, n) side from which each joint arrives: +1 from below, -1 from above, 0 from either.
+
+    It may be given as (N,), with one side for all joints.
+    """
+    payload_kg: np.ndarray | None = None  # (N,) mass to carry; None: the present payload
     touch: np.ndarray | None = None
-    """(N,) name of the point that the tip touches, or None where it touches none."""
+    """(N,) name of the point that the tip touches; None if the plan is not one of touches."""
 
     def __post_init__(self) -> None:
         sides = np.asarray(self.approach, dtype=np.int8)
@@ -45,7 +48,7 @@ class Plan:
         return len(self.q)
 
     def take(self, rows: np.ndarray) -> Plan:
-        """Return some of the poses, by number."""
+        """Return some of the poses, by index."""
         payload = None if self.payload_kg is None else self.payload_kg[rows]
         touch = None if self.touch is None else self.touch[rows]
         return Plan(self.q[rows], self.approach[rows], payload, touch)
@@ -55,9 +58,12 @@ def paper_grid(arm: Arm) -> np.ndarray:
     """Return the paper's training grid (Section III.B) for any arm, (N, n).
 
     Each revolute joint takes its lower limit, its middle and its upper limit.  Two prismatic
-    joints take the paper's six pairs of strokes scaled to their limits; any other number of
-    them takes three levels each like a revolute joint.  (The paper puts -25 deg for joint 5
-    where its middle is -22.5 deg.)  The paper's arm gives 3^5 * 6 = 1458 poses.
+    joints take the paper's six pairs of strokes, scaled to their limits; any other number of
+    them takes three levels each like a revolute joint.  (The paper uses -25 deg for joint 5,
+    whose middle is -22.5 deg.)  The paper's arm gives 3^5 * 6 = 1458 poses.
+
+    Raises:
+        InputError: the grid has more than a million poses.
     """
     sliding = int(arm.slides.sum())
     pairs = _PAPER_STROKES if sliding == 2 else _levels(sliding)
@@ -115,23 +121,31 @@ def random_joints(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> np.nd
 
 
 def random_targets(model: Model, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
-    """Draw n random reachable points (n, 3), m: the tip of a model at random joints."""
+    """Draw n random reachable points (n, 3), m: the tips of a model at random joints."""
     return model.tip(random_joints(model.arm, n, rng))
 
 
 def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
-    """Return shares 0..1 of the joint box as joints; the limits are hit exactly."""
+    """Return the joints at fractions 0..1 of the joint box; 0 and 1 give exactly the limits."""
     return np.where(shares == 1.0, arm.upper, arm.lower + shares * (arm.upper - arm.lower))
 
 
 def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Return sides (N, n) as wished, but the other where a limit leaves no room to run up."""
+    """Return the sides of arrival (N, n), reversed where a limit leaves no room for a run-up.
+
+    Args:
+        q: (N, n) commanded joints, rad and m.
+        sides: (N, n) wanted sides, +-1; 0 stays 0.
+    """
     start = q - sides * run_up_lengths(arm)
     return np.where((start < arm.lower) | (start > arm.upper), -sides, sides)
 
 
 def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
-    """Return the same poses, each joint from a side drawn for it alone where both have room."""
+    """Return the same poses with a random side of arrival for each joint of each pose.
+
+    Where one side has no room for a run-up, it is the other one.
+    """
     drawn = np.random.default_rng(rng).choice(np.array([-1, 1]), size=plan.q.shape)
     return dataclasses.replace(plan, approach=with_room(arm, plan.q, drawn))
 
@@ -139,8 +153,8 @@ def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) 
 def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
     """Return every pose twice, the second time with all joints from the opposite sides.
 
-    Sides that the plan leaves open are drawn. A joint at a limit arrives from the side that has
-    room both times.
+    Sides that the plan leaves open are drawn. A joint at a limit arrives both times from the side
+    that has room.
     """
     drawn = with_random_sides(arm, plan, rng).approach
     first = np.where(plan.approach == 0, drawn, plan.approach)
@@ -150,25 +164,31 @@ def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) ->
 
 
 def _with_sides(arm: Arm, q: np.ndarray, rng: np.random.Generator) -> Plan:
-    """Draw a side for every joint; what the caller draws next does not depend on their number."""
+    """Return a plan of poses q (N, n) with a random side of arrival for every joint.
+
+    A spawned generator draws them, so later draws of `rng` do not depend on the number of joints.
+    """
     common = Plan(q, rng.choice(np.array([-1, 1]), size=len(q)))
     return with_random_sides(arm, common, rng.spawn(1)[0])
 
 
 FLOOR = "floor"
-"""Name of the keep-out box that is everything below a height."""
+"""Name of the keep-out box of everything below a height."""
 _FAR = 1e3
 _TIMES = (4, 16, 64)
-"""Poses that are drawn for each one that is wanted, where fewer do not give enough."""
+"""Numbers of drawn poses per wanted pose; the next one is used if too few poses are allowed."""
 
 Allowed = Callable[[Plan], np.ndarray]
-"""(M,) bool: which of M poses may be taken."""
+"""A function that returns (M,) True for the allowed ones of a plan's M poses."""
 
 
 def with_floor(arm: Arm, height_m: float) -> Arm:
     """Return the arm with a floor at a height (m, base frame) among its keep-out boxes.
 
     A floor above the arm's foot is a safety height: the arm rises above it once and stays there.
+
+    Raises:
+        InputError: the height is not within +-1 km.
     """
     if not -_FAR < height_m < _FAR:
         raise InputError("floor", "--floor", height_m, f"a height, {-_FAR:g} to {_FAR:g} m")
@@ -177,7 +197,10 @@ def with_floor(arm: Arm, height_m: float) -> Arm:
 
 
 def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
-    """Tell (M,) whether the arm stays out of keep-out boxes, at each pose and where it runs up."""
+    """Return (M,) True for poses at which the arm is outside all keep-out boxes.
+
+    The start of the run-up to a pose must be outside too.
+    """
     if not model.arm.keep_out:
         return np.ones(len(plan), dtype=bool)
     start = plan.q - plan.approach * run_up_lengths(model.arm)
@@ -189,7 +212,16 @@ def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
 def fill_plan(
     make: Callable[[Arm, int, int], Plan], arm: Arm, n: int, seed: int, allowed: Allowed, most: int
 ) -> Plan:
-    """Return the first n poses that are allowed, of a kind of plan that fills the joint box."""
+    """Return a plan of the first n allowed poses.
+
+    Args:
+        make: makes a plan of a number of poses from the arm, this number and a seed.
+        allowed: returns (M,) True for the allowed ones of a plan's M poses.
+        most: largest number of poses to draw, if this is more than n.
+
+    Raises:
+        JobError: fewer than n of the drawn poses are allowed.
+    """
     free, tried = np.zeros(0, dtype=int), 0
     for count in sorted({n, *(min(times * n, most) for times in _TIMES)}):
         plan = make(arm, count, seed)

@@ -1,7 +1,8 @@
-"""Rigid registration of an arm to its sightings: where its bases stand, and where its markers sit.
+"""Rigid registration of an arm to its sightings: the poses of its bases, the places of its markers.
 
-A row's sighting is ``R_g (o + B t_k) + p_g``: group g's base at (R_g, p_g), marker k moved by t_k
-in the frame that carries it, o its declared place and B that frame's axes, both in the base.
+A row's sighting is ``R_g (o + B t_k) + p_g``.  The base of group g has the pose (R_g, p_g).  Marker
+k is displaced by t_k in the frame that carries it.  o is its declared position, and B the axes of
+that frame, both in the base frame.
 """
 
 from __future__ import annotations
@@ -28,18 +29,18 @@ def median_spread(points: np.ndarray) -> float:
 
 
 _STEPS = 20
-"""Times that the rows are weighed again with all free."""
+"""Largest number of Gauss-Newton steps, each with new robust weights."""
 _MIN_ROWS = 3
-"""Rows of a group that fix its rotation."""
+"""Smallest number of rows that determines the rotation of a group's base."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """The seen points of a session's rows beside where the declared arm has their markers."""
+    """The measured points of a session's rows, and the declared positions of their markers."""
 
     point: np.ndarray  # (N, 3) declared place of the row's marker, m, in the base frame
     axes: np.ndarray  # (N, 3, 3) axes of the frame that carries it, in columns, in the base frame
-    seen: np.ndarray  # (N, 3) m
+    seen: np.ndarray  # (N, 3) measured point, m, in the frame of the measurements
     group: np.ndarray  # (N,) number of the base placement, 0..G-1
     marker: np.ndarray  # (N,) number of the marker, 0..K-1
 
@@ -76,14 +77,14 @@ class Sightings:
 
 
 def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Return (N,) number of each label among the names; 0 for one that is not there."""
+    """Return the index (N,) of each label in the names; 0 for a label that is not among them."""
     known = {name: k for k, name in enumerate(names)}
     return np.array([known.get(str(label), 0) for label in labels], dtype=int)
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """The places of G bases and K markers, and what they leave of N sightings."""
+    """The poses of G bases, the places of K markers, and the residuals of N sightings."""
 
     rotation: np.ndarray  # (G, 3, 3) of each base in the frame of the measurements
     offset: np.ndarray  # (G, 3) m
@@ -92,7 +93,7 @@ class Registration:
 
     @property
     def distance(self) -> np.ndarray:
-        """(N,) distance of each row from its sighting, m."""
+        """(N,) distance of each sighting from the registered arm, m."""
         return np.linalg.norm(self.residual, axis=1)
 
     @property
@@ -104,18 +105,21 @@ class Registration:
     def at(
         cls, rows: Sightings, rotation: np.ndarray, offset: np.ndarray, tip: np.ndarray
     ) -> Registration:
-        """Compare sightings with the arm at a known placement; arguments as the attributes."""
+        """Return the registration with a known placement, and the residuals that it leaves.
+
+        The arguments have the meaning of the attributes with the same names.
+        """
         local = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
         predicted = np.einsum("nij,nj->ni", rotation[rows.group], local) + offset[rows.group]
         return cls(rotation, offset, tip, rows.seen - predicted)
 
 
 def register(rows: Sightings, tips: bool = True) -> Registration:
-    """Find bases and markers that bring the arm's points closest to the sightings, robustly.
+    """Find the bases and markers that bring the arm's points closest to the sightings, robustly.
 
-    The better of two starts is refined by Gauss-Newton on the distances: the marker where it is
-    declared, and (with `tips`, where markers are unknown as well) the linear solution.  Directions
-    that the rows do not determine are left as declared.
+    Without `tips` only the bases are found.  With `tips` the markers are free too: two starts are
+    refined by Gauss-Newton, the declared markers and the linear solution, and the better result is
+    kept.  Directions that the rows do not determine stay as declared.
     """
     still = np.zeros((int(rows.marker.max()) + 1, 3))
     best = _refine(rows, still, tips)
@@ -127,7 +131,11 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
 
 
 def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
-    """Fit the bases at given markers (K, 3) m, then, with `tips`, everything by Gauss-Newton."""
+    """Fit the bases with fixed markers, then, with `tips`, bases and markers by Gauss-Newton.
+
+    Args:
+        tip: (K, 3) displacement of each marker at the start, m.
+    """
     groups = int(rows.group.max()) + 1
     point = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
     rotation, offset = np.zeros((groups, 3, 3)), np.zeros((groups, 3))
@@ -151,7 +159,7 @@ def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
 
 
 def _take_step(rows: Sightings, now: Registration) -> Registration:
-    """Take one weighted Gauss-Newton step in the pose of every base and place of every marker."""
+    """Take one weighted Gauss-Newton step of all base poses and marker positions."""
     n, groups, kinds = len(rows.seen), len(now.offset), len(now.tip)
     turned = rows.seen - now.residual
     centre = np.stack([turned[rows.group == g].mean(0) for g in range(groups)])
@@ -176,10 +184,10 @@ def _take_step(rows: Sightings, now: Registration) -> Registration:
 
 
 def _linear_tips(rows: Sightings, weights: np.ndarray) -> np.ndarray | None:
-    """Return (K, 3) marker places from the linear problem; None where the rows do not determine it.
+    """Return the marker displacements (K, 3), m, from a linear problem; None if undetermined.
 
-    With X = R and Y_j = R t_j as free numbers, a sighting is linear: ``X o + sum_j Y_j B_j + p``.
-    Only the largest group is used, and only its markers move.
+    A sighting is linear, ``X o + sum_j Y_j B_j + p``, if X = R and the products Y_j of R and t are
+    independent numbers.  Only the largest group is used, and only its markers are displaced.
     """
     g = int(np.argmax(np.bincount(rows.group)))
     tip = np.zeros((rows.marker.max() + 1, 3))

@@ -1,4 +1,4 @@
-"""Rest of the arm: in a stream (`RestWatch`), and in what was recorded (`mean_at_rest`).
+"""Finds when the arm rests: in a live stream (`RestWatch`) or in a recording (`mean_at_rest`).
 
 Sightings of one pose share the pose's model error, so only their mean is an independent sample.
 """
@@ -16,37 +16,44 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 
 JOINT_REST = 2e-3
-"""Largest distance (rad, m) of a resting joint from its goal or its final position: a tick of
-its encoder, and what its controller leaves."""
+"""Largest distance (rad, m) of a resting joint from its goal or its final position.
+
+It covers an encoder tick and the error that a controller leaves.
+"""
 TIP_REST_M = 3e-3
 """Largest distance (m) of a settled sighting from the final position of the sightings."""
 REST_S = 0.1
-"""Shortest rest (s) of the measured joints; a shorter one is only a passage."""
+"""Shortest rest (s) of the measured joints; if they stay for less, they only passed."""
 AFTER_S = 0.05
-"""The tip comes to rest this long (s) after the last change of the measured joints, at most."""
+"""Longest time (s) from the last change of the measured joints until the tip rests."""
 
 
 @dataclass(frozen=True)
 class RestPose:
     """The arm at rest at a commanded pose, and the mean sighting of the tip."""
 
-    q: np.ndarray  # q, history: (n,) commanded joints, rad and m, and how they came there
-    history: History
-    tip: np.ndarray
-    """tip, variance: (3,) m; (3,) m^2 of the mean, from the variances of the sightings."""
+    q: np.ndarray  # (n,) commanded joints, rad and m
+    history: History  # of the joints on arrival
+    tip: np.ndarray  # (3,) mean of the sightings, m
     variance: np.ndarray
+    """(3,) variance of this mean, m^2, computed from the variances of the sightings."""
 
 
 @dataclass
 class RestWatch:
-    """Returns each rest pose once: the mean of `sightings` once joints rested for `settle_s`."""
+    """Finds rest poses in a stream; each command gives at most one.
+
+    Attributes:
+        settle_s: time that the joints must rest before a sighting counts, s.
+        sightings: number of sightings that are averaged.
+    """
 
     settle_s: float = 0.5
     sightings: int = 3
     _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
     _arrived_s: float = math.inf
-    _stands: np.ndarray | None = None  # where the joints were when the driver said so
+    _stands: np.ndarray | None = None  # the first joint reading after the driver reported arrival
     _seen: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -54,25 +61,26 @@ class RestWatch:
             raise InputError("rest watch", "sightings", self.sightings, "1 or more")
 
     def on_command(self, q: np.ndarray, history: History) -> None:
-        """Take a command q (n,) and the history of the joints on arrival."""
+        """Register a command q (n,), rad and m, and the history of the joints on arrival."""
         self._goal, self._there_since = (q, history), None
         self._arrived_s, self._stands = math.inf, None
         self._seen.clear()
 
     def forget(self) -> None:
-        """Forget the command: the arm is not on its way there any more, or has left it."""
+        """Forget the command: the arm does not go there any more, or has left it."""
         self._goal = None
 
     def on_arrival(self, at_s: float) -> None:
-        """Take the driver's word that from a time (s) on the joints rest where they were sent.
+        """Register that the driver reported arrival: the joints rest from the time `at_s` (s) on.
 
-        They may give way, but not move any more: then something else than the command moved them.
-        Readings from before that time may still come.
+        From then on the joints may be off their goal. But if they move by more than `JOINT_REST`,
+        the command is forgotten, because something else moved them. Readings from before that
+        time may still come.
         """
         self._arrived_s = at_s
 
     def joints(self, q: np.ndarray, at_s: float) -> None:
-        """Take a joint reading q (n,) of a time (s, of the clock of the sightings)."""
+        """Register a joint reading q (n,), rad and m, at a time (s, on the sightings' clock)."""
         if self._goal is None:
             return
         if at_s >= self._arrived_s:
@@ -87,9 +95,12 @@ class RestWatch:
             self._there_since = at_s
 
     def on_sighting(self, tip: np.ndarray, variance: np.ndarray, at_s: float) -> RestPose | None:
-        """Take a sighting (m, m^2; NaN if lost) of a time (s); the rest pose that it completes.
+        """Register a sighting, and return the rest pose if this sighting completes it.
 
-        The time is that of the images: a sighting that comes late shows the arm as it was then.
+        Args:
+            tip: (3,) m; NaN if the marker was lost.
+            variance: (3,) m^2.
+            at_s: time of the images, s, which may be before this call.
         """
         settled = self._there_since is not None and at_s - self._there_since >= self.settle_s
         if self._goal is None or not settled or not np.isfinite(tip).all():
@@ -104,19 +115,22 @@ class RestWatch:
 
 
 NO_REST = f"the joints did not rest for {REST_S} s"
-"""Why there is no position, where that is not the cameras' matter."""
+"""The reason why there is no position, if the joints and not the cameras caused it."""
 _LAST = 5
-"""Sightings whose median is the final position: two of them may be wrong."""
+"""Number of last sightings whose median is the final position; two of them may be wrong."""
 _LEAP, _LEAPS, _RETURNS = 10 * JOINT_REST, 4, 2 / 3
-"""Two arms tell their joints in turn: at least so many steps between readings are as large (rad, m)
-as none of encoders' noise is, and more than this share of them is taken back by the next; of an arm
-that swings, read four times a period, half are."""
+"""Signs that two arms publish their joints in turn on one topic.
+
+At least `_LEAPS` steps between readings exceed `_LEAP` (rad, m), far above encoder noise, and the
+next step reverses more than `_RETURNS` of them.  For a swinging arm, read four times a period,
+it reverses half of them.
+"""
 
 
 def is_of_two_arms(joints: np.ndarray) -> bool:
-    """Tell whether (m, n) readings of joints, rad and m, leap to and fro between two arms.
+    """Tell whether (m, n) joint readings, rad and m, alternate between those of two arms.
 
-    A turn that is left out or added by an endless joint is no leap.
+    Differences by whole turns of a joint are ignored.
     """
     steps = np.diff(joints, axis=0)
     steps -= np.round(steps / (2 * np.pi)) * 2 * np.pi
@@ -127,7 +141,15 @@ def is_of_two_arms(joints: np.ndarray) -> bool:
 
 
 class Sighting(NamedTuple):
-    """A measured tip at t (s): (3,) m and m^2, (4,) x, y, z, w and rad^2; NaN: not measured."""
+    """A measured tip; NaN where something was not measured.
+
+    Attributes:
+        t: time, s.
+        xyz: (3,) position, m.
+        variance: (3,) variance of the position, m^2.
+        quaternion: (4,) orientation x, y, z, w.
+        turn_variance: variance of the orientation, rad^2.
+    """
 
     t: float
     xyz: np.ndarray
@@ -137,28 +159,30 @@ class Sighting(NamedTuple):
 
 
 def blank_sighting(t: float) -> Sighting:
-    """Return a sighting at `t` (s) that measured nothing."""
+    """Return a sighting at `t` (s) without a measurement."""
     return Sighting(t, np.full(3, np.nan), np.zeros(3), np.full(4, np.nan), 0.0)
 
 
 def mean_at_rest(
     sightings: Sequence[Sighting], times: np.ndarray, joints: np.ndarray, begin: float
 ) -> tuple[Sighting | None, str]:
-    """Return the mean of the settled sightings between a command at `begin` (s) and the next one.
+    """Return the mean of the sightings at rest between a command and the next one.
 
     The arm is at rest once the measured joints stay at their final values (`JOINT_REST`) and the
     sightings at their final position (`TIP_REST_M` about the median of the last five).  Sightings
-    after the joints stood still (`_still_from`) come first: a joint that still moves within
-    `JOINT_REST` of its end is millimetres off at the tip.
+    after the joints stopped completely (`_still_from`) are preferred, because a joint that still
+    moves within `JOINT_REST` of its end displaces the tip by millimetres.
 
     Args:
-        sightings: in the order of time.
-        times, joints: (m,) s and (m, n) measured joints, rad and m; m may be 0.
+        sightings: those between the two commands, in the order of time.
+        times: (m,) times of the joint readings, s; m may be 0.
+        joints: (m, n) measured joints, rad and m.
+        begin: time of the command, s.
 
     Returns:
-        Mean time, position and orientation, and the variances of the mean; the position is NaN
-        if the marker was lost in all of those at rest. None where no sighting came, or the arm only
-        passed. And why there is no position; empty where there is one.
+        First the mean sighting, with the variances of the mean. Its position is NaN if the marker
+        was not seen at rest. It is None if there was no sighting, or the joints did not rest.
+        Second the reason why there is no position; empty if there is one.
     """
     if not sightings:
         return None, "no sighting came"
@@ -172,7 +196,7 @@ def mean_at_rest(
         still = _still_from(times, joints, rest)
         since = ([s for s in seen if s.t >= t] for t in (still + AFTER_S, still, arrived))
         seen = next(filter(None, since), [])
-        if not seen:  # it was seen on the way only
+        if not seen:  # it was seen during the motion only
             return blank_sighting(sightings[-1].t), "marker seen on the way only"
     last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)
     kept: list[Sighting] = []
@@ -199,7 +223,7 @@ def mean_at_rest(
 
 
 def still_since(times: np.ndarray, joints: np.ndarray, begin: float) -> float:
-    """Return the time (s) from which on the joints stand after a command at `begin` (s)."""
+    """Return the time (s) from which on the joints stand still after a command at `begin` (s)."""
     return _still_from(times, joints, _end_of_motion(times, joints, begin)[0])
 
 
@@ -215,7 +239,10 @@ def joints_at_rest(times: np.ndarray, joints: np.ndarray, begin: float) -> np.nd
 
 
 def _end_of_motion(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple[float, float]:
-    """Return times (s) of the last reading off the final joints, and of the first one at them."""
+    """Return the times (s) of the last reading away from the final joints, and of the next one.
+
+    Both are `begin` if no reading is away from them by more than `JOINT_REST`.
+    """
     moving = np.flatnonzero((np.abs(joints - joints[-1]) > JOINT_REST).any(axis=1))
     if not len(moving):
         return begin, begin
@@ -223,9 +250,14 @@ def _end_of_motion(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple
 
 
 def _still_from(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
-    """Return the time (s) from which the joints change no more than in the last half of the rest.
+    """Return the time (s) from which on the joints only flicker, as in the last half of the rest.
 
-    Encoders that flicker by a tick do so to the end.
+    The flicker is that of encoders, by one tick.
+
+    Args:
+        times: (m,) times of the readings, s.
+        joints: (m, n) readings, rad and m.
+        rest: time of the last reading away from the final joints, s.
     """
     last = joints[times >= min(times[-1] - REST_S, (rest + times[-1]) / 2)]
     low, high = last.min(axis=0), last.max(axis=0)

@@ -1,7 +1,7 @@
 """A session: commanded joints, measured tips and their circumstances.
 
-What depends on the order of recording (how a joint arrived) is derived once, here, so that any
-subset may be taken afterwards.
+Values that depend on the order of recording, such as how a joint arrived, are derived once when the
+session is made.  So any subset of its rows may be taken afterwards.
 """
 
 from __future__ import annotations
@@ -48,21 +48,21 @@ class Session(MeasuredRows):
             `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
         labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
         source: file or bag from which it was read, for messages.
-        legs: (N, n, LEGS) signed ways of each joint from turn to turn, rad and m, the latest
-            first (`core/arm/history.py`); 0 where unknown.
-        last_way: (N, n) signed way of each joint since it last stood or turned, rad and m; 0 where
-            it did not move, or nobody knows.
-        told: (N, n) of +-1 if only the side of arrival was recorded, with a run-up of unknown
-            length, else 0.
-        readings: what else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of
-            NaN was not. `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`.
-        sigmas: standard deviations of these, by kind, (N,) each in m or rad.
+        legs: (N, n, LEGS) signed displacements of each joint between reversals, rad and m, the
+            latest first (`core/arm/history.py`); 0 where unknown.
+        last_way: (N, n) signed displacement of each joint since it last stood still or reversed,
+            rad and m; 0 where it did not move or this is not known.
+        told: (N, n) side (+-1) of joints of which only the side of arrival was recorded, with a
+            run-up of unknown length; 0 for others.
+        readings: further measurements by kind (`core/data/kinds.py`), (N, c) each; NaN in rows
+            without one. `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`.
+        sigmas: standard deviations of the readings, by kind, (N,) each in m or rad.
         touch_distances: known distances between touched points (`core/data/touched.py`).
         blocks: the channels of the equations; a part of a session keeps those of the whole.
-        begun_s: `t_s` of the moment from which effects count the time: a machine's clock may count
+        begun_s: the value of `t_s` from which effects count the time; a machine's clock may count
             from 1970.
-        lost: why rows of the recording hold no measurement, by index, if known; a part of a session
-            keeps those of the whole.
+        lost: known reasons why rows of the recording hold no measurement, by index; a part of a
+            session keeps those of the whole.
     """
 
     index: np.ndarray
@@ -137,15 +137,17 @@ class Session(MeasuredRows):
         touch_distances: Sequence[KnownDistance] = (),
         **further: Any,
     ) -> Session:
-        """Make a session of rows in the order of recording; how each joint arrived is derived.
+        """Make a session from rows in the order of recording, and derive the joints' history.
 
         Args:
-            index: (N,); counted from 0 when not given.
-            approach: as recorded: (N,) for all joints at once or (N, n), with 0 or NaN for
-                "from the row before". Not given: every row is.
-            run_up: (N, n) where each joint's last approach began, rad and m; NaN where it had
-                none or nobody knows.
-            further: other attributes of a session; None is as not given.
+            q: (N, n) commanded joints, rad and m.
+            xyz: (N, 3) measured tip, m; NaN where it was not measured.
+            index: (N,) counter of the recording; 0, 1, ... by default.
+            approach: recorded side of arrival, (N,) for all joints or (N, n); 0 or NaN, which
+                is the default, means straight from the row before.
+            run_up: (N, n) where each joint's last approach began, rad and m; NaN where there was
+                none or this is not known.
+            further: other attributes of a session; those that are None are ignored.
         """
         q = _joints(source, q)
         n_rows = len(q)
@@ -170,7 +172,11 @@ class Session(MeasuredRows):
         )
 
     def with_run_ups(self, lengths: np.ndarray) -> Session:
-        """Return the session with these lengths (n,), rad and m, of its unknown run-ups."""
+        """Return the session with assumed lengths of the run-ups whose length is not known.
+
+        Args:
+            lengths: (n,) length for each joint, rad and m.
+        """
         if not self.told.any():
             return self
         history = recorded_history(self.q, self.index, self.told, self.run_up, lengths)
@@ -185,7 +191,7 @@ class Session(MeasuredRows):
         return f"Session({self.source}: {len(self)} rows of {self.n} joints, {what} in {seen})"
 
     def _repr_html_(self) -> str:
-        """Return the first rows; repr says how many there are."""
+        """Return an HTML table of the first eight rows."""
         names = ("index", *(f"q{j}" for j in range(1, self.n + 1)), "x", "y", "z")
         numbers = zip(self.index.tolist(), self.q.tolist(), self.xyz.tolist(), strict=True)
         rows = [dict(zip(names, (k, *q, *xyz), strict=True)) for k, q, xyz in islice(numbers, 8)]
@@ -198,23 +204,26 @@ class Session(MeasuredRows):
 
     @property
     def t_s(self) -> np.ndarray | None:
-        """Time of each row in s, (N,), where recorded."""
+        """Time of each row in s, (N,); None if it was not recorded."""
         return self.columns.get("t_s")
 
     @property
     def ended_s(self) -> float | None:
-        """The latest time of its rows, as effects count it; None where none is recorded."""
+        """The latest time of its rows, s after `begun_s`; None if no time was recorded."""
         return None if self.t_s is None else float(self.t_s.max() - self.begun_s)
 
     @cached_property
     def share_of_time(self) -> np.ndarray:
-        """(N,) when each row was measured, from 0 to 1; by its number where no time is known."""
+        """(N,) time of each row, scaled to 0..1; the row's index is used if no time is known."""
         when = np.asarray(self.index if self.t_s is None else self.t_s, float)
         return (when - when.min()) / max(float(np.ptp(when)), 1e-300)
 
     @cached_property
     def run_up(self) -> np.ndarray:
-        """(N, n) where a joint turned last, rad and m; NaN: it came straight, or nobody knows."""
+        """(N, n) joint value where the run-up began, rad and m.
+
+        NaN where the joint came straight from the row before, or the run-up is not known.
+        """
         straight, leg = straight_ways(self.q, self.index), self.legs[..., 0]
         known = ~np.isnan(straight)
         way = np.where(known, self.last_way, leg)
@@ -224,7 +233,10 @@ class Session(MeasuredRows):
 
     @cached_property
     def arrivals(self) -> tuple[tuple[int, int], ...]:
-        """Per joint, rows that arrived from above (-1) and below (+1); empty if not recorded."""
+        """Per joint, the numbers of rows that arrived from above (-1) and from below (+1).
+
+        Empty if no side of arrival is known.
+        """
         if not self.approach.any():
             return ()
         above, below = (self.approach < 0).sum(axis=0), (self.approach > 0).sum(axis=0)
@@ -247,7 +259,7 @@ class Session(MeasuredRows):
 
     @cached_property
     def pose_id(self) -> np.ndarray:
-        """(N,) a number per pose: rows of equal joints, or of one `repeat_id`, share it."""
+        """(N,) number of each row's pose; rows with equal joints or one `repeat_id` share it."""
         keys = np.round(self.q / SAME_POSE).astype(np.int64)
         _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         pose = first[inverse.reshape(-1)]
@@ -258,7 +270,7 @@ class Session(MeasuredRows):
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of the contents. Equal rows give equal hashes, whatever file they are in."""
+        """SHA-256 of the contents. Equal rows have equal hashes, independent of the source file."""
         digest = hashlib.sha256()
         run_up = self.run_up if np.isfinite(self.run_up).any() else None
         parts: list[tuple[str, np.ndarray | None]] = [
@@ -280,9 +292,9 @@ class Session(MeasuredRows):
         return digest.hexdigest()
 
     def context(self, rows: _Rows | None = None) -> Context:
-        """Return circumstances of some rows, or all, for the effects. Scalars are (N,) arrays.
+        """Return the circumstances of the rows, or of some of them; every scalar is (N,).
 
-        The history of the joints is absent when no side of arrival is known in the whole session.
+        The history of the joints is left out if no side of arrival is known in the whole session.
         """
         at: _Rows = slice(None) if rows is None else rows
         history = History(self.approach[at].astype(float), self.legs[at], self.last_way[at])
@@ -305,11 +317,15 @@ class Session(MeasuredRows):
         return dataclasses.replace(self, sigma=sigma, **taken)
 
     def on_clock_of(self, other: Session) -> Session:
-        """Return the same, with a time that counts from where it does in another session."""
+        """Return the session with the start of the time (`begun_s`) of another session."""
         return dataclasses.replace(self, begun_s=other.begun_s)
 
     def where(self, label: str, value: str) -> Session:
-        """Return the rows whose text column `label` holds `value`."""
+        """Return the rows whose text column `label` holds `value`.
+
+        Raises:
+            InputError: there is no such text column.
+        """
         if label not in self.labels:
             known = ", ".join(self.labels) or "none"
             raise self.error(label, "missing", f"a text column (there are: {known})")

@@ -18,12 +18,14 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 
 SIGNIFICANT = 1e-3
-"""Chance, all inputs together, from which on rows share something: of a thousand sessions whose
-gross errors come alone, one is suspected."""
+"""p-value, over all inputs, below which rows have a trait in common.
+
+Of a thousand sessions with isolated gross errors, one is wrongly suspected.
+"""
 RESTING = 0.5
-"""Share of the visits at one value from which on a joint stands there, and moves in the others."""
+"""Fraction of the visits at one value from which on a joint counts as mostly standing still."""
 FEW = 3
-"""Visits that can share something, at least."""
+"""Smallest number of visits that can have a trait in common."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,9 @@ class SharedBy:
 
     Attributes:
         input: column of the session, or ``order`` (the row's place in the file).
-        value: where in it, in words.
-        rows: how many of the rows set aside are there.
-        p_value: chance of so many, had they come anywhere, times the inputs that were tried.
+        value: the common value or range of this input, in words.
+        rows: the number of rows set aside that have it.
+        p_value: probability of this many by chance, times the number of inputs that were tried.
     """
 
     input: str
@@ -81,13 +83,13 @@ class SetAside:
 
     @property
     def summary(self) -> str:
-        """The text of how many they are, and what they share."""
+        """A text with the number of rows set aside and the traits that they have in common."""
         shared = " and ".join(map(str, self.shared_by[:2]))
         text = f"{len(self.rows)} rows set aside ({self.share:.1%})"
         return f"{text}, which share {shared}" if shared else text
 
     def describe(self, session: Session) -> str:
-        """Add to the summary the user's own number of each row, else its index.
+        """Return the summary, followed by the text column `point` of each row, else its index.
 
         Args:
             session: the rows that were fitted.
@@ -100,7 +102,10 @@ _Found = tuple[str, int, float]
 
 
 def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Found | None]]:
-    """Yield every input with what the rows set aside share in it: value, rows, chance."""
+    """Yield every input, and the most significant trait of the rows set aside in it.
+
+    A trait is a value in words, the number of rows that have it, and its p-value.
+    """
     visit = np.cumsum(np.r_[0, np.diff(session.pose_id) != 0])
     first = np.unique(visit, return_index=True)[1]
     spoilt = np.maximum.reduceat(aside.astype(int), first) > 0
@@ -128,7 +133,15 @@ def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Fou
 
 
 def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
-    """Find the text that most visits set aside have in common; None where there is but one."""
+    """Return the text that is most significant for the visits set aside, with rows and p-value.
+
+    None if all texts are the same, or fewer than `FEW` visits are set aside.
+
+    Args:
+        texts: text of each visit.
+        spoilt: whether a row of the visit is set aside.
+        rows: number of rows set aside in the visit.
+    """
     names = np.unique(texts)
     if len(names) < 2 or spoilt.sum() < FEW:
         return None
@@ -145,7 +158,11 @@ def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> 
 
 
 def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
-    """Find the stretch of a number in which the visits set aside lie closest together."""
+    """Return the interval of a number in which the visits set aside are most significantly dense.
+
+    With it are the number of rows in it and the p-value.  None if the number is constant, or fewer
+    than `FEW` visits are set aside.  The arguments are as in `_commonest_text`.
+    """
     order = np.argsort(values, kind="stable")
     values, spoilt, rows = values[order], spoilt[order], rows[order]
     at = values[spoilt]

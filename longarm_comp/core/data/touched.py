@@ -1,7 +1,8 @@
-"""Points and planes that the tip touched: facts of a session, solved with all else.
+"""Points and planes that the tip touched.  A fit solves their positions with all other parameters.
 
 Some points may be at known distances from each other.  Each such group has one point that may be
-anywhere (`touch_place`); every other is beside one that is placed before it (`touch_beside`).
+anywhere (`touch_place`).  Every other point of the group is placed relative to one that is placed
+before it (`touch_beside`).
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
 _Misfit = Callable[[np.ndarray], np.ndarray]
-"""Distances of points (N, 3) from a solution, (N,)."""
+"""A function that returns the distances (N,) of points (N, 3) from a solution, m."""
 _OFF_SHARE = 0.1
-"""Share of its reach by which no arm as declared misses a distance that it touches the ends of."""
+"""Largest plausible error of a known distance, as the declared arm measures it, over the reach."""
 
 
 def touched_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
@@ -40,7 +41,7 @@ def touched_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
     edges = [d for d in distances if d[0] in names and d[1] in names]
     unplaced = list(names)
     points: list[tuple[str, KnownDistance | None, list[str]]] = []
-    """Every point, the distance that it is placed by, and the points that are placed by it."""
+    """Each point, the known distance that places it, and all points that are placed after it."""
 
     def place(name: str, by: KnownDistance | None) -> list[str]:
         unplaced.remove(name)
@@ -68,10 +69,11 @@ def touched_terms(arm: Arm, session: Session) -> tuple[Bias, ...]:
 
 
 def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
-    """Yield field and message of touches that tell nothing.
+    """Yield the field and the message of each finding about touches that determine nothing.
 
     Raises:
-        InputError: no touch tells anything, or a known distance is far from what the arm touched.
+        InputError: no row determines anything; the rows are all touches but of several bases; the
+            known distances form a loop; or one is far from the distance that the arm touched.
     """
     for kind in (k for k in KINDS.values() if not k.cells and k.label in session.labels):
         texts = session.labels[kind.label]
@@ -110,7 +112,12 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
 
 
 def place_touched(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
-    """Return the terms with touched points and planes where the tips were, in closed form."""
+    """Return the terms with each touched point and plane placed at the tips, in closed form.
+
+    Args:
+        terms: the model's terms on the measuring side; terms of other kinds are not changed.
+        tips: (N, 3) predicted tips at the rows of the session, m.
+    """
     places: dict[str, np.ndarray] = {}
     made: list[Bias] = []
     for term in terms:
@@ -151,7 +158,15 @@ def with_touched(model: Model, session: Session, at: Posture) -> Model:
 def _place_point(
     term: TouchPlace | TouchBeside, tips: np.ndarray, beside: np.ndarray | None
 ) -> tuple[TouchPlace | TouchBeside, np.ndarray]:
-    """Put the term at the middle of the tips, and return where that is."""
+    """Place a touched point at the middle of the tips.
+
+    Args:
+        tips: (k, 3) tips that touched it, m.
+        beside: (3,) position of the point that it is placed by, m, if there is one.
+
+    Returns:
+        The term, and the position of the point (3,), m.
+    """
 
     def solve(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
         mean = kept.mean(axis=0)
@@ -185,7 +200,12 @@ def _place_plane(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
 def _solve_robustly(
     tips: np.ndarray, solve: Callable[[np.ndarray], tuple[np.ndarray, _Misfit]]
 ) -> np.ndarray:
-    """Return a closed-form solution without the tips that are far from it."""
+    """Return a closed-form solution that leaves out the tips far from it.
+
+    Args:
+        tips: (k, 3) m.
+        solve: returns the solution of some tips, and a function for the distances from it.
+    """
     answer, misfit = solve(tips)
     for _ in range(4):
         away = misfit(tips)  # four standard deviations are six medians

@@ -1,4 +1,4 @@
-"""Errors of a camera or tracker at the points that it sees."""
+"""Errors of a camera or tracker in the points that it measures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from longarm_comp.core.effects.slow_changes import change_so_far, slowing
 
 @dataclass(frozen=True)
 class CameraScale(Bias):
-    """Everything seen is ``1 + scale`` times as far from the camera."""
+    """Every point is seen ``1 + scale`` times as far from the camera as it is."""
 
     name = "camera_scale"
     title = "camera scale"
@@ -33,7 +33,10 @@ class CameraScale(Bias):
 
 @dataclass(frozen=True)
 class CameraRadial(Bias):
-    """Lateral part times ``1 + k1 r^2``, r the tangent off the optical axis (Brown)."""
+    """Radial lens distortion: offsets from the optical axis are seen ``1 + k1 r^2`` times as large.
+
+    r is the tangent of the angle to the optical axis (Brown).
+    """
 
     name = "camera_radial"
     title = "lens distortion"
@@ -54,10 +57,10 @@ class CameraRadial(Bias):
 
 @dataclass(frozen=True)
 class CameraDrift(Bias):
-    """Seen points drift: ever slower, as from what warms up, or at a constant rate.
+    """The measured points drift with time: at a constant rate, or ever slower, as in a warm-up.
 
-    Where they surely drift, targets are in the frame of the session's first row, as a surveyor
-    marks points.
+    If the drift is certain, targets are in the frame of the session's first row, because a
+    surveyor marks the points before the session.
     """
 
     name = "camera_drift"

@@ -96,7 +96,7 @@ BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}
 
 
 def _is_tried(kind: Kind) -> bool:
-    """Tell whether a diagnosis tries an effect unasked."""
+    """Tell whether a diagnosis tries an effect by default."""
     return kind.searched and not kind.geometry and not kind.on_request
 
 
@@ -115,25 +115,37 @@ def registered() -> dict[str, Kind]:
 
 
 def searched_effects() -> tuple[Kind, ...]:
-    """Return the effects that a diagnosis tries unasked."""
+    """Return the effects that a diagnosis tries by default."""
     return tuple(filter(_is_tried, registered().values()))
 
 
 def possible_compliances(arm: Arm, held: Container[tuple[str, str]]) -> tuple[Effect, ...]:
-    """List every elastic effect of this package that an arm may have, but those of some keys."""
+    """List the elastic effects of this package that are possible on an arm, except some.
+
+    Args:
+        held: keys of the effects that are left out.
+    """
     kinds = (k for k in searched_effects() if issubclass(k, Effect) and k.elastic and not origin(k))
     every = (term for kind in kinds for term in kind.for_arm(arm))
     return tuple(t for t in every if t.key not in held)
 
 
 def through_others(arm: Arm) -> list[Effect]:
-    """List what an arm has that acts through other effects only."""
+    """List the effects of an arm that act only through other effects (`through_others`)."""
     kinds = (kind for kind in registered().values() if issubclass(kind, Effect))
     return [term for kind in kinds if kind.through_others for term in kind.for_arm(arm)]
 
 
 def effect_class(name: str, where: str, known_from: str = "") -> Kind:
-    """Return the effect of a canonical name; `known_from`: its `origin` in the source."""
+    """Return the class of the effect with a canonical name.
+
+    Args:
+        where: the source of the name, as the error calls it.
+        known_from: the effect's `origin`, if the source states it.
+
+    Raises:
+        InputError: no effect with this name is registered.
+    """
     found = BUILT_IN.get(name) or registered().get(name)
     if found is None:
         outside = f"a file (--effects FILE) or a package (entry points {GROUP})"
@@ -146,12 +158,19 @@ def effect_class(name: str, where: str, known_from: str = "") -> Kind:
 
 
 def origin(kind: Kind) -> str:
-    """Say where an effect from outside the package is from; empty for one of this package."""
+    """Return the source of an effect from outside this package, in words; "" for one of it."""
     return _others[kind.name][1] if kind.name in _others else ""
 
 
 def register(kind: _K, source: str = "") -> _K:
-    """Register an effect. It can be used as a decorator."""
+    """Register the class of an effect and return it, so it can be used as a decorator.
+
+    Args:
+        source: the origin of the class, in words; by default its module.
+
+    Raises:
+        InputError: the class is not a valid effect, or its name is taken.
+    """
     source = source or f"module {getattr(kind, '__module__', '?')}"
     _check_kind(kind, source)
     known, taken = _others.get(kind.name) or (BUILT_IN.get(kind.name), "longarm_comp")
@@ -162,7 +181,14 @@ def register(kind: _K, source: str = "") -> _K:
 
 
 def load_file(path: str | Path) -> tuple[Kind, ...]:
-    """Execute a Python file, once for the same contents, and register its effects."""
+    """Execute a Python file, once for the same contents, and register the effects in it.
+
+    Returns:
+        Their classes.
+
+    Raises:
+        InputError: the file defines no effect, or an invalid one.
+    """
     path = Path(path)
     module = execute_file(path, "effects")
     own = [kind for kind in vars(module).values() if _is_kind(kind) and hasattr(kind, "name")]
@@ -180,7 +206,7 @@ def _load_entry_points() -> None:
 
 
 def _file(kind: Kind) -> str:
-    """Return the file that defines a class. Only this file may define it again."""
+    """Return the path of the file that defines a class; only this file may redefine it."""
     return getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__
 
 

@@ -1,4 +1,4 @@
-"""Parts that give way under load: joints, bearings, links, the base."""
+"""Parts that yield under load: joints, bearings, links, the base."""
 
 from __future__ import annotations
 
@@ -25,8 +25,11 @@ from longarm_comp.core.effects.typical_loads import reach, typical_loads
 class JointCompliance(JointTerm):
     """Linear torsion of gear, shaft and servo: ``dq = compliance * torque`` (Khalil & Besnard).
 
-    A prismatic joint gives way along its axis: m/N.  Rows that are coupled to the joint follow its
-    torsion where a linkage drives them (`follows` 1), and do not where the controller couples them.
+    A prismatic joint yields along its axis, with a compliance in m/N.
+
+    Attributes:
+        follows: whether rows that are coupled to the joint follow its torsion: 1 if a linkage
+            drives them, 0 if only the controller couples them.
     """
 
     name = "joint_compliance"
@@ -45,7 +48,7 @@ class JointCompliance(JointTerm):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Return both forms only where other rows are coupled to a joint that moves."""
+        """Return every joint; a joint with coupled rows also in the form `follows` 0."""
         mixing, _ = arm.mixing
         led = {row for k, row in enumerate(arm.commanded) if np.count_nonzero(mixing[:, k]) > 1}
         alone = {row for row in led if mixing[row - 1, arm.commanded.index(row)] != 0.0}
@@ -59,11 +62,11 @@ class JointCompliance(JointTerm):
         return super().moved_rows(posture) if self.follows else ((self.joint, 1.0),)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the prior: 20 mrad (2 % of the reach) under its place's torque (`typical_loads`).
+        """Return the parameter; its prior is 20 mrad under the typical torque of its place.
 
-        Gears, shafts and servos of a kind are as stiff as they are strong, by their catalogues.
-
-        Fitted to real arms with all seats: Justin 43 to 75 mrad, WAM 18 and 24, Pandas up to 11.
+        For a slide it is 0.2 % of the reach under the arm's weight.  By their catalogues, gears,
+        shafts and servos are as stiff as they are strong.  Fits of real arms, with all bearings
+        soft too, gave 43 to 75 mrad for Justin, 18 and 24 for a WAM, up to 11 for Pandas.
         """
         loads = typical_loads(arm)
         if self.slides(arm):
@@ -76,9 +79,10 @@ class JointCompliance(JointTerm):
 
 @dataclass(frozen=True)
 class ServoDroop(JointCompliance):
-    """A joint gives way before its encoder: a proportional controller yields to its load.
+    """A servo with proportional control stands off its goal in proportion to the load.
 
-    Only a reading of the joint tells it from a soft joint.
+    The encoder of the servo sees this. Only a reading of the joint can distinguish it from a soft
+    joint.
     """
 
     name = "servo_droop"
@@ -98,11 +102,12 @@ class ServoDroop(JointCompliance):
 
 @dataclass(frozen=True)
 class BearingTilt(JointTerm):
-    """Lateral elasticity of a joint: its seat turns under the moment across its axis.
+    """Lateral elasticity of a joint: its seat tilts under the moment perpendicular to its axis.
 
-    The seat belongs to the link before the joint, so the two axes stand still when the joint
-    turns: x is that link's ``x_{i-1}`` (the lateral term of Tenhumberg & Baeuml, HUMANOIDS
-    2021), y is across it.  On their arms axes that turn with the joint leave 3.9 mm, these 3.7.
+    The seat belongs to the link before the joint, so its two axes do not turn with the joint: x is
+    that link's ``x_{i-1}`` (the lateral term of Tenhumberg & Baeuml, HUMANOIDS 2021), and y' is
+    perpendicular to it.  On their arms these axes leave errors of 3.7 mm, and axes that turn with
+    the joint 3.9 mm.
     """
 
     name = "bearing_tilt"
@@ -120,14 +125,15 @@ class BearingTilt(JointTerm):
     )
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the priors: 10 mrad under the torque of its place (`typical_loads`).
+        """Return the parameters; their priors are 10 mrad under the typical torque of the place.
 
-        First seats of real arms, fitted: Justin 11 to 18 mrad, UR5 1, Pandas 0.2 to 4.
+        Fits of the first bearings of real arms gave 11 to 18 mrad for Justin, 1 for a UR5, 0.2 to 4
+        for Pandas.
         """
         return self.with_prior(0.01 / typical_loads(arm).at(self.joint))
 
     def twists(self, posture: Posture) -> Twists:
-        """Return a rotation (rad) about the seat's lateral axes, seen in the bearing's axes."""
+        """Return the rotation (rad) about the seat's lateral axes, in the bearing's axes."""
         station = posture.bearing(self.joint)
         x, y, _ = posture.moment(station)
         joint = posture.arm.joints[self.joint - 1]
@@ -144,11 +150,12 @@ _POINT = 1e-6  # m: a link shorter than this has no direction
 
 @dataclass(frozen=True)
 class LinkBending(Effect):
-    """The straight way from one frame to the next is a cantilever of unknown stiffness.
+    """A link without a declared beam bends: a straight cantilever from one frame to the next.
 
     With r from the frame before to this one, of length l, and the force F and moment M at its end,
     the end turns by ``(l M_across + l/2 r x F) / EI + l M_along / GJ`` and moves by
-    ``(l/2 M x r + l/3 (r x F) x r) / EI`` (Euler-Bernoulli).  A slide is as long as it is out.
+    ``(l/2 M x r + l/3 (r x F) x r) / EI`` (Euler-Bernoulli).  The length of a slide is its present
+    extension.
     """
 
     name = "link_bending"
@@ -163,22 +170,24 @@ class LinkBending(Effect):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Return every row with a length and without a declared beam."""
+        """Return every row that has a length and no declared beam."""
         declared = {beam.row for beam in arm.links}
         return [{"row": j.id} for j in arm.joints if j.id not in declared and _long(j)]
 
     def price(self, arm: Arm) -> float:
-        """Return the log of all links with a length over those without a declared beam.
+        """Return the log of the number of all links over the number of links without a beam.
 
-        A link with a declared beam may bend just as likely, so it has its share of the prior.
+        Only rows with a length count. A link with a declared beam is as likely to be the cause, so
+        it gets its part of the prior.
         """
         every = sum(map(_long, arm.joints))
         return math.log(every / len(self.sites(arm)))
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the priors: 10 mrad over a quarter of the reach under the torque at its start.
+        """Return the parameters; with the prior, a quarter of the reach bends by 10 mrad.
 
-        A short bracket of that section turns by little, as the arm's own beams would.
+        That is under the typical torque at the start of the link.  A short link of the same section
+        bends less.
         """
         return self.with_prior(0.01 / (typical_loads(arm).at(self.row - 1) * reach(arm) / 4))
 
@@ -203,10 +212,10 @@ def _long(joint: Joint) -> bool:
 
 @dataclass(frozen=True)
 class BaseCompliance(Effect):
-    """Soft ground, floor or carrier: tilt about x and y per moment about them.
+    """Soft ground, floor or carrier: the base tilts about x and y in proportion to the moments.
 
-    A carrier is rarely as soft along as across, so that each axis has its own compliance.  With
-    both, it equals a bearing tilt of the first joint where the two have the same pivot.
+    Each axis has its own compliance, because a carrier is rarely as soft along as across.  If the
+    first bearing has the same pivot as the base, `bearing_tilt` of the first joint is equal to it.
     """
 
     name = "base_compliance"
@@ -219,7 +228,7 @@ class BaseCompliance(Effect):
     about_y: float = parameter("rad/(N m)", "tilt about y per moment", prior=2e-3, lower=0.0)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the priors: 10 mrad under the arm's typical torque (`typical_loads`)."""
+        """Return the parameters; their priors are 10 mrad under the arm's typical torque."""
         return self.with_prior(0.01 / typical_loads(arm).torque)
 
     def twists(self, posture: Posture) -> Twists:
@@ -229,7 +238,7 @@ class BaseCompliance(Effect):
 
 @dataclass(frozen=True)
 class LinkStiffness(Effect):
-    """Wrong E or section: the beam bends by ``1 + softness`` times what is declared."""
+    """Wrong E or section: the beam bends ``1 + softness`` times as much as declared."""
 
     name = "link_stiffness"
     title = "beam stiffness"

@@ -1,8 +1,8 @@
-"""An effect that a diagnosis found and that has no name: place, component and function as data.
+"""Effects without a name that a diagnosis found: place, component and function are data.
 
-One instance is one term: an amount times a function of the posture, acting as one component at
-one place: a unit twist, a wrench on the declared beams, something that gives under the load, or a
-weight.  `core/identify/discover` finds them; a model holds any number.
+One instance is one term: an amount times a function of the posture, which acts as one component at
+one place.  A component is a twist, a wrench on the declared beams, a compliance or a weight.
+`core/identify/discover` finds the terms; a model holds any number of them.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ BASE_PLACE, TIP_PLACE = "base", "tip"
 
 
 def stations(arm: Arm) -> list[str]:
-    """List where something may act: the base, every joint's bearing, every row's end, the tip.
+    """List the places where a term may act: the base, every joint, every row's frame, the tip.
 
-    The axes are those of what the joint carries: they turn with it.
+    The axes at a joint turn with the joint.
     """
     each = (f"{kind} {joint.id}" for kind in ("joint", "frame") for joint in arm.joints)
     return [BASE_PLACE, *each, TIP_PLACE]
 
 
 def _find_station(posture: Posture, place: str) -> tuple[int, Frame]:
-    """Return the station that a twist acts at; the pose in the base frame of a wrench."""
+    """Return a place's station, at which twists act, and its pose in the base frame."""
     if place == TIP_PLACE:
         tip = posture.arm.tip
         station = posture.frame(tip.frame)
@@ -60,7 +60,13 @@ def _find_station(posture: Posture, place: str) -> tuple[int, Frame]:
 
 @dataclass(frozen=True)
 class _Component(ABC):
-    """A twist or load at a place, along axis 0, 1, 2; None where the posture says which way."""
+    """A twist or load at a place.
+
+    Attributes:
+        word: its name without the axis.
+        unit: unit of its amount.
+        axis: 0, 1 or 2; None if the posture determines the direction.
+    """
 
     word: ClassVar[str]
     unit: ClassVar[str]
@@ -69,12 +75,17 @@ class _Component(ABC):
 
     @property
     def name(self) -> str:
-        """Its name in a file: ``force y``, ``weight``."""
+        """Its name in a model file: ``force y``, ``weight``."""
         return self.word if self.axis is None else f"{self.word} {AXES[self.axis]}"
 
     @abstractmethod
     def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
-        """Return the twists (m, rad) by station of an amount of it, in `unit`."""
+        """Return the twists (m, rad), by station, that an amount of the component causes.
+
+        Args:
+            station, frame: the place, as returned by `_find_station`.
+            amount: in `unit`.
+        """
 
     def along(self, amount: Scalar) -> Vec:
         x, y, z = (amount if k == self.axis else 0.0 for k in range(3))
@@ -98,7 +109,7 @@ class Turn(_Component):
 
 
 class Give(_Component):
-    """A rotation under the moment that is carried there, across the place's z axis."""
+    """A compliance: the place tilts about its x and y axes in proportion to the moments there."""
 
     word = "give"
     unit = "rad/(N m)"
@@ -113,7 +124,7 @@ class Wrench(_Component):
 
     @abstractmethod
     def loads(self, posture: Posture, frame: Frame, amount: Scalar) -> tuple[Vec, Vec]:
-        """Return force (N) and moment (N m) of an amount of it, in the base's axes."""
+        """Return the force (N) and moment (N m) of an amount of the load, in the base's axes."""
 
     def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
         """Bend every element as a cantilever under the load at its end, to first order."""
@@ -146,7 +157,7 @@ class Moment(Wrench):
 
 
 class Weight(Wrench):
-    """A force at the place, the way that gravity pulls."""
+    """A force at the place in the direction of gravity."""
 
     word = "weight"
     unit = "N"
@@ -164,26 +175,34 @@ COMPONENTS: dict[str, _Component] = {
         Weight(),
     )
 }
-"""Components by the name that stands for them in a model file."""
+"""Components by their names in a model file."""
 
 
 def components(arm: Arm) -> list[str]:
-    """List the components that an arm can have, by name: loads need declared beams to bend."""
+    """List the names of the components on an arm; loads only if it declares beams to bend."""
     return [n for n, c in COMPONENTS.items() if arm.links or not isinstance(c, Wrench)]
 
 
 CAMERA, DISTANCE = "camera", "distance"
 MEASURED = "what is measured"
-"""The place of what the camera alone sees, for people."""
+"""Text for the place of measuring-side terms."""
 
 
 def views(arm: Arm) -> list[str]:
-    """List the ways that what is measured may be displaced; a distance needs a declared camera."""
+    """List the directions in which seen points may be displaced.
+
+    They are the axes and, with a declared camera, the distance from it.
+    """
     return [*AXES, *([DISTANCE] if arm.camera is not None else [])]
 
 
 class _OfFunction:
-    """The share of a term's function in it; `kind`: of quantities that it may depend on."""
+    """The common base of `Discovered` and `DiscoveredView`: the function and its checks.
+
+    Attributes:
+        kind: class of the quantities on which the function may depend; recorded columns are always
+            allowed.
+    """
 
     name: ClassVar[str]
     kind: ClassVar[type]
@@ -201,7 +220,11 @@ class _OfFunction:
 
     @cached_property
     def of(self) -> Function:
-        """The function that the text stands for. Raises `FunctionError` where there is none."""
+        """The function that `function` and `domain` describe.
+
+        Raises:
+            FunctionError: the texts are not valid.
+        """
         return function(self.function, self.domain)
 
     @property
@@ -236,10 +259,11 @@ class Discovered(_OfFunction, Effect):
     """A cause without a name: an amount of a twist or load, as some function of the posture.
 
     Attributes:
-        at: where it acts: ``base``, ``joint 3``, ``frame 3``, ``tip`` (`components.stations`).
-        component: what acts: ``move x``, ``turn z``, ``force y``, ``moment x``, ...
-        function: of quantities of the posture (`core/effects/shapes.py`).
-        domain: ranges of these in the data; outside, a quantity counts as at the end.
+        at: the place: ``base``, ``joint 3``, ``frame 3``, ``tip`` (`stations`).
+        component: the component: ``move x``, ``turn z``, ``force y``, ``moment x``, ...
+        function: text of a function of quantities of the posture (`core/effects/shapes.py`).
+        domain: ranges of these quantities in the data; outside its range a quantity counts as at
+            the end.
         scale: prior standard deviation of the amount.
     """
 
@@ -271,7 +295,10 @@ class Discovered(_OfFunction, Effect):
         return tuple(dict.fromkeys(q.joint for q in sides))
 
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:
-        """List, for N postures, the quantities outside the data, which count as at its end."""
+        """List, for each of N postures, the quantities outside their range in the data, in words.
+
+        Their values count as at the end of the range.
+        """
         made: list[tuple[str, ...]] = [()] * posture.count
         for factor in {f.of: f for f in self.of.factors if f.of != ORDER}.values():
             read = factor.quantity.read(posture)
@@ -283,7 +310,10 @@ class Discovered(_OfFunction, Effect):
         return made
 
     def change_beyond(self, posture: Posture) -> np.ndarray:
-        """Estimate, for N postures, how much more of its component may act outside the data."""
+        """Estimate, for N postures, the possible error of the term outside the data.
+
+        It is in the unit of the component.
+        """
         return abs(self.amount) * self.of.change_beyond(lambda q: q.read(posture))
 
     def twists(self, posture: Posture) -> Twists:
@@ -296,9 +326,9 @@ class DiscoveredView(_OfFunction, Bias):
     """A measuring-side cause without a name: the seen point is displaced by some function of it.
 
     Attributes:
-        axis: ``x``, ``y`` or ``z`` of the base frame; ``distance``: away from the camera, as a
-            share of the distance from it.
-        function: of the seen point and recorded columns.
+        axis: direction of the displacement: ``x``, ``y`` or ``z`` of the base frame, or
+            ``distance``: away from the camera, as a fraction of the distance from it.
+        function: text of a function of the seen point and recorded columns.
         domain, scale: as of `Discovered`.
     """
 
@@ -318,11 +348,11 @@ class DiscoveredView(_OfFunction, Bias):
 
     @property
     def component(self) -> str:  # type: ignore[override]
-        """The direction in which it displaces what is seen: an axis, or `DISTANCE`."""
+        """The direction in which the seen point is displaced: an axis, or `DISTANCE`."""
         return self.axis
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the amount, in m, or as a share of the distance, per unit of the function."""
+        """Return the amount per unit of the function, in m or as a fraction of the distance."""
         unit = "1" if self.axis == DISTANCE else "m"
         unit = _divide_unit(unit, self.of.units(arm))
         return self.with_prior(self.scale, unit=unit)
@@ -342,7 +372,7 @@ _SLACK = 1e-6
 
 
 def _divide_unit(unit: str, over: list[str]) -> str:
-    """Return a unit over the product of others, as ``N/(rad m)`` or ``rad/rad^2``."""
+    """Return the text of a unit divided by the product of others: ``N/(rad m)``, ``rad/rad^2``."""
     powers = {u: over.count(u) for u in over}
     below = [u if n == 1 else f"({u})^{n}" if " " in u else f"{u}^{n}" for u, n in powers.items()]
     if not below:

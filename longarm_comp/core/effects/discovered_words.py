@@ -1,4 +1,4 @@
-"""A discovered effect in words: a formula with units, and what it behaves like."""
+"""Describes a discovered effect in words: a formula with units, and a physical cause like it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Found = Discovered | DiscoveredView
 
 @dataclass(frozen=True)
 class _Traits:
-    """The traits by which a reading is chosen."""
+    """The traits of discovered terms by which a physical cause like them is chosen."""
 
     terms: Sequence[Found]
 
@@ -51,24 +51,29 @@ class _Traits:
 
     @property
     def places(self) -> dict[tuple[str, str], None]:
-        """Places and components of its members."""
+        """The place and component of each term, without repetition."""
         return dict.fromkeys((t.at, t.component) for t in self.terms)
 
     def of(self, *kinds: type[Quantity]) -> bool:
-        """Tell whether it depends on a quantity of one of these kinds."""
+        """Tell whether a term depends on a quantity of one of these kinds."""
         return any(isinstance(s.quantity, kinds) for s in self.shapes)
 
     def shape(self, *kinds: type[Shape], of: tuple[type[Quantity], ...] = (Quantity,)) -> bool:
-        """Tell whether it has a shape of some kinds, of a quantity of some."""
+        """Tell whether a term has a shape of one of these kinds.
+
+        Args:
+            kinds: kinds of shapes.
+            of: the kinds of quantities that the shape may have; by default any.
+        """
         return any(isinstance(s, kinds) and isinstance(s.quantity, of) for s in self.shapes)
 
     def acts(self, kind: type) -> bool:
-        """Tell whether all its components are of a kind."""
+        """Tell whether the components of all terms are of one kind."""
         return all(isinstance(COMPONENTS.get(t.component), kind) for t in self.terms)
 
     @property
     def columns(self) -> set[str]:
-        """Recorded columns that it depends on."""
+        """The recorded columns on which the terms depend."""
         return {s.of for s in self.shapes if isinstance(s.quantity, Recorded)}
 
 
@@ -106,20 +111,24 @@ _READINGS: tuple[tuple[str, Callable[[_Traits], bool]], ...] = (
     ("an undeclared weight or spring", lambda t: t.acts(Force) and not t.shapes),
     ("a joint that does not turn as commanded", lambda t: t.acts(Turn)),
 )
-"""Physical causes that would look like it, and whether they fit; the most telling first."""
+"""Physical causes in words, each with a test of traits; the most specific first."""
 
 
 def reading(terms: Sequence[Found]) -> str:
-    """Say what terms behave like together; never what they are."""
+    """Return a text on the physical cause that the terms together behave like.
+
+    It does not claim that this is the cause.
+    """
     traits = _Traits(terms)
     words = (f"behaves like {words}" for words, fits in _READINGS if fits(traits))
     return next(words, "no known cause")
 
 
 def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> str:
-    """Write terms as ``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
+    """Return terms as a formula, ``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``.
 
-    `amounts`: value, standard error and unit of each member.
+    Args:
+        amounts: value, standard error and unit of each term's amount.
     """
     by_place: dict[str, list[str]] = {}
     for term, (value, error, unit) in zip(terms, amounts, strict=True):
@@ -130,7 +139,11 @@ def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> 
 
 
 def seen_alike(terms: Sequence[Found]) -> list[str]:
-    """List what the camera may see in its place: a shift of all points, wherever the arm stands."""
+    """List the errors of the camera that would look the same as the terms.
+
+    It is one text, for a shift of all points, if the terms only move the base by recorded columns;
+    else none.
+    """
     traits = _Traits(terms)
     moved = all(t.at == BASE_PLACE and t.component.startswith(Move.word) for t in terms)
     recorded = all(isinstance(s.quantity, (Recorded, Warmth)) for s in traits.shapes)
@@ -141,13 +154,16 @@ def seen_alike(terms: Sequence[Found]) -> list[str]:
 
 
 def domain(terms: Sequence[Found]) -> list[str]:
-    """List the range of every quantity, as ``q2 0..0.52``: outside, it counts as at the end."""
+    """List the range in the data of every quantity of the terms, as ``q2 0..0.52``.
+
+    Outside its range a quantity counts as at the end of it.
+    """
     held = {s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in _Traits(terms).shapes}
     return list(held.values())
 
 
 def _round_to_error(value: float, error: float) -> str:
-    """Write a value to the digits that its standard error leaves, as ``24.2 +- 0.3``."""
+    """Return a value rounded to the digits that its standard error determines: ``24.2 +- 0.3``."""
     if not error > 0:
         return f"{value:.3g}"
     if abs(value) >= 1e5 or abs(value) < 1e-3:

@@ -1,4 +1,4 @@
-"""Errors of how far a joint goes for its command: ratio, pitch, eccentric parts, guides, servos."""
+"""Errors of a joint's motion per command: ratio, pitch, eccentric parts, guides, servos."""
 
 from __future__ import annotations
 
@@ -56,13 +56,14 @@ class PrismaticPitch(JointGain):
 
 @dataclass(frozen=True)
 class JointCoupling(JointTerm):
-    """A turning joint turns by ``coupling`` times the command of a turning joint near it.
+    """A revolute joint turns in addition by ``coupling`` times the command of another one near it.
 
     Rods, belts and gears that run past one joint to the next couple neighbours, or joints with one
-    between them (`near`). All of a command (factor 1 or -1) is declared: `coupling` in arm.yaml.
+    between them (`near`). A coupling by design (factor 1 or -1) is declared as `coupling` in
+    arm.yaml.
 
     Attributes:
-        other: row id of the joint that it counts with.
+        other: row id of the joint whose command is added.
     """
 
     name = "joint_coupling"
@@ -85,7 +86,7 @@ class JointCoupling(JointTerm):
 
 @dataclass(frozen=True)
 class GearEccentricity(JointTerm):
-    """``cosine cos(order q) + sine sin(order q)``, with so many periods per turn of the joint."""
+    """A joint is off by ``cosine cos(order q) + sine sin(order q)``: `order` periods per turn."""
 
     name = "gear_eccentricity"
     title = "eccentric gear"
@@ -102,7 +103,7 @@ class GearEccentricity(JointTerm):
 
     @property
     def place(self) -> str:
-        """Each order of a joint on its own: real gears have several."""
+        """Joint and order: a model may hold several orders of a joint, as real gears have them."""
         return f"{self.where}, order {self.order}"
 
     def twists(self, posture: Posture) -> Twists:
@@ -134,10 +135,10 @@ class GuideCurvature(JointTerm):
 
 @dataclass(frozen=True)
 class UnfinishedMove(JointTerm):
-    """The joint stands short of its command by a share of its last way.
+    """The joint stands short of its command by a fraction of its last motion.
 
-    So it does where it is measured, or used, before it has arrived: a servo that lags closes its
-    distance by the same share in the same time.
+    This happens if it is measured, or used, before it has arrived: a servo that lags reduces the
+    distance to its command by the same fraction in the same time.
     """
 
     name = "unfinished_move"
@@ -147,17 +148,17 @@ class UnfinishedMove(JointTerm):
     action = "Wait longer before measuring; raise the servo's gains."
     actions: ClassVar = {"hydraulic": "Wait longer before measuring; check pump, valve and air."}
     needs = ("approach",)
-    on_request = True  # with it the palletiser's, UR5's and UR10's rows held out err more
+    on_request = True  # it increases the held-out errors of the palletiser, UR5 and UR10
 
     share: float = parameter("1", "share of the last way that is left", prior=3e-3, lower=0.0)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Return all joints together: who waits too shortly waits as long for every joint."""
+        """Return all joints as one candidate: too short a wait is the same for every joint."""
         return [tuple(cls(joint=row) for row in cls.rows(arm))]
 
     def price(self, arm: Arm) -> float:
-        """Return its part of what the choice among single joints and all of them costs."""
+        """Return this joint's part of the price of the choice: any single joint, or all joints."""
         count = len(self.rows(arm))
         return super().price(arm) + math.log(count + 1) / count
 
@@ -177,15 +178,16 @@ _STEPS_PER_TURN = (
 
 @dataclass(frozen=True)
 class ServoQuantisation(JointTerm):
-    """The joint stands at the nearest step: ``round(q/step) step - q``.
+    """The joint stands at the nearest step, so it is off by ``round(q/step) step - q``.
 
-    Nothing is fitted: a servo either rounds so or it does not.  (With a free amplitude a
-    coarse pose grid lets it imitate any function of the joint, and it then errs off the grid.)
+    Nothing is fitted: a servo either rounds in this way or it does not.  (With a free amplitude
+    and a coarse grid of poses it could imitate any function of the joint, and then be wrong off the
+    grid.)
 
     Attributes:
-        steps_per_turn: steps of the servo in one turn; 0: as `step_deg` or `step_m` declares. A
-            listed number of steps (`_STEPS_PER_TURN`), or what a scan found (`step_scan`).
-        step_m: step of a slide that declares none, m.
+        steps_per_turn: steps of the servo in one turn: a usual number (`_STEPS_PER_TURN`), or the
+            result of a scan (`step_scan`). 0: the step is `step_m`, or as arm.yaml declares.
+        step_m: step of a slide without a declared step, m.
     """
 
     name = "servo_quantisation"
@@ -202,15 +204,15 @@ class ServoQuantisation(JointTerm):
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:
-        """Return the instance of a step (rad or m) that nobody declared."""
+        """Return the instance with a step (rad or m) that is not declared, at a joint's row."""
         if arm.joints[row - 1].type == "prismatic":
             return cls(row, steps_per_turn=0, step_m=step)
         return cls(row, steps_per_turn=2 * math.pi / step)
 
     def price(self, arm: Arm) -> float:
-        """Return the price of choosing this size of step among all that could be told apart.
+        """Return the log of the number of distinguishable step sizes.
 
-        A listed or declared step costs nothing. Two other steps can be told apart if they differ by
+        It is 0 for a usual or declared step. Two other sizes are distinguishable if they differ by
         a quarter of a step at the end of the range.
         """
         if not self.step_m and self.steps_per_turn in (0, *_STEPS_PER_TURN):
@@ -225,9 +227,10 @@ class ServoQuantisation(JointTerm):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Return the joints without a declared step, with one kind of servo, by its steps.
+        """Return one candidate for each usual number of steps per turn.
 
-        All joints, where the arm declares every step: then the model holds them already.
+        Each holds all revolute joints without a declared step. If all steps are declared, it holds
+        all revolute joints; the model has their declared steps already.
         """
         revolute = [row for row in arm.commanded if JointTerm.fits(arm, row)]
         rows = [row for row in revolute if arm.joints[row - 1].step == 0] or revolute

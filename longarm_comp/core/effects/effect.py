@@ -3,7 +3,7 @@
 Every field of an effect is declared as a `place` (where on the arm), a `form` (which variant) or a
 `parameter` (a fitted number).  The search, the fit, the files, the report and the documentation
 read only these declarations and the class attributes.  An effect of another package is therefore
-treated like one of this folder (docs/add_an_effect.md).  What its file needs besides (`Arm`,
+treated like one of this folder (docs/add_an_effect.md).  Other names that its file needs (`Arm`,
 `Context`, `Posture`, `Twists`, ...) may be imported from here too.
 """
 
@@ -52,24 +52,26 @@ class _Term:
         name: canonical name, used in files and reports.
         title: what a mechanic calls it: ``play``.
         action: what can be done about it at the arm, in one sentence.
-        whole: name of the place of an effect that acts on all of the arm: ``arm``.
-        part: attribute of `Arm` that an arm with this effect must have: ``links``, ``camera``.
+        whole: text for its place if it has no place field: ``arm``.
+        part: attribute of `Arm` that must not be empty for this effect: ``links``, ``camera``.
         needs: recorded inputs that every instance needs.
         geometry: whether it is always fitted, and never "named" by a diagnosis.
         slips: whether it may slip while the arm works, though it is geometry.
-        knocked: whether a knock may change it, and one of what measures the arm looks alike.
-        passing: whether it belongs to one fit only (where a touched point was) and is never
-            written into model.yaml.
-        seen_only: whether it moves the frame of the measurements, and gravity with it.
+        knocked: whether a knock may change it. A knock of the measuring device looks the same.
+        passing: whether it belongs to one fit only (such as the place of a touched point) and is
+            never written into model.yaml.
+        seen_only: whether it moves the arm, and gravity with it, only in the frame of the
+            measurements.
         continuous: whether it changes little for a small motion of the joints.
         loaded: whether it depends on the loads, so that it must be iterated as the arm sags.
         elastic: whether it is a part that yields under its load. A little of it at every place is
             no finding.
         searched: whether a diagnosis tries it. Geometry is always fitted instead.
-        on_request: whether it tries it only where it is among the `kinds` that it is given.
+        on_request: whether a diagnosis tries it only if the user names it (`kinds`).
         through_others: whether it moves the tip only through other effects of the model; it is then
             not searched.
-        aliases: effects that no measurement of the tip tells from it. One of the two declares it.
+        aliases: effects that no measurement of the tip can distinguish from it. One of the two
+            declares the other.
         limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
             bounds. Studies accept either name there.
         free_levels: for an effect that depends only on the position of one turning joint: number
@@ -77,10 +79,11 @@ class _Term:
             zero.  On a grid with no more positions it imitates every other such function.  0 for
             other effects.
         displaces_joint: whether its only parameter displaces one joint. Its column is then the
-            effect of any displacement of that joint at the tip, and structure is sought in it.
+            motion of the tip by any displacement of that joint, and structure is sought along it.
         stepped: whether it has steps of a size that a scan finds (`of_step`).
-        bends_beams: whether the declared beams bend by it.
-        acts: where it acts: a motor's encoder sees ``servo``, one at the joint ``gear`` too.
+        bends_beams: whether it computes the bending of the declared beams.
+        acts: where it acts. An encoder at the motor sees effects at the ``servo``, one at the
+            joint also those at the ``gear``; no encoder sees those at the ``arm``.
     """
 
     name: ClassVar[str]
@@ -110,7 +113,7 @@ class _Term:
 
     @classmethod
     def heading(cls) -> str:
-        """Return its title, else its name in words."""
+        """Return the effect's title, or its name in words if it has no title."""
         return cls.title or cls.name.replace("_", " ")
 
     @classmethod
@@ -123,13 +126,18 @@ class _Term:
     @classmethod
     @lru_cache(maxsize=1024)
     def with_prior(cls, *priors: float, **changes: Any) -> tuple[Parameter, ...]:
-        """Return `declared` with one prior for all or one for each, and other attributes."""
+        """Return the declared parameters with other priors and attributes.
+
+        Args:
+            priors: standard deviations: one for all parameters, or one for each.
+            changes: further attributes of `Parameter`, the same for all.
+        """
         priors = priors * len(cls.declared()) if len(priors) == 1 else priors
         each = zip(cls.declared(), priors, strict=True)
         return tuple(dataclasses.replace(p, prior=prior, **changes) for p, prior in each)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameters of this instance; priors may come from the arm's tolerances."""
+        """Return the parameters of this instance; their priors may depend on the arm."""
         return self.declared()
 
     def with_values(self, values: Mapping[str, float]) -> Self:
@@ -138,12 +146,15 @@ class _Term:
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
-        """Return allowed values on an arm by place field, without fields that allow any text."""
+        """Return, by place field, the function of an arm that lists the allowed values.
+
+        Fields that allow any text are left out.
+        """
         return {name: known for name, known in metadata(cls, PLACE).items() if known}  # type: ignore[arg-type]
 
     @classmethod
     def scales(cls) -> Mapping[str, tuple[float, float]]:
-        """Return the lower and upper end of every form with a continuous scale, by name."""
+        """Return the lower and upper end of every form field with a continuous scale, by name."""
         return {name: ends for name, ends in metadata(cls, FORM).items() if ends}  # type: ignore[arg-type]
 
     @property
@@ -164,45 +175,46 @@ class _Term:
 
     @property
     def where(self) -> str:
-        """Its places in words: ``joint 2``, ``joint 3, driver 1``; `whole` without any."""
+        """Its places in words: ``joint 2``, ``joint 3, driver 1``; `whole` if it has none."""
         told = (f"{name} {value}" for name, value in self.places.items() if value != "")
         return ", ".join(told) or self.whole
 
     def advice(self, arm: Arm) -> str:
-        """Say what can be done about it at an arm."""
+        """Return a sentence on what can be done about the effect at an arm."""
         return self.action
 
     @property
     def reading(self) -> str:
-        """The text about itself besides its parameters: a form, a formula. Empty: nothing."""
+        """A text about this instance in addition to its parameters: a form, a formula; or ""."""
         return ""
 
     @property
     def place(self) -> str:
-        """Key that only one instance in a model may have: by default, where it is."""
+        """Text that no two instances of one effect in a model share; by default `where`."""
         return self.where
 
     @cached_property
     def key(self) -> tuple[str, str]:
-        """The effect at its place: a model holds it there once, in one form."""
+        """Name and place of the effect. A model holds each key once, in one form."""
         return self.name, self.place
 
     @cached_property
     def variant(self) -> tuple[object, ...]:
-        """The effect at its place in its form, whatever its parameters' values."""
+        """Name, places and forms of the effect, without the values of its parameters."""
         return (self.name, *self.placement.values())
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
-        """Row ids of the joints among its places; the structure it explains depends on them."""
+        """Row ids of the joints among its places; what it explains varies with these joints."""
         kinds = self.allowed_places()
         return tuple(v for name, v in self.places.items() if kinds.get(name) is moving_joints)
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Return the values of the place fields that an arm has; without a place, one: `{}`.
+        """Return the places on an arm, each as values by place field.
 
-        None where a place may be any text: then the rows of a session say which there are.
+        For an effect without place fields it is one empty mapping. The list is empty if the arm
+        lacks the `part`, or if a place may be any text: then the rows of a session name the places.
         """
         allowed = cls.allowed_places()
         absent = cls.part and not getattr(arm, cls.part)
@@ -215,7 +227,7 @@ class _Term:
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Return the candidates of a diagnosis, each a group of instances that are fitted together.
 
-        By default every site alone, in every form that is tried.
+        By default each is one instance: every place of `sites` in every form that is tried.
         """
         tried = {name: values for name, values in metadata(cls, TRIED).items() if values}  # type: ignore[arg-type]
         forms = [dict(zip(tried, v, strict=True)) for v in itertools.product(*tried.values())]
@@ -223,45 +235,57 @@ class _Term:
 
     @classmethod
     def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
-        """Return the instances to fit when the user declares this effect without a place."""
+        """Return the instances to fit if the user names this effect without a place."""
         every = itertools.chain(*cls.candidates(arm))
         return tuple({term.variant: term for term in every}.values())
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:
-        """Return the instance at a joint with steps of a size (rad or m); of a `stepped` effect."""
+        """Return the instance of a `stepped` effect at a joint, with steps of a size.
+
+        Args:
+            row: row id of the joint.
+            step: rad or m.
+        """
         raise NotImplementedError(cls.name)
 
     def step(self, arm: Arm) -> float:
-        """Return the size of the steps (rad or m) that its joint stands at; 0: it has none."""
+        """Return the size of the steps at which its joint can stand, rad or m; 0: no steps."""
         return 0.0
 
     def price(self, arm: Arm) -> float:
-        """Return the log of the number of forms that it was chosen among, beside `candidates`."""
+        """Return the log of the number of choices of this instance beyond those of `candidates`.
+
+        It is subtracted from the log prior of the instance.
+        """
         return 0.0
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Fields of the circumstances that this instance reads: per-joint fields, columns.
+        """Names of the circumstances that this instance reads: per-joint fields and columns.
 
-        The structure it explains depends on them and on its joints.
+        What it explains varies with them and with its joints.
         """
         return self.needs
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        """Return the commanded joints (0-based) whose history (`PER_JOINT`) it reads."""
+        """Return the commanded joints (0-based) whose history fields (`PER_JOINT`) it reads."""
         return ()
 
     def check(self, arm: Arm, where: str) -> None:
-        """Raise `InputError` if its fields, read from `where`, mean nothing on an arm."""
+        """Raise `InputError` if its fields are not valid on an arm.
+
+        Args:
+            where: the source of the fields, as the error names it.
+        """
 
     def missing(self, context: Context) -> str:
-        """Return the first recorded quantity that it reads and the context lacks, or ""."""
+        """Return the name of the first column that it reads and the context lacks, or ""."""
         read = (name for name in self.inputs if name not in PER_JOINT)
         return next((name for name in read if not context.has(name)), "")
 
     def require(self, context: Context) -> None:
-        """Raise `InputError` if an input that it needs was not recorded."""
+        """Raise `InputError` if an input that the effect needs was not recorded."""
         lacking = (name for name in self.needs if not context.has(name))
         if name := next(lacking, self.missing(context)):
             raise InputError(self.name, name, "missing", "a recorded column of the session")
@@ -276,31 +300,35 @@ class Effect(_Term, ABC):
         """Return the small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
     def outside(self, posture: Posture) -> Sequence[tuple[str, ...]]:
-        """List, for N postures, what lies outside the data that it was found in, in words."""
+        """List, for each of N postures, the inputs outside the data of the effect, in words."""
         return [()] * posture.count
 
     def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
-        """Return the side of arrival at which the effect is surest, by commanded joint (0-based).
+        """Return the side of arrival at which the effect is known best, by commanded joint.
 
-        +1 from below, -1 from above, 0: either.
+        Joints are 0-based. +1: from below, -1: from above, 0: either.
         """
         return {}
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
-        """Return the masses that it adds to the arm, kg, each at a point of a station."""
+        """Return the masses (kg) that the effect adds to the arm, each at a point of a station."""
         return ()
 
     def gravity(self, gravity: Vec) -> Vec:
-        """Return gravity (m/s^2) in the base frame with this effect, given that without it."""
+        """Return gravity in the base frame (m/s^2) with this effect.
+
+        Args:
+            gravity: gravity without this effect.
+        """
         return gravity
 
     def base(self, arm: Arm) -> Frame | None:
-        """Return the base in the frame of the measurements, for an effect that places it."""
+        """Return the base in the frame of the measurements, if this effect places it; else None."""
         return None
 
     @property
     def commandable(self) -> bool:
-        """True if a command can compensate the effect: all its inputs are known by then."""
+        """True if a command can compensate the effect: all inputs are known for a command."""
         return all(name in PER_JOINT or is_told(name) for name in self.inputs)
 
     @property
@@ -315,9 +343,9 @@ class Bias(_Term, ABC):
     """A measuring-side cause. It moves the *seen* point, not the arm, and is never compensated.
 
     Attributes:
-        sees: kinds of measurement (`core/data/measurement.py`) that it acts on.
-        instruments: what may have it (`measuring` in arm.yaml; all where empty), and what can be
-            done about it there, where that is not `action`.
+        sees: names of the kinds of measurement (`core/data/kinds.py`) on which it acts.
+        instruments: the instruments (`measuring` in arm.yaml) that may have it, each with its
+            own text for `action`, or "" for `action` itself. Empty: all instruments.
     """
 
     whole: ClassVar[str] = "measuring side"
@@ -327,7 +355,7 @@ class Bias(_Term, ABC):
 
     @classmethod
     def of_instrument(cls, arm: Arm) -> bool:
-        """Tell whether what measures the arm may have it; without a declaration it may."""
+        """Tell whether the arm's instrument may have it; True if no instrument is declared."""
         return arm.measuring is None or not cls.instruments or arm.measuring in cls.instruments
 
     def advice(self, arm: Arm) -> str:
@@ -338,13 +366,19 @@ class Bias(_Term, ABC):
         """Return the point that is reported for a tip at `point`, both (3,) m in the base frame."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """Return the reading of a row's encoder that sees its joint at a value (rad or m)."""
+        """Return the reading of the encoder of a row's joint.
+
+        Args:
+            value: the joint value that the encoder would read without this cause, rad or m.
+            row: row id.
+        """
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
-        """Return the pose reported for a tip; by default its axes move with the points around it.
+        """Return the reported pose of a tip.
 
-        The axes need not be of unit length or perpendicular: a scale stretches them.
+        By default its axes move with the points around the tip. They may have other lengths and
+        angles than unit vectors, because a scale error stretches them.
         """
 
         def axis(direction: Vec) -> Vec:
@@ -357,4 +391,4 @@ class Bias(_Term, ABC):
 
 
 _AROUND = 0.01
-"""Distance from the tip (m) of the points that show how a camera turns what it sees."""
+"""Distance (m) from the tip of the two points that define a seen axis."""

@@ -12,12 +12,13 @@ from typing import Any
 from longarm_comp.core.arm.arm import Arm
 
 _FLAT = 1000.0
-"""Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
+"""Width of the fit's prior of an unknown parameter over `prior`: 50 m and 50 rad for a base."""
 
 ALIKE = 0.95
-"""Correlation, beforehand, of parameters that are like each other: they differ by a third of their
-size. Of seven seats of first joints that were fitted to real arms, five are as soft along as across
-within a factor of 1.6."""
+"""Prior correlation of parameters that are like each other: they differ by a third of their size.
+
+Of seven seats of first joints of real arms, five have two compliances within a factor of 1.6.
+"""
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,12 @@ class Parameter:
         meaning: description in a few words.
         prior: standard deviation of plausible values; 0 means fixed at its value.
         lower, upper: physical bounds.
-        unknown: nothing is known beforehand: the fit's prior is too wide to pull.
-        like: shared by parameters of one effect that are nearly equal beforehand (`ALIKE`). It
-            counts where explanations are compared; a fit takes each by itself.
-        usual: standard deviation of what every arm has of it: no finding, and never fitted.
+        unknown: nothing is known in advance, so the fit's prior is made so wide that it has no
+            influence.
+        like: name of a group of parameters of one effect that are probably nearly equal (`ALIKE`).
+            It matters where explanations are compared; in a fit each is independent.
+        usual: standard deviation of the values that every arm has. These are no finding, and they
+            are never fitted.
     """
 
     name: str
@@ -57,7 +60,12 @@ Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 
 @cache
 def metadata(kind: type[Any], role: str) -> dict[str, Any]:
-    """Return what the fields of one role declare, by name."""
+    """Return the declarations of the fields of one role, by field name.
+
+    Args:
+        kind: class of the effect.
+        role: `PARAMETER`, `PLACE`, `FORM` or `TRIED`.
+    """
     declared = dataclasses.fields(kind)
     return {f.name: f.metadata[role] for f in declared if role in f.metadata}
 
@@ -71,7 +79,12 @@ def parameter(
     default: float = 0.0,
     **further: Any,
 ) -> Any:
-    """Declare a field as a fitted `Parameter`; `default` is its value without this error."""
+    """Declare a field as a fitted `Parameter`.
+
+    Args:
+        default: its value for an arm without this error.
+        further: other attributes of `Parameter`.
+    """
     made = Parameter("", unit, meaning, prior, lower, upper, **further)
     return dataclasses.field(default=default, metadata={PARAMETER: made})
 
@@ -82,9 +95,9 @@ def place(allowed: Places | None = None, default: int | str | None = None) -> An
     All places of one form together are a family, which a diagnosis tries as a whole.
 
     Args:
-        allowed: allowed values on an arm (`moving_joints`, `beams`, ... or a function of your
-            own); None for any text.
-        default: None if the field is required.
+        allowed: a function that lists the allowed values on an arm (`moving_joints`, `beams`, ...
+            or your own); None for any text.
+        default: default value; None if the field is required.
     """
     given = {} if default is None else {"default": default}
     return dataclasses.field(**given, metadata={PLACE: allowed})  # type: ignore[call-overload]
@@ -99,9 +112,9 @@ def form(
     """Declare a field as a form: a variant of the effect, which is tried but not fitted.
 
     Args:
-        lower, upper: ends of a continuous scale. The search then also tries values between those
-            of `candidates`.  Without them only those values are tried.
-        tried: values of the candidates, where there are others than the default.
+        lower, upper: ends of a continuous scale. With them, a diagnosis also tries values between
+            those of the candidates.
+        tried: the values of the candidates; by default only `default`.
     """
     if (lower is None) != (upper is None):
         raise TypeError("a form's scale has two ends")

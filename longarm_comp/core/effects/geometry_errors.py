@@ -1,4 +1,4 @@
-"""Errors of how the arm is made and read: rows, zeros, pins and encoders."""
+"""Errors of the arm's geometry and of its encoders: rows, zeros, cylinder pins, readings."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class JointZero(JointTerm):
     offset: float = parameter("rad", "joint value at command zero", prior=4e-3)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the prior by the row's tolerance, else 4 mrad, or 1 mm for a slide."""
+        """Return the parameter; its prior is the row's tolerance, else 4 mrad or 1 mm."""
         joint = arm.joints[self.joint - 1]
         if joint.type == "prismatic":
             return self.with_prior(joint.tolerance.d_m or 1e-3, unit="m")
@@ -51,8 +51,10 @@ class JointZero(JointTerm):
 
 
 ELSEWHERE = 0.25
-"""Share of an arm's reach: where lengths, or the rows that see it, are off by more, it is another
-arm, or one that stands elsewhere."""
+"""Largest plausible length error, and error of a measured tip, as a fraction of the arm's size.
+
+If the errors are larger, it is another arm, or it stands at another place.
+"""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,10 @@ class DhError(Effect):
     theta: float = parameter("rad", "angle error about z_i", prior=4e-3)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the priors by the row's tolerances; the joint variable itself is held at zero."""
+        """Return the parameters, with the row's tolerances as priors.
+
+        The prior of the joint variable itself is 0, so this parameter is not fitted.
+        """
         joint = arm.joints[self.row - 1]
         held = joint.tolerance
         a, d = held.a_m or 1e-3, held.d_m or 1e-3
@@ -102,7 +107,7 @@ class DhError(Effect):
     def twists(self, posture: Posture) -> Twists:
         """Return ``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i.
 
-        The tilts are about the place of the axis there (`Chain.tilted_at`).
+        The axis tilts about the point that `Chain.tilted_at` gives.
         """
         a, b, off = self.a, self.b, posture.chain.tilted_at[self.row - 1]
         if off:
@@ -115,10 +120,11 @@ class DhError(Effect):
 
 @dataclass(frozen=True)
 class CylinderPins(JointTerm):
-    """The joint that the declared length of its cylinder stands at, with other pins.
+    """A joint driven by a cylinder stands wrong because the pins are not where they were declared.
 
-    The law of cosines at a fixed length, to first order in the pins' places.  A scale error of the
-    cylinder's length sensor is the same as both distances wrong by its share.
+    The error is that of the law of cosines at a fixed cylinder length, to first order in the
+    places of the pins.  A scale error of the cylinder's length sensor has the same effect as a
+    relative error of both distances.
     """
 
     name = "cylinder_pins"
@@ -151,7 +157,7 @@ class CylinderPins(JointTerm):
 class Encoder(Bias):
     """An encoder reads ``zero + (1 + scale) q``.
 
-    A potentiometer's scale is right to a hundredth; where an encoder's zero is nobody knows.
+    The scale of a potentiometer is right to about one hundredth.  Its zero is unknown.
     """
 
     name = "encoder"
@@ -183,10 +189,10 @@ class Encoder(Bias):
 
 @dataclass(frozen=True)
 class KindDirection(Effect):
-    """A difference that arms of the kind share: errors that come together, with one free amount.
+    """A usual difference between arms of the same kind: a combination of errors, with one amount.
 
-    It is fitted in the place of a correlated prior (`core/calibration/kind_of_arm.py`) and then
-    folded into the errors that it is made of.  No model.yaml holds it.
+    It is fitted instead of a correlated prior (`core/calibration/kind_of_arm.py`), and its errors
+    are then added to those of the single effects.  It is never written into model.yaml.
     """
 
     name = "kind_direction"
@@ -204,7 +210,10 @@ class KindDirection(Effect):
         return any(term.loaded for term in self.terms)
 
     def twists(self, posture: Posture) -> Twists:
-        """Return `amount` times the sum of its terms' twists, which are linear in their values."""
+        """Return `amount` times the sum of the twists of its terms.
+
+        This is exact because the twists are linear in the values of the terms.
+        """
         return spatial.sum_twists(
             {s: tuple(self.amount * v for v in t) for s, t in term.twists(posture).items()}  # type: ignore[misc]
             for term in self.terms

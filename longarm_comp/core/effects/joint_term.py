@@ -1,4 +1,4 @@
-"""Base of the effects of one joint: the joint, its motion, its loads."""
+"""Base classes of effects at one joint: its motion, its loads, its history."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class JointTerm(Effect):
 
     Attributes:
         joint: row id.
-        actions: instead of `action`, by the joint's kind of drive.
-        types: of the commanded joints that may have it, where `fits` does not say otherwise.
-        passive: every joint that moves may have it, whatever its type.
+        actions: texts that replace `action`, by the joint's `drive` in arm.yaml.
+        types: the joint types that may have it, unless `fits` is overridden.
+        passive: whether every movable joint may have it, whatever its type, even a passive one.
     """
 
     actions: ClassVar[Mapping[str, str]] = {}
@@ -44,7 +44,7 @@ class JointTerm(Effect):
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
-        """Return the ids of the rows that may have it: all that move where it is `passive`."""
+        """Return the ids of the rows that may have it: all movable ones if it is `passive`."""
         return moving_joints(arm) if cls.passive else [r for r in arm.commanded if cls.fits(arm, r)]
 
     @classmethod
@@ -59,9 +59,9 @@ class JointTerm(Effect):
         return (arm.commanded.index(self.joint),) if reads else ()
 
     def motion(self, posture: Posture, amount: Scalar) -> Twists:
-        """Return the joint moved by `amount` (rad or m) along its own z axis, at its bearing.
+        """Return the twists that move the joint by `amount` (rad or m) about or along its z axis.
 
-        Passive joints coupled to it (mimic) follow.
+        They act at the bearings of the joint and of all rows that follow it (mimic, coupling).
         """
         twists: dict[int, Twist] = {}
         for row, weight in self.moved_rows(posture):
@@ -73,7 +73,7 @@ class JointTerm(Effect):
         return twists
 
     def moved_rows(self, posture: Posture) -> tuple[tuple[int, float], ...]:
-        """Return rows that move with the joint, and how far per unit of it: its own row first."""
+        """Return the rows that move with the joint, each with its motion per unit of the joint."""
         return posture.chain.coupled_rows(self.joint)
 
     def slides(self, arm: Arm) -> bool:
@@ -85,22 +85,28 @@ class JointTerm(Effect):
         return posture.q[posture.arm.commanded.index(self.joint)]
 
     def load(self, posture: Posture) -> Scalar:
-        """Return the load of the rows that move with its joint (`row_loads`), N m or N."""
+        """Return gravity's load on the joint and the rows that move with it, N m or N."""
         return row_loads(posture, self.moved_rows(posture))
 
     def direction(self, posture: Posture) -> Scalar:
-        """Return the side that the joint arrived from: -1 above, 0 unknown, +1 below."""
+        """Return the side from which the joint arrived: -1 from above, 0 unknown, +1 from below."""
         return self._history(posture, "approach")[0]
 
     def last_way(self, posture: Posture) -> Scalar:
-        """Return the signed way (rad, m) since the joint stood or turned; 0: none, or unknown."""
+        """Return the signed displacement (rad, m) since the joint last stood still or reversed.
+
+        It is 0 if it did not move or this is not known.
+        """
         return self._history(posture, "last_way")[0]
 
     def wound(self, posture: Posture, radius: float) -> Scalar:
-        """Return the state, -1 to +1, of a play operator of a radius (rad, m).
+        """Return the state of a play operator driven by the joint's history, from -1 to +1.
 
-        It is how far the joint is wound up by its own way: +1 against its upper flank, coming from
-        below.  Where its way is not known that far, it is the middle of what it can be.
+        +1 means that the joint moved up by at least the full play, -1 down.  If the known history
+        does not determine the state, it is the middle of the possible range.
+
+        Args:
+            radius: half of the play, rad or m.
         """
 
         def compute() -> Scalar:
@@ -118,11 +124,11 @@ class RestingTerm(JointTerm):
     """An effect of a joint with play or a deadband, which rests on one side of it.
 
     Attributes:
-        gate: threshold of the load under which friction decides the side, as a share of the arm's
-            typical torque (`typical_loads`), or of a quarter of its weight for a slide; 0: the
-            load always does. None is offered below the load that a vertical axis has where its
-            base leans by a few mrad, which would decide by chance.
-        blend: share of the threshold over which the side changes over.
+        gate: load below which friction decides the side, as a fraction of the arm's typical torque
+            (`typical_loads`), or of a quarter of its weight for a slide; 0: the load always
+            decides. The tried values are above the load on a vertical axis whose base leans by a
+            few mrad, because so small a load would decide by chance.
+        blend: width of the transition between the two, as a fraction of the threshold.
     """
 
     loaded = True
@@ -133,9 +139,9 @@ class RestingTerm(JointTerm):
     def side(self, posture: Posture) -> Scalar:
         """Return the side on which the joint rests, from -1 to +1.
 
-        Above the threshold the load pushes the joint to its side.  Below it, friction holds the
-        joint where its motion left it: it lags, on the side it came from.  The transition is
-        gradual, as under a nearly balanced load.
+        Above the threshold the load pushes the joint to one side.  Below it, friction holds the
+        joint on the side that it came from.  The transition is gradual, as under a nearly balanced
+        load.
         """
 
         def compute() -> Scalar:
@@ -150,21 +156,32 @@ class RestingTerm(JointTerm):
         return posture.once(("side", self.joint, self.gate, self.blend), compute)
 
     def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
-        """Return the side against the load: arriving so, the joint rests where the load pushes it,
-        whatever the threshold is."""
+        """Return the side of arrival that is against the load, by commanded joint (0-based).
+
+        The joint then rests on the side to which the load pushes it, for any threshold.
+        """
         load = self.load(posture)
         settled = -spatial.sign(load) * (abs(load) > _RESTING)
         return {posture.arm.commanded.index(self.joint): settled}
 
 
 def joint_load(posture: Posture, joint: int) -> Scalar:
-    """Compute the torque (N m) by gravity about the z axis of a row's joint, or the force (N) along
-    a slide's: by virtual work, with the loads of passive joints coupled to it."""
+    """Compute gravity's torque (N m) about a joint's z axis, or its force (N) along a slide.
+
+    It follows from virtual work, so it includes the loads of all rows that move with the joint.
+
+    Args:
+        joint: row id.
+    """
     return row_loads(posture, posture.chain.coupled_rows(joint))
 
 
 def row_loads(posture: Posture, rows: Iterable[tuple[int, float]]) -> Scalar:
-    """Compute gravity's work on (row, how far it moves) per unit of the motion, N m or N."""
+    """Compute gravity's work per unit of a common motion of some rows, N m or N.
+
+    Args:
+        rows: row ids, each with its motion per unit of the common motion.
+    """
     total: Scalar = 0.0
     for row, weight in rows:
         station = posture.bearing(row)

@@ -1,4 +1,4 @@
-"""Sag of the declared beams under their own and the carried weight."""
+"""Bending of the declared beams under their own weight and the weight that they carry."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class LinkDeflection(Effect):
-    """Every declared beam is a cantilever clamped to what is before it (paper, Section II.B).
+    """Every declared beam bends as a cantilever clamped to the part before it (paper, Sec. II.B).
 
     It has no parameter: sections, moduli and masses are declared in the arm.
     """
@@ -31,7 +31,7 @@ class LinkDeflection(Effect):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Return none: every model of declared beams has it."""
+        """Return no place: a model of declared beams holds this effect without a search."""
         return []
 
     def twists(self, posture: Posture) -> Twists:
@@ -39,8 +39,12 @@ class LinkDeflection(Effect):
 
 
 def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
-    """Return a share (one for all rows, or one each) of the declared cantilever twist, at the end
-    of every element of one beam, or of all."""
+    """Return a fraction of the declared cantilever twists, by station, of one beam or of all.
+
+    Args:
+        share: the fraction, one for all rows or one for each.
+        beam: name of the beam; empty for all.
+    """
     return {
         e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
         for e in elements(posture)
@@ -49,29 +53,29 @@ def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
 
 
 def elements(posture: Posture) -> Iterator[Element]:
-    """Yield the pieces of all declared beams, from the base to the tip."""
+    """Yield the elements of all declared beams, from the base to the tip."""
     return (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
 
 
 def cantilever(posture: Posture, element: Element) -> Twist:
     """Compute the twist at the end of a beam element under end force, end moment, dead weight.
 
-    It is computed once a posture: several effects are shares of it.
+    The twists of all elements are computed once per posture, because several effects use them.
 
     With u the beam axis, l the length, F, M the end loads and w = density x gravity over
     the last h of the beam, the bending moment is ``M(s) = M + (l-s) u x F + u x w (...)``,
     the slope its integral over EI and the deflection ``int theta x u ds`` (Euler-Bernoulli;
-    a uniformly loaded beam has h = l: ``w l^3/6EI`` and ``w l^4/8EI``).  Loads are read in
+    a uniformly loaded beam has h = l: ``w l^3/6EI`` and ``w l^4/8EI``).  Loads are taken in
     the axes halfway along the bend, which makes one element second-order accurate.
-    Along the beam, `exp` of the twist pulls the end back by ``theta x d / 2``; the beam's
-    foreshortening, half the integral of the slope squared, is 0.4 of it under an end force
-    (a third under an end moment, 0.43 under dead weight), so a tenth is given back.
+    Along the beam, `exp` of the twist pulls the end back by ``theta x d / 2``.  The true
+    foreshortening, half the integral of the slope squared, is 0.4 ``theta d`` under an end force
+    (a third under an end moment, 0.43 under dead weight), so a tenth is added back.
     """
     return posture.once(("cantilevers",), lambda: _compute_cantilevers(posture))[element.station]
 
 
 def _compute_cantilevers(posture: Posture) -> dict[int, Twist]:
-    """Compute the twists of all elements, by station; those of one kind at once."""
+    """Compute the twists of all elements, by station; similar elements are stacked."""
     kinds: dict[tuple, dict[tuple[int, int], tuple[Scalar, ...]]] = {}
     masses, firsts = posture.carried_masses
     for e in elements(posture):
@@ -105,10 +109,10 @@ def _cantilever(
     """Compute the twist at the end of an element, as `cantilever`, in the beam's axes.
 
     Args:
-        sign, length, inverse: as `_describe_beam` gives them.
-        felt: gravity, force and moment at the end, in the beam's axes.
-        spread: density (kg/m) and loaded length (m) of each mass along it, and whether that is
-            the element's whole length.
+        sign, length, inverse: as returned by `_describe_beam`.
+        felt: gravity (m/s^2), force (N) and moment (N m) at the end, in the beam's axes.
+        spread: density (kg/m) and loaded length (m) of each mass along the element, and whether
+            this length is the whole element.
     """
     gravity, force, moment = felt
 
@@ -136,8 +140,12 @@ def _cantilever(
 
 
 def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
-    """Compute the twist at the end of a beam element under a force (N) and moment (N m) in its axes
-    there, to first order."""
+    """Compute the twist at the end of a beam element under an end load, to first order.
+
+    Args:
+        force: N, in the axes of the element's station.
+        moment: N m, in the same axes.
+    """
     length, sign, inverse = _describe_beam(posture, element)
     ends = (_beam_axes(element.axis, v) for v in (force, moment))
     slope, sag = _end_loaded(length, sign, *ends)
@@ -147,7 +155,10 @@ def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
 def _describe_beam(
     posture: Posture, element: Element
 ) -> tuple[Scalar, float, tuple[float, float, float]]:
-    """Return length (m), sign along its axis, and 1/GJ, 1/EI, 1/EI (1/(N m^2)) of an element."""
+    """Return an element's length (m), sign along its axis, and (1/GJ, 1/EI, 1/EI), 1/(N m^2).
+
+    The two EI are about the first and the second transverse axis.
+    """
     signed = posture.lengths[element.station]
     sign = -1.0 if type(signed) is float and signed < 0 else 1.0
     first, second, torsion = element.beam.stiffness
@@ -155,25 +166,30 @@ def _describe_beam(
 
 
 def _beam_axes(axis: int, of_frame: tuple[_T, _T, _T]) -> tuple[_T, _T, _T]:
-    """Reorder what belongs to a frame's x, y, z: the axis along the beam, two across it."""
+    """Reorder values for a frame's x, y, z: first for the axis along the beam, then across it."""
     return of_frame[axis:] + of_frame[:axis]  # type: ignore[return-value]
 
 
 def _frame_axes(axis: int, twist: Twist) -> Twist:
-    """Return a twist in the beam's axes, in the frame's."""
+    """Reorder a twist from the beam's axes (the first along the beam) to the frame's axes."""
     d, theta = twist[:3], twist[3:]
     return (*d[3 - axis :], *d[: 3 - axis], *theta[3 - axis :], *theta[: 3 - axis])  # type: ignore[return-value]
 
 
 def _across(sign: float, v: Vec) -> tuple[Scalar, Scalar]:
-    """Return the components across the beam of ``u x v``, where u is the beam's direction."""
+    """Return the two transverse components of ``u x v``, where u is the beam's direction."""
     return (-v[2], v[1]) if sign > 0 else (v[2], -v[1])
 
 
 def _end_loaded(
     length: Scalar, sign: float, force: Vec, moment: Vec
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Integrate the bending moment ``M(s)`` over the length and, across, ``M(s) (l - s)``."""
+    """Integrate the moment ``M(s)`` of end loads along the element, for the slope and the sag.
+
+    Returns:
+        The integrals of ``M(s)`` about all three axes, and those of ``M(s) (l - s)`` about the two
+        transverse axes.
+    """
     l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
     slope: list[Scalar] = [l1 * m for m in moment]
     sag: list[Scalar] = []
@@ -184,6 +200,6 @@ def _end_loaded(
 
 
 def _bend_beam(sign: float, slope: list[Scalar], sag: list[Scalar], inverse: Vec) -> Twist:
-    """Compute displacement (m) and turn (rad) of a beam's end from these integrals."""
+    """Compute the twist (m, rad) of a beam's end from the integrals of `_end_loaded`."""
     y, z = _across(-sign, (0.0, sag[0] * inverse[1], sag[1] * inverse[2]))
     return (0.0, y, z, slope[0] * inverse[0], slope[1] * inverse[1], slope[2] * inverse[2])

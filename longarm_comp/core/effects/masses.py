@@ -1,4 +1,4 @@
-"""Weight that is not as declared: its size, its place, its direction."""
+"""Weight that differs from the declared one: in size, in place, or in direction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from longarm_comp.core.effects.typical_loads import typical_loads
 
 @dataclass(frozen=True)
 class _Weight(Effect):
-    """It has no twist of its own: it acts through every elastic effect of the model."""
+    """An effect without a twist of its own: it acts through the elastic effects of the model."""
 
     loaded = True
 
@@ -36,7 +36,10 @@ class TipPayload(_Weight):
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the prior: a tenth of the arm's weight; what is carried is never negative."""
+        """Return the parameter, with a tenth of the arm's mass as prior.
+
+        Its lower bound is minus the declared payload, so the total is never negative.
+        """
         weight = typical_loads(arm).force / 9.81
         held = arm.payload.mass_kg if arm.payload else 0.0
         return self.with_prior(max(0.1 * weight, 1e-6), lower=-held)
@@ -50,7 +53,7 @@ class TipPayload(_Weight):
 class LinkMass(_Weight):
     """The arm is heavier (or lighter) at a row than declared: links, drives, cables, hoses.
 
-    The mass is lumped at the frame's origin.  One between two frames is a part at each.
+    The mass is lumped at the frame's origin.  A mass between two frames is a part at each of them.
     """
 
     name = "link_mass"
@@ -64,13 +67,13 @@ class LinkMass(_Weight):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Return each frame that beams carry, but for the one where `tip_payload` is."""
+        """Return each frame that declared beams carry, except the frame of `tip_payload`."""
         first = min((beam.row for beam in arm.links), default=len(arm.joints))
         tip = (arm.payload or arm.tip).frame
         return [{"frame": row} for row in rows(arm) if first < row and row != tip]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the prior: a tenth of the arm's weight, kg."""
+        """Return the parameter, with a tenth of the arm's mass as prior, kg."""
         return self.with_prior(max(0.1 * typical_loads(arm).force / 9.81, 1e-6))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
@@ -79,10 +82,11 @@ class LinkMass(_Weight):
 
 @dataclass(frozen=True)
 class UndeclaredWeight(_Weight):
-    """The weight of an arm that declares none: a kilogram a metre of its links, or at its tip.
+    """The weight of an arm that declares none: one kilogram per metre of its links.
 
-    The rows tell only the products of weights and what yields under them.  So the whole weight is
-    given, and the sizes of compliances are relative to it.  `UndeclaredDrive` is a part of it, too.
+    A part of it may be at the tip instead.  A session shows only the products of weights and
+    compliances.  So the weight of links, joints (`undeclared_drive`) and tip together is fixed, and
+    compliances are relative to it.  Only the guides of slides add to it.
     """
 
     name = "undeclared_weight"
@@ -101,7 +105,10 @@ class UndeclaredWeight(_Weight):
         return [] if arm.declares_weight else [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return priors: equal shares at each joint and at the tip; a guide weighs as its slide."""
+        """Return the parameters; the prior of `tip` is an equal part for each joint and the tip.
+
+        That of `guides`, which only arms with slides have, is 1 kg/m, as for a slide.
+        """
         shares = self.with_prior(_share(arm), 1.0)
         return shares if _guides(arm) else shares[:1]
 
@@ -137,7 +144,7 @@ class UndeclaredDrive(_Weight):
         return [] if arm.declares_weight else [{"joint": row} for row in moving_joints(arm)]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the prior: an equal share, kg, at every joint and at the tip."""
+        """Return the parameter; its prior is an equal part (kg) for each joint and the tip."""
         return self.with_prior(_share(arm))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
@@ -150,14 +157,14 @@ def _share(arm: Arm) -> float:
 
 
 def _along_links(posture: Posture, mass: Scalar) -> Iterator[Lumped]:
-    """Spread a mass along the links, by their lengths."""
+    """Distribute a mass (kg) along the links, in proportion to their lengths."""
     share = mass / posture.arm.usual_mass_kg
     every = posture.arm.usual_masses
     return (Lumped(posture.frame(row), share * usual, at) for row, at, usual in every)
 
 
 def _guides(arm: Arm) -> list[tuple[int, float]]:
-    """List every slide's row and the length of its guide, m: that of the slide at joint value 0."""
+    """List each slide's row and the length of its guide, m, which is its ``d_m`` in arm.yaml."""
     return [(j.id, j.d_m) for j in arm.joints if j.type == "prismatic" and j.d_m]
 
 

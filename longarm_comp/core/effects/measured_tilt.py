@@ -1,4 +1,4 @@
-"""An inclinometer's reading, taken at its word."""
+"""The tilt that an inclinometer measures, as an effect."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ from longarm_comp.core.effects.sites import frames
 
 @dataclass(frozen=True)
 class MeasuredTilt(Effect):
-    """Frame `frame` is tilted by what the inclinometer there reads, with gain 1.
+    """A frame is tilted by the angles that the inclinometer on it reads.
 
-    The gain is not fitted unless arm.yaml says so of a sensor: where tilt is hardly excited a
-    fitted gain extrapolated to 23.6 mm on real data, gain 1 left 1.7 mm.
+    The gain is 1 and not fitted, unless arm.yaml declares it free.  In real data with little tilt
+    the model with a fitted gain was 23.6 mm off, with gain 1 only 1.7 mm.
 
     Attributes:
-        frame: row id, 0 for the base; columns ``incl_<frame>_x`` and ``_y`` (rad).
-        sensor: name of a declared inclinometer instead; columns ``incl_<sensor>_x`` and ``_y``.
-        pivot: row id of the frame that a sensor of undeclared row turns; it is searched.
-        gain: of a sensor whose gain is declared free.
+        frame: row id of the frame, 0 for the base; columns ``incl_<frame>_x`` and ``_y`` (rad).
+        sensor: name of a declared inclinometer, which replaces `frame`; columns
+            ``incl_<sensor>_x`` and ``_y``.
+        pivot: row id of the frame that tilts with a declared inclinometer. A diagnosis searches
+            for it if arm.yaml does not declare the row.
+        gain: gain of a declared inclinometer, if it is declared free.
     """
 
     name = "measured_tilt"
@@ -42,7 +44,7 @@ class MeasuredTilt(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Return each frame that may carry one, and declared ones at all rows where they may be."""
+        """Return a candidate for each frame, and for each possible frame of a declared sensor."""
         made: list[tuple[Self, ...]] = [(cls(frame=frame),) for frame in frames(arm)]
         for name, held in arm.sensors.items():
             if isinstance(held, Inclinometer):

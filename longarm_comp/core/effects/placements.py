@@ -1,4 +1,4 @@
-"""Places of base, tip, markers, sensors and anchors: what every calibration solves for."""
+"""Placements of base, tip, markers, sensors and anchors, which every calibration solves."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class RigidMotion:
 
 @dataclass(frozen=True)
 class BasePose(RigidMotion, Effect):
-    """Placement of the base beyond the declared one; one per `group` where the base was moved.
+    """Placement of the base relative to the declared one; one per `group` if the base was moved.
 
-    It says where the tracker's frame lies, so gravity turns with it and keeps its declared
-    direction in the arm's base; a base that leans against gravity is `gravity_direction`.
-    The base may stand anywhere, unless arm.yaml gives a tolerance.
+    It is the placement in the frame of the measurements.  Gravity turns with it, so it keeps its
+    declared direction in the arm's base; a base that leans is `gravity_direction`.  The base may
+    stand anywhere, unless arm.yaml gives a tolerance.
     """
 
     name = "base_pose"
@@ -61,7 +61,7 @@ class BasePose(RigidMotion, Effect):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Return one placement; those of further groups come from a session."""
+        """Return one placement; a session adds those of its groups."""
         return [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
@@ -83,7 +83,7 @@ class BasePose(RigidMotion, Effect):
 
 @dataclass(frozen=True)
 class TipOffset(Effect):
-    """Position error of the tip (of one marker, where a session has several) in its frame.
+    """Position error of the tip, or of one of several markers, in the frame that carries it.
 
     The tip may be anywhere in its frame, unless arm.yaml gives a tolerance.
     """
@@ -112,7 +112,7 @@ class TipOffset(Effect):
         return self.with_prior(*three(known.xyz_m), unknown=False)
 
     def twists(self, posture: Posture) -> Twists:
-        """Return a shift (m) of the marker alone, in its frame: what hangs there stays."""
+        """Return a displacement (m) of the tip or marker alone; masses in its frame do not move."""
         spot = posture.spot(self.marker)
         if not self.marker:
             return {spot: (self.x, self.y, self.z, 0.0, 0.0, 0.0)}
@@ -122,9 +122,9 @@ class TipOffset(Effect):
 
 @dataclass(frozen=True)
 class TipOrientation(Bias):
-    """The axes of a tracked body (of one marker, to one sensor) are turned against the tip's.
+    """Rotation of a tracked body's axes relative to the tip's, for one marker and one sensor.
 
-    A tracker gives its bodies axes of their own, so the prior leaves any turn free.
+    A tracker defines the axes of its bodies, so the prior allows any rotation.
     """
 
     name = "tip_orientation"
@@ -162,9 +162,9 @@ class TipOrientation(Bias):
 
 @dataclass(frozen=True)
 class AnchorPlace(Bias):
-    """A draw-wire's or distance meter's fixed point is not where it was declared.
+    """The fixed point (anchor) of a draw-wire or distance meter is not where it was declared.
 
-    One that was not declared is solved from the origin, with any place equally likely.
+    An anchor without a declared place may be anywhere; its place is relative to the origin.
     """
 
     name = "anchor_place"
@@ -183,14 +183,17 @@ class AnchorPlace(Bias):
         return [{"anchor": k} for k, v in arm.anchors.items() if v.xyz_m is None]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the tip moved against the anchor, for the rows that measure to it."""
+        """Return the tip less the displacement of the anchor, m, in rows that measure to it.
+
+        So the distance to the declared place equals that to the true one.
+        """
         mine = context.is_label("anchor", self.anchor)
         return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
 
 
 @dataclass(frozen=True)
 class SensorPlace(RigidMotion, Bias):
-    """A further sensor reports in a frame of its own, anywhere against that of the first one."""
+    """Pose of a further sensor's frame relative to that of the first sensor; it may be any pose."""
 
     name = "sensor_place"
     title = "sensor placement"
@@ -212,9 +215,9 @@ class SensorPlace(RigidMotion, Bias):
 
 @dataclass(frozen=True)
 class CameraPose(RigidMotion, Bias):
-    """The camera's pose in the base frame is not what was declared.
+    """The camera's pose in the base frame differs from the declared one.
 
-    Position data cannot tell it from `base_pose`; a calibration fits one of the two.
+    Positions cannot distinguish it from `base_pose`; a calibration fits one of the two.
     """
 
     name = "camera_pose"

@@ -1,4 +1,4 @@
-"""Parts with play or friction: each rests on the side that a load or a motion pushed it to."""
+"""Parts with play or friction: each rests on the side to which a load or a motion pushed it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from longarm_comp.core.effects.typical_loads import typical_loads
 
 @dataclass(frozen=True)
 class Backlash(RestingTerm):
-    """``+-width/2`` to the side of the gravity torque where that exceeds a threshold.
+    """A joint with play rests half the play off, on the side to which the gravity torque pushes it.
 
-    Below the threshold friction holds the joint on the side it came from.
+    If the torque is below a threshold, friction holds the joint on the side that it came from.
     """
 
     name = "backlash"
@@ -37,7 +37,7 @@ class Backlash(RestingTerm):
     width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the prior: 20 mrad, or 0.5 mm for a slide."""
+        """Return the parameter, with a prior of 20 mrad, or 0.5 mm for a slide."""
         return self.with_prior(5e-4, unit="m") if self.slides(arm) else self.declared()
 
     def twists(self, posture: Posture) -> Twists:
@@ -46,7 +46,10 @@ class Backlash(RestingTerm):
 
 @dataclass(frozen=True)
 class ServoDeadband(Backlash):
-    """The same before the encoder: only a reading of the joint tells it from play."""
+    """A servo with a deadband stops within it, as a joint with play does, but before its encoder.
+
+    Only a reading of the joint can distinguish it from play.
+    """
 
     name = "servo_deadband"
     title = "deadband of a servo"
@@ -58,8 +61,10 @@ class ServoDeadband(Backlash):
 
 @dataclass(frozen=True)
 class CylinderPlay(RestingTerm):
-    """Worn pins shift the cylinder by a play, as `Backlash` does; the joint turns by play over
-    lever."""
+    """Worn pins shift the cylinder by a play, as `backlash` shifts a joint.
+
+    The joint turns by half the play over the lever of the cylinder.
+    """
 
     name = "cylinder_play"
     title = "play in the cylinder's pins"
@@ -81,17 +86,17 @@ class CylinderPlay(RestingTerm):
 
 @dataclass(frozen=True)
 class FrictionHysteresis(JointTerm):
-    """A joint stops short of its goal, on the side that it came from: a sum of play operators.
+    """A joint with friction stops short of its goal, on the side that it came from.
 
-    A joint with friction and wind-up lags behind its motion (Prandtl-Ishlinskii): in part by its
-    side of arrival at once, in part as it winds through twice a radius, so that a short move turns
-    that part only a little and the rest remembers the moves before.  The data fix the sum, `width`,
-    much better than its parts.
+    A joint with friction and wind-up lags behind its motion (Prandtl-Ishlinskii model, a sum of
+    play operators).  One part of the lag reverses at once with the direction of motion.  Two other
+    parts reverse gradually over a motion of twice a radius, so after a short move they still
+    depend on the moves before.  The data determine the sum, `width`, much better than its parts.
 
     Attributes:
-        near, far: radii (rad; a tenth as many m for a slide) of the two operators that remember.
-        run_up: length (as the radii) that run-ups of unrecorded length were taken to have in the
-            session that it was fitted to; 0: there were none.
+        near, far: radii of the two gradual operators, rad; for a slide a tenth of the number, in m.
+        run_up: length, in the unit of the radii, that was assumed for run-ups of unknown length in
+            the fitted session; 0: there were none.
     """
 
     name = "friction_hysteresis"
@@ -112,8 +117,7 @@ class FrictionHysteresis(JointTerm):
     outer: float = parameter("rad", "part that winds up over `far`", prior=3e-3, lower=0.0)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameters, with priors of 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a
-        slide."""
+        """Return the parameters, with priors of 10, 3 and 3 mrad; 0.3, 0.1, 0.1 mm for a slide."""
         if not self.slides(arm):
             return self.declared()
         return self.with_prior(3e-4, 1e-4, 1e-4, unit="m")
@@ -133,12 +137,12 @@ class FrictionHysteresis(JointTerm):
 
 @dataclass(frozen=True)
 class TelescopeClearance(JointTerm):
-    """Tilt ``clearance / overlap + give * moment / overlap^2`` towards the moment at the guide.
+    """A sliding beam tilts in its guide by ``clearance / overlap + give * moment / overlap^2``.
 
-    The overlap is what is left of the sliding body inside the beam before it; the tilt
-    acts at the mouth of that beam.  For the clearance a moment decides only the direction.
-    The pads at both ends of the overlap also give under load: forces of moment / overlap,
-    each with an arm of the overlap.
+    The overlap is the length of the sliding body inside the beam before it; the tilt acts at the
+    mouth of that beam, in the direction of the moment there.  The first part does not depend on
+    the size of the moment.  The second one is the compression of the pads at both ends of the
+    overlap: each carries a force of moment / overlap.
     """
 
     name = "telescope_clearance"
@@ -151,11 +155,14 @@ class TelescopeClearance(JointTerm):
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Tell whether a row is a slide with a beam of length rest that slides in another."""
+        """Tell whether a row is a slide with a beam of length `rest` that slides in another one."""
         return arm.joints[row - 1].type == "prismatic" and _slider(arm, row) is not None
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return a give of 3 mrad under the arm's typical torque at half the body's length."""
+        """Return the parameters; `give` has a prior that tilts by 3 mrad.
+
+        That is under the arm's typical torque, with an overlap of half the body's length.
+        """
         slider = _slider(arm, self.joint)
         body = slider.body_length_m if slider and slider.body_length_m else 1.0
         clearance, give = self.declared()
@@ -163,7 +170,7 @@ class TelescopeClearance(JointTerm):
         return clearance, dataclasses.replace(give, prior=prior)
 
     def twists(self, posture: Posture) -> Twists:
-        """Return a turn (rad) about the lateral moment's direction at the outer beam's mouth."""
+        """Return a rotation (rad) about the lateral moment, at the mouth of the outer beam."""
         slider = _slider(posture.arm, self.joint)
         assert slider is not None and slider.body_length_m is not None
         elements = posture.chain.rows[self.joint - 1].elements_d
@@ -182,7 +189,10 @@ class TelescopeClearance(JointTerm):
 
 
 def _slider(arm: Arm, row: int) -> Beam | None:
-    """Return the sliding beam of a row: of length rest, its body always overlaps."""
+    """Return the sliding beam of a row, of length `rest`; None if there is none.
+
+    Its body must overlap the beam before it over the whole range of the joint.
+    """
     beams = [b for b in arm.links if b.row == row and b.role == "d"]
     joint = arm.joints[row - 1]
     for beam in beams[1:]:
@@ -197,8 +207,8 @@ def _slider(arm: Arm, row: int) -> Beam | None:
 class SlidePlay(JointTerm):
     """A carriage of constant length tilts by ``tilt`` in the direction of the moment it carries.
 
-    Where the body that slides and its guide are declared, the overlap changes with the
-    extension, and `TelescopeClearance` applies.
+    If the sliding body and its guide are declared as beams, the overlap changes with the extension,
+    and `telescope_clearance` is used instead.
     """
 
     name = "slide_play"

@@ -1,4 +1,4 @@
-"""Inputs of the function of a discovered effect: quantities of a posture, by name.
+"""Quantities, by name, on which the function of a discovered effect may depend.
 
 | name | quantity | unit |
 |---|---|---|
@@ -8,8 +8,8 @@
 | `moment_3_x` | moment at the bearing of row 3 about its x axis (row 0: the base) | N m |
 | `gravity_3_x` | share of gravity along x of row 3's axes (row 0: the base) | 1 |
 | `distance_2_5` | distance between the bearings of rows 2 and 5 | m |
-| `side_2` | side that commanded joint 2 arrived from, -1 or +1; 0 unknown | 1 |
-| `way_2` | signed way of commanded joint 2 since it last stood or turned; 0 unknown | rad, m |
+| `side_2` | side from which commanded joint 2 arrived, -1 or +1; 0 unknown | 1 |
+| `way_2` | displacement of commanded joint 2 since it stood or reversed; 0 unknown | rad, m |
 | `warmth` | temperature above the arm's reference | K |
 | `seen_x` | coordinate of the seen point in the base frame (measuring side only) | m |
 | any other | a recorded column of that name: `t_s`, `pump_bar` | of the column |
@@ -36,7 +36,7 @@ AXES = ("x", "y", "z")
 
 
 class SeenPoint(NamedTuple):
-    """The input of a measuring-side function: the point and the circumstances."""
+    """The input of a measuring-side function: the seen point (m) and the circumstances."""
 
     point: Vec
     context: Context
@@ -44,15 +44,16 @@ class SeenPoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Quantity(ABC):
-    """A quantity of a posture (or of a seen point), by its name.
+    """A quantity of a posture or of a seen point.
 
     Attributes:
-        si: its SI unit, where it has one on every arm.
-        plain: whether a cause is likely to depend on it as it is.
+        pattern: regular expression of its names.
+        si: its SI unit; ``1`` for none.
+        plain: whether a cause is likely to depend on it directly.
         inputs: fields of the circumstances that it reads.
-        resolution: span below which it is the arm's tolerance that varies, in its unit.
+        resolution: range, in its unit, below which its variation is only the arm's tolerance.
         numbers: numbers in its name: joints, rows.
-        axis: 0, 1, 2, where its name has one.
+        axis: 0, 1 or 2 for the axis in its name; 0 if there is none.
     """
 
     pattern: ClassVar[str]
@@ -66,10 +67,10 @@ class Quantity(ABC):
 
     @abstractmethod
     def read(self, at: Any) -> Scalar:
-        """Return its value, in `unit`, at a `Posture`; on the measuring side at a `SeenPoint`."""
+        """Return its value, in `unit`, at a `Posture` or (on the measuring side) a `SeenPoint`."""
 
     def exists(self, arm: Arm) -> bool:
-        """Tell whether the arm has it."""
+        """Tell whether an arm has this quantity."""
         return True
 
     def unit(self, arm: Arm) -> str:
@@ -82,13 +83,13 @@ class OfPosture(Quantity):
 
 
 class _OfJoint(OfPosture):
-    """A quantity of one commanded joint. `of_slide` is its unit where the joint is a slide."""
+    """A quantity of one commanded joint; `of_slide` is its unit if the joint is prismatic."""
 
     of_slide = "1"
 
     @property
     def joint(self) -> int:
-        """The number of its commanded joint, 0-based."""
+        """The index (0-based) of its commanded joint."""
         return self.numbers[0] - 1
 
     def exists(self, arm: Arm) -> bool:
@@ -237,7 +238,7 @@ _KINDS: tuple[type[Quantity], ...] = (
 
 @lru_cache(maxsize=4096)
 def quantity(name: str) -> Quantity | None:
-    """Return the quantity of a name; None where no quantity may have it."""
+    """Return the quantity with a name; None if the name is not valid."""
     for kind in _KINDS:
         found = re.fullmatch(kind.pattern, name)
         if found:
@@ -248,7 +249,7 @@ def quantity(name: str) -> Quantity | None:
 
 
 def is_column(name: str) -> bool:
-    """Tell whether a recorded column of this name can be a quantity of its own."""
+    """Tell whether this name means a recorded column, and no other quantity."""
     return isinstance(quantity(name), Recorded)
 
 

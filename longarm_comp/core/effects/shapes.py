@@ -1,9 +1,9 @@
-"""Functions of a discovered effect: products of shapes, each a function of one quantity, as text.
+"""Functions of a discovered effect, as text: products of shapes, each of one quantity.
 
-A function is ``1`` or up to three factors joined by `` * ``; each is a shape of a quantity, as in
-``linear(q2) * switch(load_3, 1.2, 0.05)``.  A domain, ``q2 -0.4..0.7; load_3 -2.1..1.8``, gives the
-range of each quantity in the data; outside it a quantity counts as at the end.  Both are data:
-nothing is evaluated as code.
+A function is ``1`` or up to three factors joined by `` * ``; each factor is a shape of a quantity,
+as in ``linear(q2) * switch(load_3, 1.2, 0.05)``.  A domain, ``q2 -0.4..0.7; load_3 -2.1..1.8``,
+gives the range of each quantity in the data; outside its range a quantity counts as at the end.
+Both texts are parsed as data and never executed as code.
 """
 
 from __future__ import annotations
@@ -25,15 +25,20 @@ from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.quantities import Quantity, quantity
 
 _MOST_ORDER = 8
-"""Of a polynomial: one of a higher order is a function of its noise at a few hundred poses."""
+"""Highest order of a polynomial; a higher one would fit the noise of a few hundred poses."""
 LARGEST = 1e9
 """Largest number that a function or a domain may hold."""
 _LOOKS = 33
-"""Places over its range at which a shape is looked at."""
+"""Number of points over its range at which a shape is evaluated to find its variation."""
 
 
 class FunctionError(ValueError):
-    """A text is no function or no domain: `value` is wrong, `allowed` what it may be."""
+    """A text is not a valid function or domain.
+
+    Attributes:
+        value: the part that is wrong.
+        allowed: what is allowed instead.
+    """
 
     def __init__(self, value: object, allowed: str) -> None:
         super().__init__(f"{value}: {allowed}")
@@ -45,10 +50,11 @@ class Shape(ABC):
     """A function of one quantity.
 
     Attributes:
-        power: of the quantity's unit, that a value has.
-        written: the formula, with its fields.
+        word: its name in a text.
+        power: the unit of a value is that of the quantity to this power.
+        written: format string of the formula.
         of: name of the quantity.
-        low, high: its range in the data.
+        low, high: range of the quantity in the data.
     """
 
     word: ClassVar[str]
@@ -66,7 +72,7 @@ class Shape(ABC):
         return found
 
     def at(self, x: Scalar) -> Scalar:
-        """Return the value where the quantity is x, which is kept within its range."""
+        """Return the value at x, which is first limited to the range."""
         return self.value(spatial.minimum(spatial.maximum(x, self.low), self.high))
 
     @abstractmethod
@@ -74,9 +80,10 @@ class Shape(ABC):
         """Return the value at x, which lies within the range."""
 
     def change_beyond(self, x: np.ndarray) -> np.ndarray:
-        """Estimate how far the value may be from that at the end of the range, at x outside it.
+        """Estimate the possible change of the value from the end of the range to x outside it.
 
-        It may go on as it varies within: by its whole variation over the range, for as far again.
+        It is the variation of the value over the range, times the distance of x from the range over
+        the length of the range; 0 inside.
         """
         varies = np.ptp(self.value(np.linspace(self.low, self.high, _LOOKS)))
         beyond = np.maximum(np.maximum(self.low - x, x - self.high), 0.0)
@@ -84,7 +91,7 @@ class Shape(ABC):
 
     @property
     def formula(self) -> str:
-        """The formula for a reader, with the numbers of its fields."""
+        """The formula for people, with the values of its numbers."""
         return self.written.format(**vars(self))
 
     @property
@@ -94,12 +101,12 @@ class Shape(ABC):
 
     @classmethod
     def numbers(cls) -> tuple[str, ...]:
-        """Return the names of its own numbers, in the order of the text."""
+        """Return the names of the shape's own numbers, in the order of the text."""
         of_all = {f.name for f in dataclasses.fields(Shape)}
         return tuple(f.name for f in dataclasses.fields(cls) if f.name not in of_all)
 
     def check(self) -> None:
-        """Raise `FunctionError` where a number is out of its bounds."""
+        """Raise `FunctionError` if a number is out of its bounds."""
         for name in self.numbers():
             number = getattr(self, name)
             if not abs(number) <= LARGEST:
@@ -134,7 +141,7 @@ class SignedSquare(Shape):
 
 @dataclass(frozen=True)
 class Legendre(Shape):
-    """Legendre polynomial over the range."""
+    """Legendre polynomial of the quantity, scaled to -1..1 over its range."""
 
     word = "legendre"
     written = "P{order:g}({of})"
@@ -154,12 +161,12 @@ class Legendre(Shape):
 
 
 _MOST_TURN = 1000.0
-"""Phase of a wave over its range at most, rad: 160 periods are more than poses can show."""
+"""Largest phase of a wave over its range, rad: 160 periods are more than poses can show."""
 
 
 @dataclass(frozen=True)
 class Wave(Shape):
-    """A harmonic of the quantity itself: so many periods in 2 pi."""
+    """A harmonic of the quantity, with `order` periods in 2 pi."""
 
     order: float = 1.0
 
@@ -189,14 +196,14 @@ class Sine(Wave):
 
 @dataclass(frozen=True)
 class Threshold(Shape):
-    """Something that happens at one value of the quantity."""
+    """A shape that changes its behaviour at one value of the quantity, the threshold."""
 
     threshold: float = 0.0
 
 
 @dataclass(frozen=True)
 class Switch(Threshold):
-    """-1 below the threshold, +1 above it, a ramp within `half` of it."""
+    """-1 below the threshold and +1 above it, with a ramp within +-`half` of it."""
 
     word = "switch"
     written = "sign({of} - {threshold:.4g})"
@@ -214,7 +221,7 @@ class Switch(Threshold):
 
 
 class Above(Threshold):
-    """The excess of the quantity above the threshold, else 0: a contact, a taut cable."""
+    """The quantity less the threshold where this is positive, else 0: a contact, a taut cable."""
 
     word = "above"
     written = "max(0, {of} - {threshold:.4g})"
@@ -237,25 +244,29 @@ SHAPES: dict[str, type[Shape]] = {
     kind.word: kind
     for kind in (Linear, Square, SignedSquare, Legendre, Cosine, Sine, Switch, Above, Below)
 }
-"""Shapes by the word that stands for them in a model file."""
+"""Shapes by their names in a model file."""
 
 
 _MOST_FACTORS = 3
-"""Of a product: more than a few hundred poses tell apart from noise."""
+"""Largest number of factors; a few hundred poses cannot distinguish more of them from noise."""
 
 
 @dataclass(frozen=True)
 class Function:
-    """A product of shapes; 1 without any."""
+    """A product of shapes; 1 if there is none."""
 
     factors: tuple[Shape, ...] = ()
 
     def value(self, read: Callable[[Quantity], Scalar]) -> Scalar:
-        """Compute the product of its shapes, given a function that reads a quantity."""
+        """Compute the product of its shapes.
+
+        Args:
+            read: returns the value of a quantity.
+        """
         return math.prod((f.at(read(f.quantity)) for f in self.factors), start=1.0)
 
     def change_beyond(self, read: Callable[[Quantity], Scalar]) -> np.ndarray:
-        """Estimate how far it may be from what `value` is, outside the ranges, to first order."""
+        """Estimate the possible error of `value` outside the ranges, to first order."""
         values = [factor.at(read(factor.quantity)) for factor in self.factors]
         changes = [
             f.change_beyond(np.asarray(read(f.quantity))) * math.prod(values[:k] + values[k + 1 :])
@@ -269,23 +280,22 @@ class Function:
 
     @property
     def domain(self) -> str:
-        """Ranges of its quantities, as they are stored."""
+        """The text of the ranges of its quantities, as it is stored."""
         held = {f.of: f"{f.of} {f.low!r}..{f.high!r}" for f in self.factors}
         return "; ".join(held.values())
 
     @property
     def formula(self) -> str:
-        """The formula for a reader, a product of its factors; empty for the constant."""
+        """The formula for people, a product of its factors; empty for the constant 1."""
         return " x ".join(f.formula for f in self.factors)
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """The quantities that it depends on."""
+        """The quantities on which the function depends, each once."""
         return tuple(dict.fromkeys(f.quantity for f in self.factors))
 
     def units(self, arm: Arm) -> list[str]:
-        """Return the units of its factors, whose product is the unit of its value; empty for a
-        number."""
+        """Return the units whose product is the unit of the value; empty for a plain number."""
         each = ([factor.quantity.unit(arm)] * factor.power for factor in self.factors)
         return [unit for units in each for unit in units if unit != "1"]
 
@@ -297,11 +307,11 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 @lru_cache(maxsize=4096)
 def function(text: str, domain: str) -> Function:
-    """Return the function of a text over a domain.
+    """Return the function that a text and the text of its domain describe.
 
     Raises:
-        FunctionError: a part that is no shape, quantity, number or range; too many factors; a
-            quantity without its range, or a range without its quantity.
+        FunctionError: a part is not a shape, quantity, number or range; there are too many
+            factors; a quantity has no range, or a range no quantity.
     """
     ranges = _parse_domain(domain)
     parts = [] if text == "1" else text.split(" * ")

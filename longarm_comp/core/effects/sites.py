@@ -1,4 +1,4 @@
-"""Places that an arm has: what a `place` of an effect may be."""
+"""Lists of the places on an arm: the allowed values of an effect's `place` fields."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ from longarm_comp.core.arm.arm import Arm
 
 
 def moving_joints(arm: Arm) -> list[int]:
-    """Return the row ids of the joints that move, passive ones too."""
+    """Return the row ids of all joints that are not fixed, including passive ones."""
     return [joint.id for joint in arm.joints if joint.type != "fixed"]
 
 
 GEARED = 2
-"""Commanded joints that gears or rods couple are neighbours, or have one joint between them."""
+"""Largest difference of the numbers of two commanded joints that gears or rods may couple.
+
+They are neighbours, or have one joint between them.
+"""
 
 
 def near(joint: int, other: int) -> bool:
-    """Tell whether gears or rods may couple two commanded joints, by their numbers."""
+    """Tell whether gears or rods may couple two commanded joints, given their numbers."""
     return 0 < abs(joint - other) <= GEARED
 
 
@@ -25,7 +28,7 @@ def rows(arm: Arm) -> list[int]:
 
 
 def frames(arm: Arm) -> list[int]:
-    """Return the base (0) and the frame of every row."""
+    """Return 0 for the base frame, and the ids of all rows for their frames."""
     return [0, *rows(arm)]
 
 
@@ -35,5 +38,5 @@ def beams(arm: Arm) -> list[str]:
 
 
 def markers(arm: Arm) -> list[str]:
-    """Return the names of the declared markers, after the empty one of the tip."""
+    """Return "" (the tip) and the names of the declared markers."""
     return ["", *arm.markers]

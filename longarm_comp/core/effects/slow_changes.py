@@ -14,23 +14,32 @@ from longarm_comp.core.effects.link_deflection import extra_sag
 
 
 def slowing() -> float:
-    """Declare a field: one over the time constant, 1/h; 0: it goes on at a constant rate.
+    """Declare the form field for an exponential slowdown: one over the time constant, 1/h.
 
-    An instrument warms up in a quarter of an hour or more, ground settles in hours.
+    0 means a constant rate.  An instrument warms up in a quarter of an hour or more, ground settles
+    in hours.
     """
     return form(0.0, lower=0.0, upper=36.0, tried=(0.0, 0.25, 1.0, 4.0))
 
 
 def change_so_far(context: Context, slowing: float) -> Scalar:
-    """Return how far a change has gone by now, as a share of its first hour:
-    ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, t in hours."""
+    """Return the size of a change at the present time, over its size after the first hour.
+
+    It is ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, with t in hours.
+
+    Args:
+        slowing: one over the time constant, 1/h; 0 for a constant rate.
+    """
     hours: Scalar = context.column(CLOCK, 0.0) / 3600.0
     return np.expm1(-slowing * hours) / np.expm1(-slowing) if slowing else hours
 
 
 @dataclass(frozen=True)
 class ThermalGrowth(Effect):
-    """All lengths grow by ``expansion (T - T_ref)``."""
+    """The lengths a and d of all rows grow by ``expansion (T - T_ref)``.
+
+    Fixed transforms (`pose`) and the tip's offset do not grow.
+    """
 
     name = "thermal_growth"
     title = "thermal growth"
@@ -40,7 +49,7 @@ class ThermalGrowth(Effect):
     expansion: float = parameter("1/K", "expansion coefficient of the links", prior=1e-4)
 
     def twists(self, posture: Posture) -> Twists:
-        """Return translations along every row's a and d, in proportion to their length."""
+        """Return translations along every row's a and d, in proportion to their lengths."""
         warm = posture.context.column("temperature_c", posture.arm.reference_temperature_c)
         rise = self.expansion * (warm - posture.arm.reference_temperature_c)
         growth: list[dict[int, Twist]] = []
@@ -55,10 +64,10 @@ class ThermalGrowth(Effect):
 
 @dataclass(frozen=True)
 class BaseSettling(Effect):
-    """The base sinks and leans: ever slower, as ground does, or at a constant rate.
+    """The base sinks and leans with time: at a constant rate, or ever slower, as on soft ground.
 
-    It moves the arm, so it is compensated.  A camera that drifts only seems to move it
-    (`CameraDrift`): sinking alone cannot be told from that, leaning can.
+    It moves the arm, so it is compensated.  A drift of the camera (`camera_drift`) looks the same
+    as sinking, but can be distinguished from leaning.
     """
 
     name = "base_settling"
@@ -99,8 +108,10 @@ class ThermalSoftening(Effect):
 
 @dataclass(frozen=True)
 class Creep(Effect):
-    """The declared sag grows by ``amount (1 - exp(-t/time))`` (one Kelvin-Voigt element); the
-    time constant (s) counts from the start of the session."""
+    """The declared sag grows by ``amount (1 - exp(-t/time))`` (one Kelvin-Voigt element).
+
+    t counts from the start of the session; `time` is the time constant, s.
+    """
 
     name = "creep"
     title = "creep"

@@ -1,4 +1,4 @@
-"""Places of touched points and planes: solved from the touches."""
+"""Places of touched points and planes, which are solved from the touches."""
 
 from __future__ import annotations
 
@@ -14,9 +14,13 @@ from longarm_comp.core.effects.effect import Bias, Parameter, form, parameter, p
 
 @dataclass(frozen=True)
 class TouchPlace(Bias):
-    """A point that the tip touched in several rows; nobody measured where it is.
+    """A point at an unknown place that the tip touched in several rows.
 
     Points at a known distance from it (`touch_beside`) move with it.
+
+    Attributes:
+        touch: name of the point.
+        carries: names of the points that move with it, one per line.
     """
 
     name = "touch_place"
@@ -33,13 +37,21 @@ class TouchPlace(Bias):
     z: float = parameter("m", "place of the point", 0.05, unknown=True)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the tip less the point, for rows that touched it or a point that it carries."""
+        """Return the tip less the point, m, in rows that touched it or a point that it carries.
+
+        In other rows it returns the tip.
+        """
         mine = rows_that_touched(context, self.touch, self.carries)
         return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
 
 
 def rows_that_touched(context: Context, name: str, carries: str) -> Scalar:
-    """Return 1 in rows that touched a point, or one of those that it carries (a name a line)."""
+    """Return 1 in rows that touched a point or one that it carries, else 0.
+
+    Args:
+        name: the point.
+        carries: names of the points that it carries, one per line.
+    """
     mine = context.is_label("touch", name)
     for further in carries.splitlines():
         mine = mine + context.is_label("touch", further)
@@ -50,8 +62,14 @@ def rows_that_touched(context: Context, name: str, carries: str) -> Scalar:
 class TouchBeside(Bias):
     """A touched point at a known distance from another one, in an unknown direction.
 
-    The direction is the x axis turned by (rx, ry, rz): three numbers for two, so that no direction
-    is special. The distance may be wrong within its tolerance.
+    The direction is the x axis rotated by the rotation vector (rx, ry, rz). These are three numbers
+    for two unknowns, so no direction is singular. The distance may be wrong within its tolerance.
+
+    Attributes:
+        touch: name of the point.
+        distance: known distance from the other point, m.
+        tolerance: standard deviation of this distance, m.
+        carries: names of the points that move with it, one per line.
     """
 
     name = "touch_beside"
@@ -88,9 +106,10 @@ class TouchBeside(Bias):
 
 @dataclass(frozen=True)
 class PlanePlace(Bias):
-    """A plane that the tip touched in several rows: a floor, a table, a wall; it may be anywhere.
+    """A plane at an unknown place that the tip touched in several rows: a floor, a table, a wall.
 
-    Its normal is the z axis before a turn about x and y; of two opposite ones, that closer to z.
+    The rotation (rx, ry, 0) turns its normal to the z axis.  Of the two opposite normals it is the
+    one closer to z.
     """
 
     name = "plane_place"
@@ -106,7 +125,10 @@ class PlanePlace(Bias):
     ry: float = parameter("rad", "turn of the plane", 0.05, unknown=True)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the tip in axes of the plane, whose z is its height, for rows that touched it."""
+        """Return the tip in the plane's axes, m: z is the height above the plane.
+
+        This holds for rows that touched the plane; in other rows it returns the tip.
+        """
         mine = context.is_label("plane", self.plane)
         turn = spatial.exp_large((0.0, 0.0, 0.0, mine * self.rx, mine * self.ry, 0.0))  # type: ignore[arg-type]
         x, y, z = turn.transform(point)

@@ -1,4 +1,4 @@
-"""The loads that an arm carries, in all and at each place: what priors of effects scale with."""
+"""Typical loads of an arm, in total and at each place; the priors of effects scale with them."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from longarm_comp.core.arm.posture import Chain, Posture
 from longarm_comp.core.arm.spatial import Vec
 
 _POSES = 64
-"""Poses over which a typical load is taken."""
+"""Number of poses over which a typical load is averaged."""
 _PAYLOAD = 0.3
-"""Share of its weight that an arm is built to carry: WAM and Panda 0.15, iiwa and Gen3 0.5."""
+"""Assumed payload over the arm's own weight: WAM and Panda have 0.15, iiwa and Gen3 0.5."""
 
 _LEAST = 0.01
-"""Of the largest moment: no place is built for less."""
+"""Smallest moment for which a place is assumed to be built, over the largest one."""
 
 
 class TypicalLoads(NamedTuple):
     """The size of an arm's loads.
 
     Attributes:
-        force: its weight, N.
-        torque: a quarter of weight times reach, or the RMS moment about the bearing that carries
-            most, over poses between the limits, where that is less: a heavy base loads no joint.
-            Where the place of a mass is recorded (`position_columns`), it is the quarter. N m.
-        shares: of the moment that the most loaded place is built for, by what carries each row:
-            RMS of the arm's own and of a payload (`_PAYLOAD`).
+        force: the arm's weight, N.
+        torque: the typical torque of the arm, N m: a quarter of weight times reach, or the RMS
+            moment at the most loaded joint over random poses if it is less, because a heavy base
+            loads no joint. It is always the quarter if the arm declares no weight, or if the
+            place of a mass is recorded (`position_columns`).
+        shares: by row, the moment for which the bearing of this row is built, over the largest
+            of them: the RMS moment of the arm's own weight and of a payload (`_PAYLOAD`).
     """
 
     force: float
@@ -39,11 +40,12 @@ class TypicalLoads(NamedTuple):
     shares: tuple[float, ...]
 
     def at(self, row: int) -> float:
-        """Return the torque by which the stiffness of what carries a row goes, N m.
+        """Return the torque (N m) that the stiffness of the part at a row is assumed to scale with.
 
-        It lies halfway, by ratio, between the arm's and that of the place: parts of a kind are as
-        stiff as they are strong, and an arm has few kinds. Real arms (`longarm study real`) err
-        least there: WAM 2.15 mm (2.28 by the place alone), iiwa 14 0.147 (0.156).
+        It is the geometric mean of the arm's typical torque and that of the place: parts are as
+        stiff as they are strong, but an arm has only few sizes of them. It gives the smallest
+        errors on real arms (`longarm study real`): WAM 2.15 mm (2.28 with the torque of the place
+        alone), iiwa 14 0.147 (0.156).
         """
         return self.torque * math.sqrt(self.shares[max(row - 1, 0)])
 
@@ -52,7 +54,7 @@ _loads_of: dict[str, TypicalLoads] = {}
 
 
 def typical_loads(arm: Arm) -> TypicalLoads:
-    """Return the size of an arm's loads; without a declared weight, of a kilogram a metre."""
+    """Return the size of an arm's loads; an arm without declared weight has one kg per metre."""
     if arm.hash not in _loads_of:
         mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
         mass += arm.payload.mass_kg if arm.payload else 0.0
@@ -77,7 +79,7 @@ def typical_loads(arm: Arm) -> TypicalLoads:
 
 
 def _rms(vector: Vec) -> float:
-    """Return the RMS length of a vector over all poses."""
+    """Return the RMS length of a vector over the `_POSES` poses."""
     each = np.array([np.broadcast_to(part, _POSES) for part in vector])
     return math.sqrt((each**2).sum(axis=0).mean())
 

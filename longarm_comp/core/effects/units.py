@@ -10,7 +10,7 @@ _PLACE = re.compile(r"\b(?:joint|row|frame) \d+\b")
 
 
 def for_people(unit: str) -> tuple[float, str]:
-    """Return the factor from an SI unit to the one that people read, and the name of that."""
+    """Return the factor from an SI unit to the unit that people read, and this unit's name."""
     whole, slash, per = unit.partition("/")
     known = _READ if unit == whole else _PER
     factor, name = known.get(whole, (1.0, whole))
@@ -22,5 +22,9 @@ _READ = {**_PER, "1": (100.0, "%")}
 
 
 def in_names(text: str, called: Mapping[str, str]) -> str:
-    """Return a text with what people call the places in it (`Arm.names_for_people`)."""
+    """Replace the joints, rows and frames in a text by their readable names.
+
+    Args:
+        called: `Arm.names_for_people`.
+    """
     return _PLACE.sub(lambda found: called.get(found[0], found[0]), text)
