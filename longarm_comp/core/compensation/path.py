@@ -87,7 +87,7 @@ class CompensatedPath:
     def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
         """Return one result per way-point, with the error that is expected there.
 
-        The result is meaningless at a first way-point where the arm stood already.
+        The expected error does not hold at a first way-point where the arm stood already.
 
         Args:
             model, method: with which the path was compensated.
@@ -180,7 +180,7 @@ class _Unanswered(Exception):  # noqa: N818
 
 @dataclass(frozen=True, eq=False)
 class _PathProblem:
-    """A plan, and everything that is needed to solve its way-points; fields of `compensate_path`."""
+    """A plan, and all that its way-points are solved with: the arguments of `compensate_path`."""
 
     model: Model
     predictor: ResidualPredictor | None
@@ -309,7 +309,7 @@ class _PathProblem:
 
         def commands(times: np.ndarray) -> CubicPath:
             stands, beyond = take_up_play(way, off, lag, reversals, times)
-            stands[0] = stands[second] - first  # the first step also takes up what lies beyond
+            stands[0] = stands[second] - first  # the rest of the first step counts as beyond
             beyond[0] = begun[0] - stands[0]
             return smooth(plan, planned, times, stands, beyond, box)
 
@@ -334,7 +334,7 @@ class _PathProblem:
         return context
 
     def _find_seeds(self, seed: np.ndarray | None) -> np.ndarray:
-        """Return joints (k, n) to start from: the planned ones, else solved from one to the next."""
+        """Return joints (k, n) to start from: the planned ones, else solved one after the other."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._begin_where_it_stands(np.clip(plan.joints, *arm.bounds))
