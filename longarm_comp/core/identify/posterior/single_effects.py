@@ -31,7 +31,7 @@ class _Beside(NamedTuple):
     """The offers that lose places to other effects."""
 
     taken: list[int]  # their numbers
-    left: dict[int, Offer]  # what is left of them, by number; without those with nothing left
+    left: dict[int, Offer]  # what is left of them, by number, if at least two places are
     tables: list[OfferTable]  # of `left`
 
 
