@@ -277,8 +277,8 @@ class OfferedEffects:
     def _drop_idle_places_of(self, offers: list[Offer], k: int) -> Offer:
         """Return offer k without the places that contribute too little.
 
-        A place must raise the log evidence by the log of the number of all places.  The log prior of
-        the result includes the choice of its places.
+        A place must raise the log evidence by the log of the number of all places.  The log prior
+        of the result includes the choice of its places.
         """
         offers, whole = list(offers), offers[k]
         price = math.log(max(len(offers[k].keys), 1))
