@@ -105,9 +105,9 @@ def judge_noise_and_fit(
 
 
 def drop_idle(fitted: ModelFit) -> ModelFit:
-    """Return the fit without effects that act through others, if the model has none of the others.
+    """Return the fit without effects that act only through others, if none of these is there.
 
-    For example, a mass acts through an effect that yields under load.
+    For example, a mass moves the tip only through a part that yields under load.
     """
     model = fitted.model
     idle = {e.key for e in model.effects if e.through_others}
