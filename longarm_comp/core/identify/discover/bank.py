@@ -398,7 +398,7 @@ def _list_places(arm: Arm) -> list[str]:
 
 
 def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
-    """Return the K spots that move a channel, and (N, d, K) the motion by a unit of each, m or rad."""
+    """Return the K spots that move a channel, and the motion (N, d, K), m or rad, by one unit."""
     slots = slots_of(fit.model.arm, [make_term(spot, "1", "", 1e-3) for spot in spots])
     columns = make_equations(fit.model, fit.session, slots, at=fit.posture).columns
     largest = np.abs(columns).max(axis=(0, 1))
