@@ -160,7 +160,7 @@ def _judge_unused(need: float, findings: Sequence[Finding], one: SmallestSize) -
     """Return the state of a candidate that is not in the model, and the reason."""
     value = one.log_bayes_factor
     alike = [f for f in findings if one.candidate.name in f.names[1:]]
-    places = set(one.candidate.where)  # of a look-alike: one of the finding's, or none of its own
+    places = set(one.candidate.where)  # a name of the set acts at one of these, or on the whole arm
     if alike and (places & set(alike[0].where) or "arm" in places):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
     if value >= need:

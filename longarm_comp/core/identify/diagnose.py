@@ -171,7 +171,7 @@ def _prepare_rows(
     """
     session = with_fitted_run_ups(session, nominal)
     test = None if test is None else with_fitted_run_ups(test.on_clock_of(session), nominal)
-    if not any(ORDER in e.inputs for e in nominal.terms):  # what the model holds has happened
+    if not any(ORDER in e.inputs for e in nominal.terms):  # its events lie before this session
         test = None if test is None else _number_rows(test, len(session))
         session = _number_rows(session)
     return _split_test_rows(session, test)
