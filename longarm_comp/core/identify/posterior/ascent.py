@@ -58,7 +58,7 @@ def find_explanation(
             starts from these instead of `known`, and there is no restart.
 
     Returns:
-        The explanation of highest evidence, without effects that are not worth their price.
+        The explanation of highest evidence, without effects that do not raise it.
     """
     most = len(known) + AT_ONCE
     starts = [_add_effects(bank, (), frozenset(), most)]
@@ -142,6 +142,6 @@ def _sweep_effects(
 
 
 def _drop_superfluous(found: Explanation) -> Explanation:
-    """Return the explanation without effects that are not worth their price."""
+    """Return the explanation without effects that do not raise its evidence, priors included."""
     kept = found.bank.worth_their_price(found.offers)
     return Explanation(found.bank, tuple(found.effects[k] for k in kept))

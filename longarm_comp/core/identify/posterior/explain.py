@@ -158,9 +158,9 @@ def _explain_halves(
     """Explain each half of the rows alone, and try these explanations on all rows.
 
     This is done only if the state contains functions without a name. If there are many causes,
-    none may be worth its price while the others count as noise, so the ascent stops early. On other
-    rows it stops elsewhere. The effects of each half are also a sample of what another session
-    would show.
+    none may raise the evidence enough while the others count as noise, so the ascent stops early.
+    On other rows it stops elsewhere. The effects of each half are also a sample of what another
+    session would show.
 
     Args:
         seed: seed of the division.

@@ -145,7 +145,7 @@ class OfferedEffects:
 
     @cached_property
     def evidence_pruned(self) -> float:
-        """Log evidence of these without the effects and places that are not worth their price."""
+        """Log evidence of these without the effects and places that do not raise it enough."""
         offers = [self.bank.offers[n] for n in self.known]
         offers = [offers[k] for k in self.bank.worth_their_price(offers)]
         return self.base + max(map(self.bank.evidence, (offers, self._drop_idle_places(offers))))

@@ -170,7 +170,7 @@ def _make_offers_that_move(
 def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candidate]) -> np.ndarray:
     """Return the (C,) log Bayes factor of each candidate alone against none.
 
-    Its price is subtracted. A candidate that moves no row has 0.
+    Its price (`Effect.price`) is subtracted. A candidate that moves no row has 0.
 
     Args:
         fitted: the fit, with its rows, noise and weights.

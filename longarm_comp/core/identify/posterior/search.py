@@ -145,7 +145,7 @@ class ExplanationSearch:
     ) -> tuple[float, ModelTolerance]:
         """Find the model tolerance at which an explanation has the highest evidence.
 
-        Effects and places that are not worth their price are dropped first.
+        Effects and places that do not raise the evidence, priors included, are dropped first.
 
         Args:
             fitted: the fit that holds the effects.
@@ -194,7 +194,7 @@ class ExplanationSearch:
         Args:
             state: gives the noise and the values to begin with.
             found: the effects to fit.
-            best_places: whether effects and places that are not worth their price are dropped.
+            best_places: whether effects and places that do not raise the evidence are dropped.
         """
         places = [t.key for f in found for t in f.terms]
         if len(set(places)) < len(places):
@@ -256,7 +256,7 @@ class ExplanationSearch:
 
         The columns are linearised. If two effects need each other, as a load needs a part that
         yields, one alone seems to explain what only both can.  So each explanation counts with all
-        of its effects, even if they are not worth their price. Otherwise an explanation could not
+        of its effects, even if some do not raise the evidence. Otherwise an explanation could not
         replace the same one with more effects.
         """
         was = before.fit

@@ -181,7 +181,7 @@ class OfferBank:
         return self._solve_sets(sets)[0]
 
     def worth_their_price(self, chosen: Sequence[Offer]) -> list[int]:
-        """Return the positions in `chosen` of the offers that are worth their price.
+        """Return the positions in `chosen` of the offers that raise the evidence, priors included.
 
         The offer that contributes least is dropped, again and again, until the evidence would
         fall.
