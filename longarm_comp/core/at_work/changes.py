@@ -1,7 +1,7 @@
 """The possible changes of an arm at work: every effect at every place, and its parameters.
 
-Of the geometry a joint's zero may slip, alone or with all others, as where the arm is referenced
-anew; and the base or the tip may be knocked.
+Of the geometry, a joint's zero may slip, alone or together with all others (as when the arm is
+homed again), and the base or the tip may be knocked.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from longarm_comp.core.model.model import Model, Slot, slots_of
 
 Key = tuple[str, str]
 TOGETHER = "all joints"
-"""Where the zeros of all joints have changed at once."""
+"""The place of a change of the zeros of all joints at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +51,8 @@ class Parameters:
     def of(cls, model: Model, context: Context) -> Parameters:
         """List the parameters of a model, and of every effect whose inputs the circumstances hold.
 
-        An absent effect is in the form that is tried first.  Of names that no sighting tells apart
-        one is listed.
+        An effect that the model lacks has the form that is tried first.  If no sighting can tell
+        two effects apart, only one of them is listed.
         """
         present = {term.key for term in model.terms}
         possible: dict[Key, Effect | Bias] = {}
@@ -86,24 +86,24 @@ class Parameters:
 
     @cached_property
     def knocks(self) -> np.ndarray:
-        """(C,) which changes a knock of what measures the arm imitates."""
+        """(C,) bool: changes that a knock may cause, of the arm or of what measures it."""
         return np.array([self.slots[own[0]].owner.knocked for own in self.places.tolist()], bool)
 
     def own(self, c: int) -> list[int]:
-        """List the positions of the parameters of a possible change."""
+        """Return the positions in `slots` of the parameters of possible change c."""
         return [int(k) for k in self.places[c] if k >= 0]
 
     def where(self, c: int) -> str:
-        """Return the place of a possible change in words."""
+        """Return the place of possible change c in words."""
         return TOGETHER if TOGETHER in self.keys[c] else self.slots[self.own(c)[0]].owner.where
 
     @cached_property
     def position(self) -> Mapping[tuple[object, ...], int]:
-        """The position of a slot's parameter, by the slot's identity."""
+        """The position in `slots` of each parameter, by the slot's identity."""
         return {slot.identity: k for k, slot in enumerate(self.slots)}
 
     def values(self, model: Model) -> np.ndarray:
-        """Return the values (q,) that a model gives the parameters; 0 for effects that it lacks."""
+        """Return the (q,) values of all parameters in a model; 0 for effects that it lacks."""
         made = np.zeros(len(self))
         made[[self.position[slot.identity] for slot in model.slots]] = model.values
         return made
@@ -122,12 +122,12 @@ class Parameters:
     def most_probable(
         self, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
     ) -> np.ndarray:
-        """Return the most probable values within their bounds, (q,).
+        """Return the most probable values (q,) within the bounds of the parameters.
 
         Args:
-            mean: (q,).
-            active: (p,) positions of those that are not known exactly.
-            covariance: (p, p) of these.
+            mean: (q,) mean of the parameters.
+            active: (p,) positions of the parameters that are not known exactly.
+            covariance: (p, p) of the active parameters.
         """
         lower, upper = self.bounds
         made = np.clip(mean, lower, upper)
@@ -135,7 +135,7 @@ class Parameters:
         return made
 
     def at(self, values: np.ndarray) -> Model:
-        """Build the model with values (q,), without absent effects whose values are all 0."""
+        """Build the model with parameter values (q,), without `absent` effects that are all 0."""
         values = np.clip(values, *self.bounds)
         count = len(self.model.slots)
         model = self.model.with_values(values[:count])
@@ -146,7 +146,13 @@ class Parameters:
         return model.plus(*(self.absent[k].with_values(v) for k, v in given.items()))
 
     def columns(self, at: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
-        """Predict a sighting (3,) m at joints (n,), and its derivatives by parameter, (3, q)."""
+        """Predict a sighting (3,), m, and its derivatives (3, q) by the parameters.
+
+        Args:
+            at: the model to linearise.
+            q: (n,) commanded joints, rad and m.
+            context: circumstances, with the history of the joints.
+        """
         present = {term.key for term in at.terms}
         rest = [t for t in self.absent if t.key not in present and _has_inputs(t, context)]
         slots = (*at.slots, *slots_of(at.arm, rest))
@@ -157,5 +163,5 @@ class Parameters:
 
 
 def _has_inputs(term: Effect | Bias, context: Context) -> bool:
-    """Tell whether the circumstances hold what a term needs."""
+    """Tell whether the circumstances hold everything that a term reads."""
     return not term.missing(context) and all(map(context.has, term.needs))

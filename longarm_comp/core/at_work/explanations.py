@@ -1,11 +1,11 @@
 """Posteriors side by side, one for each explanation of what has changed so far.
 
-Where something changed, the posterior splits into one for each effect that may have changed
-(generalised pseudo-Bayes; Tugnait 1982, Automatica 18). Each goes on as a Kalman filter of its own,
-in which further changes can begin.  Their weights follow from how well each predicts.
+If something changed, the posterior splits into one for each effect that may have changed
+(generalised pseudo-Bayes; Tugnait 1982, Automatica 18). Each is then a Kalman filter of its own, in
+which further changes can begin.  The better an explanation predicts, the more its weight grows.
 
-A sighting that surprises may be wrong.  Then two go on, one with it and one without it, until later
-sightings decide (multiple hypotheses; Reid 1979, IEEE Trans. Automatic Control 24).
+A surprising sighting may be wrong.  Then two explanations are kept, one with it and one without it,
+until later sightings decide (multiple hypotheses; Reid 1979, IEEE Trans. Automatic Control 24).
 """
 
 from __future__ import annotations
@@ -23,44 +23,46 @@ from longarm_comp.core.at_work.posterior import NEGLIGIBLE, RecursivePosterior, 
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 MOST = 4
-"""Explanations that are carried along: each costs as much time as the first."""
+"""Most explanations that are kept: each takes as much time as the first."""
 DOUBT = 0.01
-"""Probability that a sighting is wrong, and with which explanations may be forgotten."""
+"""Probability that a sighting is wrong. Also the probability of rare changes that may be left out
+when a posterior splits."""
 VISITED, ALIKE = 16, 0.05
-"""Poses whose own errors are followed, the last ones; no joint differs by more than this share of
-its range where poses count as one."""
+"""Number of poses, the last ones, whose own errors are estimated; and the share of its range by
+which every joint of two poses may differ if they are to count as one."""
 SURPRISE = -math.log(DOUBT)
-"""Surprise from which on a sighting may be wrong: it is as rare as a wrong one."""
+"""Surprise above which a sighting may be wrong: a larger one is as rare as a wrong sighting."""
 _PATIENCE = 10
-"""Sightings for which both are kept that differ about one that surprised."""
+"""Number of sightings for which explanations with and without a surprising sighting are kept."""
 _HOPELESS = 1e-20
-"""Probability below which they are not: two sightings that one alone explains raise it so far."""
+"""Probability below which one of them is dropped even so. Two sightings that only one of them
+explains can raise it from there."""
 _FEWEST, _LATEST = 2, 15
-"""Sightings of a change after which posteriors part: at least, as one alone may be wrong; at last,
-as its jump is then known four times better than by one."""
+"""Number of sightings after a change at which the posterior splits: at least 2, as one may be
+wrong; at the latest 15, when the jump is known four times better than after one."""
 
 
 @dataclass(frozen=True)
 class _PastChange:
-    """A change of an effect that one explanation takes for certain."""
+    """A change of an effect that is certain in one explanation."""
 
     key: Key
     where: str
     since_s: float  # time of the first sighting that shows it
-    sightings: int  # from then until posteriors parted
-    before: tuple[float, ...]  # (k,) values of its parameters until then
+    sightings: int  # number from then until the posterior split
+    before: tuple[float, ...]  # (k,) values of its parameters before the change
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One explanation.
+    """One explanation of the sightings: the changes so far, and the posterior that follows.
 
     Attributes:
         weight: its probability.
         known: its posterior.
-        changes: the changes that are certain, in order.
-        left_out: number of sightings that are wrong by it.
-        age: sightings since another explanation differs about one that surprised.
+        changes: the changes that it takes for certain, in order.
+        left_out: number of sightings that it takes for wrong.
+        age: number of sightings since the last surprising one.
     """
 
     weight: float
@@ -70,7 +72,7 @@ class Branch:
     age: int = _PATIENCE
 
     def judge(self, row: Row) -> Iterator[tuple[float, Branch]]:
-        """Yield the explanation with a sighting taken in, and without one that may be wrong.
+        """Yield the explanation after a sighting, and, if that surprises, also without it.
 
         Each comes with the log of its weight times the likelihood of the sighting.
         """
@@ -86,8 +88,10 @@ class Branch:
             yield doubt, dataclasses.replace(self, known=before, left_out=left_out, age=age)
 
     def split(self) -> Iterator[Branch]:
-        """Yield one branch for each effect that may have changed, or only this one while the
-        sightings do not tell yet."""
+        """Yield one branch for each effect that has probably changed.
+
+        As long as the sightings do not show which effects these are, only this branch is yielded.
+        """
         known = self.known
         chance = known.probability.sum(axis=0)
         some = float(chance.sum())
@@ -128,11 +132,11 @@ class Explanations:
 
     branches: tuple[Branch, ...]  # the most probable first
     visited: tuple[tuple[int, np.ndarray], ...] = ()
-    """The poses whose own errors are followed, each with its place, the latest last."""
+    """Number and joints of each pose whose own error is estimated, the last visited one last."""
 
     @property
     def left_out(self) -> int:
-        """Number of sightings that are wrong by the most probable explanation."""
+        """Number of sightings that the most probable explanation takes for wrong."""
         return self.branches[0].left_out
 
     @property
@@ -141,7 +145,7 @@ class Explanations:
         return self.branches[0].known.space
 
     def update(self, row: Row) -> Explanations:
-        """Return the explanations weighed again with one more sighting."""
+        """Return the explanations and their weights after one more sighting."""
         row, visited = self._visit(row)
         each = [judged for b in self.branches for judged in b.judge(row)]
         logs = np.array([log for log, _ in each])
@@ -153,7 +157,7 @@ class Explanations:
             if w > (_HOPELESS if b.age < _PATIENCE else NEGLIGIBLE)
             for part in dataclasses.replace(b, weight=w).split()
         ]
-        if len(made) > MOST:  # of each set of changes the most probable one, with all weight
+        if len(made) > MOST:  # the most probable branch of each set of changes takes their weight
             merged: dict[tuple[frozenset[Key], int], Branch] = {}
             for b in sorted(made, key=lambda b: b.weight):
                 keys = frozenset(c.key for c in b.changes), b.left_out
@@ -166,7 +170,10 @@ class Explanations:
         return Explanations(branches, visited)
 
     def _visit(self, row: Row) -> tuple[Row, tuple[tuple[int, np.ndarray], ...]]:
-        """Find the place of a sighting's pose, which may be that of the pose that is oldest."""
+        """Return the sighting with the number of its pose, and the new `visited`.
+
+        If all numbers are in use, a new pose takes that of the pose visited longest ago.
+        """
         if row.pose is None:
             return row, self.visited
         for known in self.visited:
@@ -180,7 +187,7 @@ class Explanations:
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """The mean of the parameters over all explanations, (q,)."""
+        """The mean (q,) of the parameters over all explanations."""
         return np.sum([b.weight * b.known.expected for b in self.branches], axis=0)
 
     @cached_property
@@ -202,11 +209,11 @@ class Explanations:
         return self.space.most_probable(self.expected, *self.covariance)
 
     def chance_of_knock(self, columns: np.ndarray, least: float) -> float:
-        """Return the probability that base or tip, or what measures them, stands elsewhere.
+        """Return the probability that base, tip or a measuring device was knocked out of place.
 
         Args:
-            columns: (3, q) m per unit, of a sighting.
-            least: shift there that counts, m.
+            columns: (3, q) derivatives of a sighting by the parameters, m per unit.
+            least: shift of this sighting above which a certain change counts, m.
         """
         made, space = 0.0, self.space
         for b in self.branches:
@@ -221,14 +228,14 @@ class Explanations:
 
     @property
     def disputed(self) -> bool:
-        """True if the last sighting surprised, and it is open whether it is wrong."""
+        """True if the last sighting surprised and it is not yet clear whether it is wrong."""
         first = self.branches[0]
         other = sum(b.weight for b in self.branches if b.left_out != first.left_out)
         return first.age == 0 and other > NEGLIGIBLE
 
     @property
     def grown(self) -> float:
-        """How much the square of the errors that no parameter explains has grown."""
+        """Factor by which the square of the errors that no parameter explains has grown."""
         return sum(b.weight * b.known.grown for b in self.branches)
 
     @property

@@ -1,7 +1,7 @@
 """The file of what was learned at work, from which a restart continues.
 
-Rivals that were not yet told apart are merged: the model served, and how well it is known, stay.
-What is in doubt is not kept: else a restart would take it for what the calibration left open.
+It holds the model in use with its uncertainty, not the explanations that were still open. A doubt
+about the last sightings is not stored either: the model from before it is.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from longarm_comp.core.yaml_file import Declared, parse_declared
 
 
 class _StoredVersion(Declared):
-    """A model that was served, and since when; the first is the model before any learning."""
+    """A version of the model, and since when it is in use; the first one is the given model."""
 
     at_s: float | None
     model: StoredModel
@@ -40,7 +40,11 @@ class _StoredLearner(Declared):
 
 
 def save(path: str | Path, learner: Learner, given: str) -> None:
-    """Write what was learned since the model.yaml with the hash `given` was put to work."""
+    """Write the state of a learner to a file.
+
+    Args:
+        given: SHA-256 of the model.yaml that the learner began with.
+    """
     stored = _StoredLearner(
         schema="longarm/at_work/1",
         given=given,
@@ -59,9 +63,17 @@ def save(path: str | Path, learner: Learner, given: str) -> None:
 
 
 def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> Learner:
-    """Read what a file holds for a model.
+    """Return the learner that a file holds for a model.
 
     Without a file, or with one of another model, the learner begins from the model.
+
+    Args:
+        model: the model of model.yaml.
+        given: SHA-256 of this model.yaml.
+        step_m: largest step of the tip by one sighting, m.
+
+    Raises:
+        InputError: the file cannot be read, or a model in it has no uncertainty.
     """
     begun = Learner.of(model, step_m)
     if not Path(path).exists():
@@ -93,7 +105,7 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
 
 
 def _restore_known(stored: StoredModel, arm: Arm, where: str) -> Model:
-    """Restore a model with the record of how good it is, from which learning goes on."""
+    """Restore a model; refuse one without uncertainty, because learning needs it."""
     model = restore(stored, arm, where)
     if model.uncertainty is None:
         raise InputError(where, "uncertainty", "missing", "a model that kinematics wrote")

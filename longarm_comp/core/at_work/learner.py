@@ -1,9 +1,9 @@
 """The learner: the model at work learns from sightings of ordinary moves.
 
-Each sighting is an equation of the model's parameters and of all that may have changed
-(`posterior.py`), also of the compliances that the fit lacked: they stay in the record, as well as
-they are known by then.  The mean over all explanations is served, and certain changes are reported.
-Where the ordinary moves do not tell two explanations apart, it asks for the pose that would.
+Each sighting is an equation of the model's parameters and of the effects that it lacks
+(`posterior.py`).  The model in use is the mean over all explanations, with its uncertainty.
+Certain changes are reported.  If ordinary moves do not tell two explanations apart, the learner
+asks for a measurement at a pose that does.
 """
 
 from __future__ import annotations
@@ -31,20 +31,21 @@ from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 from longarm_comp.core.yaml_file import Declared
 
 KNOCK = 3.0
-"""Shift of the tip, in standard deviations of a sighting, from which on a knock is one."""
+"""Shift of a sighting, in its standard deviations, above which a change counts as a knock."""
 LATELY = 20
-"""Last sightings, of which the report says how many disagree."""
+"""Number of the last sightings of which the report says how many disagree."""
 POOL = 256
-"""Poses that are looked at: a power of 2, as Sobol's points are even then; 25 ms."""
+"""Number of poses among which a request is chosen. Sobol points are even for powers of 2; takes
+25 ms."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseRequest:
-    """A pose to measure at, because it tells two explanations apart."""
+    """A pose at which a measurement would tell two explanations apart."""
 
     q: np.ndarray  # (n,) commanded joints, rad and m
-    side: np.ndarray  # (n,) of +-1, from which each joint arrives, by a run-up
-    between: tuple[str, str]  # effects that it tells apart, the likelier first
+    side: np.ndarray  # (n,) of +-1: the side from which each joint arrives, by a run-up
+    between: tuple[str, str]  # the two effects, the likelier first
 
     @property
     def text(self) -> str:
@@ -55,15 +56,15 @@ class PoseRequest:
 
 
 STEP_M = 2e-3
-"""Largest step of the tip where a sighting saw it, by that sighting's learning, m."""
+"""Largest step by which one sighting may move the predicted tip at its own pose, m."""
 DRAWN = 32
-"""Poses all over the ranges of the joints at which a step is judged."""
+"""Number of further poses, all over the joints' ranges, at which the step of the tip is limited."""
 SHARED = 0.5
-"""What is alike at each visit to a pose, as a share of what no parameter explains: all of that may
-differ besides, as friction does with the way."""
+"""Variance of the error that is the same at each visit to a pose, as a share of the variance that
+no parameter explains. The full variance counts as noise besides: friction, for instance, differs
+from visit to visit."""
 WORTH = 0.1
-"""Step, in standard deviations of a sighting, from which on another model is served: less is
-lost in what scatters."""
+"""Step of the tip, in standard deviations of a sighting, below which the model in use stays."""
 
 
 class Named(Declared):
@@ -71,11 +72,11 @@ class Named(Declared):
 
     Attributes:
         since_s: time of the first sighting that shows it.
-        by: (parameter, unit, change) of those parameters that moved, with the joint where
-            several have.
+        by: (parameter, unit, change) of the parameters that changed. If several joints are
+            concerned, the parameter's name begins with its joint.
         probability: probability of the effect, given that something changed there.
         rivals: other effects there that may have changed, with their probabilities.
-        sightings: number of sightings that it took to find it.
+        sightings: number of sightings that it took to find the change.
     """
 
     effect: str
@@ -101,29 +102,37 @@ class Version:
     """A version of the model: the given one, or the estimate when a change became certain."""
 
     at_s: float
-    model: Model  # with the record of how good it is
-    named: Named | None  # what had changed
+    model: Model  # with its uncertainty
+    named: Named | None  # the change; None for the given model
 
 
 @dataclass(frozen=True, eq=False)
 class Learner:
     """The model at work. It never changes: `learn` returns the next one."""
 
-    model: Model  # that is served
-    known: Explanations | None = None  # what is known; None before the first sighting
-    versions: tuple[Version, ...] = ()  # of the model, the first as it was given
-    frozen: bool = False  # whether sightings change nothing
-    step_m: float = STEP_M  # largest correction of the tip where a sighting saw it
-    sightings: int = 0  # taken in
-    doubtful: int = 0  # left out
+    model: Model  # the model in use
+    known: Explanations | None = None  # None before the first sighting
+    versions: tuple[Version, ...] = ()  # of the model; the first is the given one
+    frozen: bool = False  # whether sightings are ignored
+    step_m: float = STEP_M  # largest step of the tip at the pose of one sighting, m
+    sightings: int = 0  # number of sightings learned from
+    doubtful: int = 0  # number of these that seem wrong and are left out
     lately: tuple[int, ...] = ()  # `doubtful` before and after each of the last `LATELY` sightings
-    older: int = 1  # versions from before what is known
-    knocked: bool = False  # whether base or tip, or what measures them, stands elsewhere
-    settled: Model | None = None  # served before the doubt, if there is one now
+    older: int = 1  # number of versions that are older than `known`
+    knocked: bool = False  # whether base, tip or a measuring device has probably been knocked
+    settled: Model | None = None  # the model in use before the present doubt; None without a doubt
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
-        """Begin with a fitted model that has a record of how well it is known."""
+        """Make a learner that begins with a fitted model.
+
+        Args:
+            model: the model, with its uncertainty.
+            step_m: largest step of the tip by one sighting, m.
+
+        Raises:
+            InputError: the model has no uncertainty.
+        """
         if model.uncertainty is None:
             raise InputError("model", "uncertainty", "missing", "a model that a diagnosis wrote")
         return cls(model, versions=(Version(-math.inf, model, None),), step_m=step_m)
@@ -136,7 +145,7 @@ class Learner:
 
     @property
     def given(self) -> ModelUncertainty:
-        """The record of the model before any learning."""
+        """The uncertainty of the model before any learning."""
         record = self.versions[0].model.uncertainty
         assert record is not None  # checked by `of`
         return record
@@ -147,11 +156,11 @@ class Learner:
         """Return the learner after a sighting of an arm at rest.
 
         Args:
-            q: (n,) commanded joints.
+            q: (n,) commanded joints, rad and m.
             context: circumstances, with the history of the joints.
-            tip: (3,) m, measured.
-            variance: (3,) m^2, its variance.
-            t_s: time of the sighting, on a clock of the caller's.
+            tip: (3,) m, the measured position.
+            variance: (3,) m^2, variance of the measurement along each axis.
+            t_s: time of the sighting, s, by any clock that the caller always uses.
         """
         if self.frozen:
             return self
@@ -173,7 +182,7 @@ class Learner:
         at = known.space.values(self.model)
         (spread,), _ = unknown_history(self.model, q[None], context)
         noise = np.maximum(self.given.noise, np.diag(variance)) + np.diag(spread**2)
-        # By how much the equation is not linear up to what is known
+        # Error of the linear equation at the present estimate
         bent = known.space.at(known.within_bounds).measured(q, context) - point
         bent = bent - columns @ (known.within_bounds - at)
         arm = self.model.arm
@@ -188,17 +197,17 @@ class Learner:
         )
 
     def _take_in(self, before: Explanations, row: Row) -> Learner:
-        """Return the learner that knows one more sighting, and serves the same model."""
+        """Return the learner after one more sighting, its model unchanged."""
         known = before.update(row)
         doubtful = self.doubtful + known.left_out - before.left_out
         older = self.older if self.known else len(self.versions)
         places = known.places
         versions = self.versions[:older]
-        for v in self.versions[older:]:  # without changes that were none
+        for v in self.versions[older:]:  # without changes that are no longer likely
             if v.named and places.get(v.named.where, 0.0) > 0.5:
                 versions = (*versions, v)
         said = {v.named.where for v in versions if v.named}
-        for where, chance in places.items():  # at which something has surely changed
+        for where, chance in places.items():  # a new version where a change is now certain
             if where not in said and chance >= CREDIBLE:
                 served = self._model_at(known, known.within_bounds)
                 versions = (*versions, Version(row.t_s, served, _name_change(known, where)))
@@ -213,7 +222,10 @@ class Learner:
         )
 
     def _serve_mean(self, row: Row, q: np.ndarray, context: Context) -> Learner:
-        """Serve the mean over all explanations, in a bounded step, once sightings agree."""
+        """Return the learner with its model moved towards the mean over all explanations.
+
+        The step is bounded. While the last sightings are in doubt, the model does not move.
+        """
         known = self.known
         assert known is not None
         at = known.space.values(self.model)
@@ -235,11 +247,11 @@ class Learner:
         )
 
     def _share_of_step(self, wanted: Model, q: np.ndarray, context: Context) -> float:
-        """Choose the share, 0 to 1, of the step to another model that one sighting may make.
+        """Return the share, 0 to 1, of the step to the model `wanted` that one sighting may make.
 
         The tip moves by at most `step_m` where it was seen, at joints q (n,).  Elsewhere it moves
-        no farther than the radius that the given model promised there, where that is more: what
-        is promised meanwhile grows with every doubt.
+        by at most `step_m` or the 90 % radius of error that the first version predicts there,
+        whichever is more. (The radius of the model in use grows with every doubt.)
         """
         poses = np.concatenate([q[None], random_joints(self.model.arm, DRAWN)])
         there = _at_all(context, len(poses))
@@ -254,7 +266,7 @@ class Learner:
         return min(1.0, float((bound / np.maximum(moved, 1e-12)).min()))
 
     def _model_at(self, known: Explanations, values: np.ndarray) -> Model:
-        """Build the model with values (q,), and record how far the parameters may be from them."""
+        """Build the model with parameter values (q,), and its uncertainty about these values."""
         model = known.space.at(values)
         given = self.given
         active, covariance = known.covariance
@@ -276,10 +288,10 @@ class Learner:
         return dataclasses.replace(model, uncertainty=record)
 
     def request_pose(self, context: Context) -> PoseRequest | None:
-        """Find the pose where the likeliest explanation and a rival disagree most.
+        """Return the pose where the likeliest explanation and a rival disagree most, or None.
 
-        Poses are drawn evenly over the ranges of the joints, in the given circumstances.  None
-        where there is no rival, or none that a single sighting would decide against.
+        Poses are drawn evenly over the ranges of the joints, in the given circumstances.  None is
+        returned if there is no rival, or if a single sighting would not decide between them.
         """
         if self.known is None or self.frozen:
             return None
@@ -314,7 +326,7 @@ class Learner:
 
     @property
     def now(self) -> tuple[Named, ...]:
-        """The same changes, named by what is known now."""
+        """The same changes, with names and sizes as estimated now."""
         known = self.known
         if known is None:
             return self.named
@@ -324,46 +336,49 @@ class Learner:
 
     @property
     def disagreeing(self) -> int:
-        """Number of the last sightings that are left out because they seem wrong."""
+        """Number of the last `LATELY` sightings that are left out because they seem wrong."""
         return self.lately[-1] - self.lately[0] if self.lately else 0
 
     @property
     def unexplained(self) -> bool:
-        """True if a change that no known effect explains calls for a diagnosis."""
+        """True if no known effect explains a change (probability 95 %): a diagnosis is needed."""
         return self.known is not None and self.known.unexplained >= CREDIBLE
 
     def freeze(self) -> Learner:
-        """Keep serving the present model, whatever is seen."""
+        """Return the learner that keeps its model and ignores sightings until `thaw`."""
         return dataclasses.replace(self, frozen=True)
 
     def thaw(self) -> Learner:
-        """Learn again, from the model that is served, or was before the present doubt."""
+        """Return the learner that learns again, from its model, or from that before a doubt."""
         return dataclasses.replace(self._settle(self.settled or self.model), frozen=False)
 
     def undo(self) -> Learner:
-        """Serve the version before the last, and stop learning until `thaw`."""
+        """Return the learner that uses the last but one version, or the given model.
+
+        It ignores sightings until `thaw`.
+        """
         kept = self.versions[:-1] or self.versions
         return dataclasses.replace(self._settle(kept[-1].model), versions=kept, frozen=True)
 
     def _settle(self, model: Model) -> Learner:
-        """Serve a model, and forget what was seen since."""
+        """Return the learner that uses a model, without what it knows from sightings."""
         return dataclasses.replace(self, model=model, known=None, knocked=False, settled=None)
 
 
 def _at_all(context: Context, count: int) -> Context:
-    """Repeat the circumstances of a sighting for a number of poses."""
+    """Return the circumstances of one sighting, repeated for a number of poses."""
     columns = {name: np.full(count, value) for name, value in context.columns.items()}
     return dataclasses.replace(context, columns=columns)
 
 
 def _new_effect(branch: Branch, other: Branch) -> str:
-    """Name an effect that has changed by one explanation and not by another, or ""."""
+    """Return the first effect that has changed in `branch` but not in `other`, or ""."""
     theirs = {change.key for change in other.changes}
     return next((change.key[0] for change in branch.changes if change.key not in theirs), "")
 
 
 def _name_change(known: Explanations, where: str) -> Named:
-    """Name the most probable effect among those that may have changed at a place."""
+    """Describe the change at a place by the effect that has most probably changed there."""
     here = [(b, c) for b in known.branches for c in b.changes if c.where == where]
     whole = sum(b.weight for b, _ in here)
     chances: dict[str, float] = {}
@@ -398,7 +413,7 @@ def _name_change(known: Explanations, where: str) -> Named:
 
 
 def _begin_explanations(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
-    """Begin with the uncertainty in a fitted model's record."""
+    """Make the single explanation before any sighting: a fitted model with its uncertainty."""
     space = Parameters.of(model, context)
     fitted = [name for name in space.position if name in record.row]
     factor = record.factor[[record.row[name] for name in fitted]]

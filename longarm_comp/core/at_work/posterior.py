@@ -1,12 +1,14 @@
-"""The recursive posterior: a Kalman filter, and beside it what follows if an effect has changed.
+"""The recursive posterior: a Kalman filter, and with it all changes that may have happened.
 
 "Nothing changed" is one Kalman filter over the model's parameters, without process noise.  "Effect
 c changed before sighting t" differs from it by a known linear response to the unknown jump. A
-recursion carries that response along (Willsky and Jones 1976, IEEE Trans. Automatic Control 21), so
-that hundreds of such changes cost one filter.  Each has its evidence.  A drift is a row of jumps.
+recursion updates this response (Willsky and Jones 1976, IEEE Trans. Automatic Control 21), so
+hundreds of possible changes need one filter only.  Each change has its own evidence.  A drift
+counts as a series of jumps.
 
-What no parameter explains is alike whenever the arm comes to a pose.  Counted anew at each visit it
-would be learned as a fault of the arm, so the filter follows this error at the last poses too.
+The error that no parameter explains is nearly the same at each visit to a pose.  If it counted as
+new noise at each visit, it would be learned as a fault of the arm. So the filter also estimates
+this error at each of the poses visited last.
 """
 
 from __future__ import annotations
@@ -24,39 +26,44 @@ from longarm_comp.core.calibration.linear import log_mass
 from longarm_comp.core.identify.posterior.found import UNNAMED
 
 _HAZARD = 1e-3
-"""Probability that something changes between two moves: about once in ten days of a hundred."""
+"""Probability that something changes between two sightings: about once in a thousand moves."""
 _AGAIN = 0.1
-"""The same of what has changed already: what wears, wears on."""
+"""Probability, between two sightings, that one of the effects that changed before changes again."""
 SIZES = np.array([0.1, 0.3, 1.0, 3.0])
-"""Of a change, in ordinary sizes of the parameter, equally likely: from what begins to
-show to what breaks."""
+"""Sizes of a change, in prior standard deviations of the parameter, equally likely: from hardly
+visible to broken."""
 _GROWN = np.array([3.0, 10.0, 30.0, 100.0])
-"""Growths of the errors, equally likely, that stand for a change of no known effect."""
+"""Factors by which the errors may grow, equally likely, if no known effect has changed."""
 _ONSETS = 16
-"""Times of a change that are carried along: over a thousand sightings by a factor of 1.6 apart."""
+"""Most onsets (possible times of a change) that are kept. Over a thousand sightings their ages
+differ by a factor of 1.6 from one to the next."""
 NEGLIGIBLE = 1e-3
-"""Probability below which a possible change moves no parameter: less than any sighting sees."""
+"""Probability below which a possible change is ignored: no sighting would show its share."""
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One sighting, as an equation of all parameters."""
+    """One sighting, as a linear equation ``value = columns @ parameters + noise``."""
 
     t_s: float
-    columns: np.ndarray  # (3, q) m per unit
-    value: np.ndarray  # (3,) m, the sighting less what the numbers at 0 would give, to first order
-    noise: np.ndarray  # (3, 3) m^2
-    reach: float  # distance from the base, m
-    pose: np.ndarray | None = None  # (n,) joints, in shares of their ranges
+    columns: np.ndarray  # (3, q) derivatives by the parameters, m per unit
+    value: np.ndarray  # (3,) m, the sighting less the prediction with all parameters 0, linearised
+    noise: np.ndarray  # (3, 3) covariance, m^2
+    reach: float  # distance of the sighting from the base, m
+    pose: np.ndarray | None = None  # (n,) joints, 0 to 1 over their ranges
     structure: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
-    """(3, 3) m^2, of the error that each visit to the pose shares."""
-    place: int = -1  # of this pose among those whose own error is followed
-    is_new: bool = False  # whether the arm comes to this pose for the first time
+    """(3, 3) m^2, covariance of the error that all visits to this pose have in common."""
+    place: int = -1  # number of this pose among those whose own error is estimated; -1: none
+    is_new: bool = False  # whether the error of this pose has not been estimated before
 
     def log_doubt(self, expected: np.ndarray) -> float:
-        """Return the log density of a wrong sighting where parameters (q,) are expected.
+        """Return the log density (1/m^3) of this sighting, given that it is wrong.
 
-        A wrong one is off by any order of magnitude alike, from the scatter to the reach.
+        A wrong sighting is off by any order of magnitude from the scatter to the reach, all equally
+        likely.
+
+        Args:
+            expected: (q,) values of the parameters.
         """
         scatter = math.sqrt(float(np.trace(self.noise)))
         off = max(float(np.linalg.norm(self.value - self.columns @ expected)), scatter)
@@ -66,39 +73,39 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class _PossibleChanges:
-    """The possible changes: of every effect at every onset."""
+    """The possible changes: each of C effects and places, at each of T onsets."""
 
-    log_weight: np.ndarray  # (T, C) against "nothing changed"
-    mean: np.ndarray  # (T, C, k) jump in ordinary sizes
-    spread: np.ndarray  # (T, C, k, k) its covariance
-    unnamed: np.ndarray  # (T, G) log weight of a change of no known effect, by growth
+    log_weight: np.ndarray  # (T, C) log odds against "nothing changed"
+    mean: np.ndarray  # (T, C, k) jump, in prior standard deviations
+    spread: np.ndarray  # (T, C, k, k) covariance of the jump
+    unnamed: np.ndarray  # (T, G) log odds of a change of no known effect, by growth of the errors
 
 
 @dataclass(frozen=True, eq=False)
 class RecursivePosterior:
-    """The knowledge after some sightings."""
+    """The probability distribution of the parameters after some sightings."""
 
-    space: Parameters  # the numbers
-    mean: np.ndarray  # (q,) if nothing changed
-    active: np.ndarray  # (p,) positions of what is not known exactly
-    covariance: np.ndarray  # (p + 3k, p + 3k) of these, and of the errors of k poses
-    again: np.ndarray  # (C,) whether an effect has changed before
-    since: np.ndarray  # (T,) first sighting's time of each onset
-    count: np.ndarray  # (T,) sightings since
-    response: np.ndarray  # (T, p + 3k, q) of the mean's error to a unit jump
-    gram: np.ndarray  # (T, C, k, k),
-    along: np.ndarray  # (T, C, k), of a jump in ordinary sizes, against the noise
+    space: Parameters  # the q parameters and C possible changes
+    mean: np.ndarray  # (q,) mean of the parameters if nothing changed
+    active: np.ndarray  # (p,) positions of the parameters that are not known exactly
+    covariance: np.ndarray  # (p + 3k, p + 3k) of the active ones, then of the errors of k poses
+    again: np.ndarray  # (C,) bool, whether an effect has changed before
+    since: np.ndarray  # (T,) s, time of the first sighting after each onset
+    count: np.ndarray  # (T,) number of sightings since each onset
+    response: np.ndarray  # (T, p + 3k, q) response of the mean's error to a unit jump
+    gram: np.ndarray  # (T, C, k, k) information on a jump in prior standard deviations
+    along: np.ndarray  # (T, C, k) its product with the jump that the sightings show
     growth: np.ndarray  # (T, G) log Bayes factors of grown errors
-    beside: np.ndarray  # (3k,) m, what no parameter explains, by pose
-    structure: np.ndarray  # (3, 3) m^2, how large that is
+    beside: np.ndarray  # (3k,) m, mean of the error that no parameter explains, by pose
+    structure: np.ndarray  # (3, 3) m^2, prior covariance of this error at one pose
     log_likelihood: float = 0.0  # of the last sighting
-    surprise: float = 0.0  # how much less that is than the most that was possible
+    surprise: float = 0.0  # how far below its highest possible value this likelihood is
 
     @classmethod
     def begin(
         cls, space: Parameters, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
     ) -> RecursivePosterior:
-        """Begin without a sighting, from a mean, the active parameters and a covariance.
+        """Make the posterior before the first sighting.
 
         The arguments are the attributes of the same names.
         """
@@ -120,10 +127,11 @@ class RecursivePosterior:
         )
 
     def at_new_place(self, place: int, structure: np.ndarray) -> RecursivePosterior:
-        """Return it where nothing is known of a pose's own error but its size (3, 3), m^2.
+        """Return the posterior in which the error of one pose has its prior again.
 
         Args:
-            place: at most k; what was known of the pose that had it is forgotten.
+            place: number of the pose, at most k: a new pose, or one that replaces an older pose.
+            structure: (3, 3) m^2, prior covariance of the error.
         """
         p, known = len(self.active), len(self.covariance)
         own = slice(p + 3 * place, p + 3 * place + 3)
@@ -143,7 +151,10 @@ class RecursivePosterior:
         )
 
     def update(self, row: Row) -> RecursivePosterior:
-        """Update "nothing changed", and every change at every onset, with a sighting."""
+        """Return the posterior after one more sighting: of "nothing changed" and of every change.
+
+        The sighting also adds an onset. Of more than `_ONSETS` one is dropped.
+        """
         own = np.zeros((3, len(self.beside)))
         if row.place >= 0:
             own[:, 3 * row.place : 3 * row.place + 3] = np.eye(3)
@@ -156,7 +167,7 @@ class RecursivePosterior:
         response = _add_onset(self.response)
         seen = row.columns - a @ response
         response = response + gain @ seen
-        # (T, 3, q) per unit -> (T, C, k, 3) of every change, per ordinary size
+        # (T, 3, q) per unit -> (T, C, k, 3) of every change, per prior standard deviation
         jump = np.moveaxis((seen * self.space.widths)[:, :, self.space.places], 1, -1)
         jump = np.where((self.space.places >= 0)[None, :, :, None], jump, 0.0)
         turned = jump @ inverse
@@ -192,7 +203,7 @@ class RecursivePosterior:
 
     @cached_property
     def possible(self) -> _PossibleChanges:
-        """The possible changes of every effect at every onset, over all `SIZES` inside bounds."""
+        """The possible changes, averaged over all `SIZES`, with the parameters inside bounds."""
         values, turn = np.linalg.eigh(self.gram)
         z = np.einsum("tcik,tci->tck", turn, self.along)[:, :, None, :]
         square = SIZES[:, None] ** 2
@@ -200,7 +211,7 @@ class RecursivePosterior:
         share = square / grown  # (T, C, S, k)
         evidence = 0.5 * (share * z**2).sum(-1) - 0.5 * np.log(grown).sum(-1)
         means = np.einsum("tcik,tcsk->tcsi", turn, share * z)
-        # (C, 1, k) least and largest jump, so that every number stays in its bounds
+        # (C, 1, k) least and largest jump, so that every parameter stays within its bounds
         least, most = ((b - self.mean) / self.space.widths for b in self.space.bounds)
         places, used = self.space.places, self.space.places >= 0
         lower = np.where(used, np.minimum(least, 0.0)[places], -np.inf)[:, None, :]
@@ -227,7 +238,7 @@ class RecursivePosterior:
 
     @property
     def total(self) -> float:
-        """The log of the sum of all weights, where "nothing changed" has weight 1."""
+        """The log of the sum of all possibilities' weights; "nothing changed" has weight 1."""
         h = self.possible
         top = max(float(h.log_weight.max(initial=0.0)), float(h.unnamed.max(initial=0.0)))
         whole = math.exp(-top) + np.exp(h.log_weight - top).sum() + np.exp(h.unnamed - top).sum()
@@ -235,7 +246,7 @@ class RecursivePosterior:
 
     @cached_property
     def probability(self) -> np.ndarray:
-        """The probability of every change at every onset, (T, C)."""
+        """The (T, C) probability of every change at every onset."""
         return np.asarray(np.exp(self.possible.log_weight - self.total))
 
     @property
@@ -245,12 +256,20 @@ class RecursivePosterior:
 
     @property
     def grown(self) -> float:
-        """How much the square of the errors has grown, on average over these growths and none."""
+        """The factor by which the square of the errors has grown: its mean, 1 if nothing changed.
+
+        It is averaged over the changes of no known effect (`_GROWN`).
+        """
         grown = np.exp(self.possible.unnamed - self.total).sum(axis=0)
         return 1.0 + float(grown @ (_GROWN**2 - 1.0))
 
     def _describe_jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a change's positions, its mean jump (k,), and how parameters follow it, (q, k)."""
+        """Describe change c at onset t.
+
+        Returns:
+            Positions (k,) of its parameters, their mean jump (k,), and the derivatives (q, k) of
+            the mean of all parameters by the jump.
+        """
         places = np.array(self.space.own(c))
         jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
         follows = np.zeros((len(self.space), len(places)))
@@ -259,13 +278,13 @@ class RecursivePosterior:
         return places, jump, follows
 
     def value_before(self, t: int, c: int) -> np.ndarray:
-        """Return the values (k,) that an effect's parameters had until it changed at an onset."""
+        """Return the (k,) parameters of an effect before change c, if it came at onset t."""
         places, jump, follows = self._describe_jump(t, c)
         return np.asarray(self.mean[places] + follows[places] @ jump - jump)
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """The mean of the parameters over all possible changes and none, (q,)."""
+        """The mean (q,) of the parameters, averaged over all possible changes and none."""
         made = self.mean.copy()
         for t, c in np.argwhere(self.probability > NEGLIGIBLE):
             _, jump, follows = self._describe_jump(t, c)
@@ -274,8 +293,10 @@ class RecursivePosterior:
 
     @cached_property
     def spread(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (p,) of what is not known exactly, and its covariance (p, p) over all possible
-        changes and none."""
+        """Positions (p,) of the uncertain parameters, and their covariance (p, p).
+
+        The covariance is over all possible changes and none.
+        """
         likely = {
             (t, c): float(self.probability[t, c])
             for t, c in np.argwhere(self.probability > NEGLIGIBLE).tolist()
@@ -290,11 +311,11 @@ class RecursivePosterior:
     def _covariance_over(
         self, weights: Mapping[tuple[int, int], float], mean: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and covariance, as `spread`, over some changes (onset, effect).
+        """Return positions and covariance, as `spread`, over some of the possible changes.
 
         Args:
-            weights: the probability of each; what is missing to 1 is that of no change.
-            mean: (q,) of the parameters over these.
+            weights: probability by (onset, change); the rest to 1 is the probability of no change.
+            mean: (q,) mean of the parameters over these possibilities.
         """
         changed = [self.space.own(c) for _, c in weights]
         active = np.unique(np.concatenate([self.active, *changed])).astype(int)
@@ -313,8 +334,11 @@ class RecursivePosterior:
         return active, covariance
 
     def given_change(self, c: int) -> RecursivePosterior:
-        """Return the posterior if an effect has changed: its onsets are merged, other changes begin
-        again."""
+        """Return the posterior, given that change c has happened.
+
+        Its onsets are merged into one mean and covariance. The search for further changes begins
+        again.
+        """
         chance = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
         likely = {(t, c): float(p) for t, p in enumerate(chance) if p > NEGLIGIBLE}
         whole = sum(likely.values())
@@ -331,5 +355,5 @@ class RecursivePosterior:
 
 
 def _add_onset(before: np.ndarray) -> np.ndarray:
-    """Add one more onset, of which nothing is known."""
+    """Return an array (T, ...) with a row of zeros for one more onset, (T + 1, ...)."""
     return np.concatenate([before, np.zeros((1, *before.shape[1:]))])

@@ -1,1 +1,1 @@
-"""Compensation: targets become joints, by pseudo-targets; the running arm, and the drift test."""
+"""Compensation: from a target to joints, by pseudo-targets; the running arm; the drift test."""

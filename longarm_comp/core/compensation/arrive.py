@@ -1,4 +1,4 @@
-"""One target as a move: the joints, and the sides that they arrive from, are found together."""
+"""One target as a move: finds the joints together with the sides from which they arrive."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from longarm_comp.core.model.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A compensated target, its move, and the circumstances and history assumed."""
+    """A compensated target, its move, the circumstances assumed, and the history after the move."""
 
     outcome: Compensation
     move: Move
@@ -46,17 +46,17 @@ def compensate_move(
 ) -> Arrival:
     """Compensate one target as a move from where the arm is.
 
-    The move follows from a first solution and is checked against the command.  Where no move
-    arrives as its command assumes (a joint that would hardly move, and has no run-up), the side
-    of that joint counts as unknown.  Joints chosen among the servos' steps need no such agreement:
-    each command is judged after its own move.
+    A command is solved for an assumed history of the joints. Its move leaves a history too, and the
+    two must agree.  If they do not for a joint (which hardly moves and has no run-up), its side
+    counts as unknown.  In the choice among the servos' steps, each command is judged with the
+    history that its own move leaves.
 
     Args:
         target: (3,) m or (4, 4), base frame.
         start: (n,) joints now (rad, m); None: not known.
         history: of the joints at ``start``.
-        context_after: the circumstances at the command, given the history that the move leaves.
-        sides: (n,) sides to arrive from, asked for; by default they are chosen.
+        context_after: returns the circumstances at the command for the history after the move.
+        sides: (n,) required sides of arrival, -1 or +1; by default they are chosen.
         seed: (n,) start of the search; ``start`` by default.
     """
     options, arm = options or CompensationOptions(), model.arm
@@ -69,7 +69,7 @@ def compensate_move(
         return plan_move(arm, start, q, wanted, length=length, leg=history.legs[:, 0])
 
     def context_at(q: np.ndarray) -> Context:
-        """Give the circumstances (M,) of the joints (M, n), each after its own move."""
+        """Return the circumstances at joints (M, n), each after its own move."""
         return stack_contexts([context_after(history.after(move_to(x).points, start)) for x in q])
 
     def solve(options: CompensationOptions) -> Compensation:
@@ -98,7 +98,7 @@ def compensate_move(
             wanted = _choose_sides(physics, start, first.q, joints, here, length)
         move = move_to(first.q)
         arrived = history.after(move.points, start)
-    # Commands that are tried until one arrives as it assumes; the last assumes less
+    # Tries commands until one leaves the history it assumes; the last assumes only what is common
     for trials_left in reversed(range(5)):
         assumed, context = arrived, context_after(arrived)
         outcome = solve(replace(options, realisable=False))
@@ -124,9 +124,11 @@ def _choose_sides(
     context: Context,
     length: np.ndarray,
 ) -> np.ndarray:
-    """Choose sides (n,) for the joints whose side matters; 0 for the others.
+    """Choose sides (n,) of -1 or +1 for the joints whose side matters; 0 for the others.
 
-    ``length``: (n,) of a run-up that has room for it.
+    Args:
+        joints: the joints whose side matters, 0-based.
+        length: (n,) length of a run-up where there is room for it, rad or m.
     """
     wanted, sure = np.zeros((2, model.arm.n))
     if joints:

@@ -1,7 +1,8 @@
-"""Commands that no row of the session was like: how much the expected error grows.
+"""Commands in circumstances that no row of the session had: how much the expected error grows.
 
-A session at one payload determines only the product of a load and the compliance under it. What a
-heavier load does follows from the physics alone, so `sigma` grows outside the session's range.
+A session at one payload determines only the product of a load and the compliance under it. The
+effect of a heavier load follows from the physics alone, so `sigma` grows outside the session's
+range.
 """
 
 from __future__ import annotations
@@ -20,25 +21,26 @@ from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
 from longarm_comp.core.model.uncertainty import YIELDS
 
 KNOWN_TO = 0.2
-"""Share by which the physics of a change may be wrong: declared masses, and what yields under them,
-are right to a fifth."""
+"""Share by which a predicted change may be wrong: declared masses, and compliances under them, are
+right to a fifth."""
 _ROUNDING = 1e-6
 
 
 def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, list[str]]:
-    """Estimate how far the tip may be off, because no row was in such circumstances.
+    """Estimate how far off the tip may be, because no row was measured in these circumstances.
 
     Args:
         q: (M, n) commanded joints, rad and m.
+        context: circumstances of all, or of each.
 
     Returns:
-        Standard deviations (M, 3) in m, and in one sentence each which circumstances; zeros and ""
-        within the session, and where the model does not say what that was.
+        Standard deviations (M, 3) in m, and M texts that name the circumstances. Zeros and "" in
+        the ranges of the session, or if the model does not hold these ranges.
     """
     variance, said = np.zeros((len(q), 3)), [""] * len(q)
     known = dict({} if model.uncertainty is None else model.uncertainty.circumstances)
     tilts = [name for name in context.columns if INCLINATION.match(name)]
-    if known and tilts:  # what no row tells counts as level, as what is not told now
+    if known and tilts:  # a tilt that was not recorded, or is not known now, counts as level
         tilts = [f"{name[:-1]}{axis}" for name in tilts for axis in "xy"]
         known = dict.fromkeys(tilts, (0.0, 0.0)) | known
         level = {name: known[name][0] for name in tilts}
@@ -64,16 +66,17 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
 
 
 def outside_data(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, list[str]]:
-    """Estimate how far the tip may be off, where functions without a name are outside their data.
+    """Estimate how far off the tip may be, because functions without a name are extrapolated.
 
-    There they count as at the end of the data. How they go on is not known.
+    Outside its data a function keeps its value at their end, and its true value is not known.
 
     Args:
         q: (M, n) commanded joints, rad and m.
+        context: circumstances of all, or of each.
 
     Returns:
-        Standard deviations (M, 3) in m, and in one sentence each which functions; zeros and ""
-        where all are within their data.
+        Standard deviations (M, 3) in m, and M sentences that name the quantities outside the data;
+        zeros and "" if there are none.
     """
     found = [effect for effect in model.effects if isinstance(effect, Discovered)]
     if not found:
@@ -95,12 +98,19 @@ def outside_data(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndar
 def _sd_of_change(
     model: Model, q: np.ndarray, context: Context, edge: Context, one_load: bool
 ) -> np.ndarray:
-    """Estimate the sd of the tip's change from the session's edge to the circumstances, (M, 3) m.
+    """Estimate the (M, 3) standard deviation, m, of the predicted change of the tip.
 
-    The model predicts this change to a share of `KNOWN_TO`. The share grows where causes without a
-    name feel the change: if they move the tip by half of what the named effects do, it is a half.
-    Rows of one payload (``one_load``) do not tell which of these causes feel it, so all of them
-    count.  Effects that no row could show are assumed to be as large as they may be.
+    The change is that from the edge of the session's range to the present circumstances. The model
+    predicts it to a share of `KNOWN_TO`. This share is larger if causes without a name depend on
+    the changed circumstance: if they move the tip half as far as the named effects, it is about a
+    half.  Effects that no row could show add their prior size.
+
+    Args:
+        q: (M, n) commanded joints, rad and m.
+        context: the present circumstances.
+        edge: these, with the changed circumstance at the edge of the session's range.
+        one_load: whether it is the payload, and all rows had the same. Then the rows do not tell
+            which causes without a name depend on it, so all of them count.
     """
     there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]
@@ -116,17 +126,17 @@ def _sd_of_change(
     share = np.hypot(KNOWN_TO, np.minimum(ratio, 1.0))
 
     def moves(slots: Sequence[Slot], sizes: np.ndarray) -> np.ndarray:
-        """Compute the variance (M, 3), m^2, by which parameters of these sizes may move the tip."""
+        """Compute the variance (M, 3), m^2, of the change by parameters of these sizes."""
         columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
     variance = (share[:, None] * moved) ** 2 + moves(*absent_slots(model, context))
     for effect in _list_absent_effects(model, context):
-        if not effect.parameters(model.arm):  # nothing but the reading, as an inclinometer's tilt
+        if not effect.parameters(model.arm):  # it follows from the reading alone, as tilt does
             there_with, here_with = (model.plus(effect).tip(q, c) for c in (context, edge))
             variance += (there_with - here_with - moved) ** 2
     if one_load and nameless:
-        # What a cause without a name does under one load may be the work of all that yields
+        # A cause without a name at one load may stand for any elastic effect
         elastic = slots_of(model.arm, [t for t in _list_searched_effects(model) if t.elastic])
         sizes = np.array([YIELDS * s.parameter.width for s in elastic])
         variance += np.minimum(ratio, 1.0)[:, None] ** 2 * moves(elastic, sizes)
@@ -150,11 +160,11 @@ def _is_changed(effect: Discovered, there: Posture, here: Posture) -> bool:
 def _list_absent_effects(model: Model, context: Context) -> list[Effect]:
     """List the effects that the model lacks and no row could show.
 
-    They are every effect that reads a known circumstance. If the model holds no elastic effect, all
-    elastic ones are added: a calibration puts the sag of its rows into its geometry.
+    They are all effects that read a known circumstance. If the model holds no elastic effect, all
+    elastic effects are added, because a calibration puts the sag of its rows into its geometry.
     """
     held = {effect.key for effect in model.effects}
-    if model.uncertainty is not None:  # it knows them
+    if model.uncertainty is not None:  # these have their uncertainty there
         held |= {effect.key for effect in model.uncertainty.absent}
     stiff = not any(effect.elastic for effect in model.effects)
     return [

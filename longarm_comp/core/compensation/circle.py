@@ -1,4 +1,4 @@
-"""Angles on a circle: a plan may jump by a whole turn where an angle passes through pi."""
+"""Circular joints: removes jumps of a whole turn from a plan, as where an angle passes pi."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ _REMEDY = "allowed: at most half a turn from one way-point to the next"
 
 
 def unwrap(arm: Arm, joints: np.ndarray, start: np.ndarray | None) -> np.ndarray:
-    """Rewrite planned joints (k, n) so that no angle jumps by a whole turn.
+    """Return planned joints (k, n) in which no angle jumps by a whole turn.
 
-    A joint that stands the same after a whole turn is written at most half a turn from the
-    way-point before, or from ``start`` (n,).
+    The angle of a circular joint is at most half a turn from that at the way-point before.
+
+    Args:
+        joints: (k, n) planned joints, rad and m.
+        start: (n,) joints before the first way-point; None: not known.
 
     Raises:
-        PathRefused: the limits of a joint do not let it go on there.
+        PathRefused: the new angle lies outside the limits of the joint.
     """
     steps = _steps(joints, start)
     turns = np.where(arm.circular, -np.round(steps / math.tau), 0.0)
@@ -36,10 +39,10 @@ def unwrap(arm: Arm, joints: np.ndarray, start: np.ndarray | None) -> np.ndarray
 
 
 def check_no_turn(arm: Arm, joints: np.ndarray) -> None:
-    """Refuse solved joints (k, n) of which one is more than half a turn from that before.
+    """Refuse solved joints (k, n) if a circular joint turns by more than half a turn in a step.
 
     Raises:
-        PathRefused: the way-point, and how the joint would turn.
+        PathRefused: names the way-point and the joint.
     """
     steps = np.where(arm.circular, _steps(joints, None), 0.0)
     if len(far := np.argwhere(np.abs(steps) > math.pi)):
@@ -50,5 +53,5 @@ def check_no_turn(arm: Arm, joints: np.ndarray) -> None:
 
 
 def _steps(joints: np.ndarray, start: np.ndarray | None) -> np.ndarray:
-    """Return the steps (k, n) from way-point to way-point, the first from ``start``."""
+    """Return the steps (k, n) from way-point to way-point; the first is from ``start``, or 0."""
     return np.diff(joints, axis=0, prepend=(joints[0] if start is None else start)[None])

@@ -1,10 +1,10 @@
 """The paper's compensation as one pure function: target -> joints -> expected error -> joints.
 
-One sign: ``error = measured - predicted`` and ``pseudo-target = target - expected error``
-(the paper adds "the predicted error" and leaves its sign open; only this one corrects).
-The physics sits in the inverse kinematics; the predictor gives what the physics leaves.  The paper
-corrects once (`single_pass`); here the pass is repeated until the expected error at the new joints
-is the one that was corrected.
+Signs: ``error = measured - predicted`` and ``pseudo-target = target - expected error``
+(the paper adds "the predicted error" and leaves its sign open; only this sign corrects).
+The physics is part of the inverse kinematics; the predictor gives the error that the physics
+leaves.  The paper corrects once (`single_pass`). Here the pass is repeated until the expected error
+at the new joints is the one that was corrected.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from longarm_comp.math.points import lengths
 
 
 def physics_of(model: Model, method: Method) -> Model:
-    """Give the part of a model that a method's inverse kinematics knows."""
+    """Return the model that a method's inverse kinematics uses: with effects, or rigid."""
     return model.commandable if method.uses_physics else model.rigid
 
 
@@ -60,21 +60,22 @@ def compensate(
     context_at: Callable[[np.ndarray], Context] | None = None,
     **options: Any,
 ) -> list[Compensation]:
-    """Find joints that bring the *real* tip to each of N targets, each by itself.
+    """Find joints that bring the *real* tip to each of N independent targets.
 
     Args:
         predictor: the learned residual of the model that the method uses.
-        targets: positions (N, 3) in m, or poses (N, 4, 4), base frame; or one of them.
+        targets: positions (N, 3) in m, or poses (N, 4, 4), base frame; or a single one.
         context: circumstances in which the arm will stand, of all or of each.
         seed: (n,) or (N, n) current joints; default mid-range.
-        doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
-        context_at: for a single target: returns the circumstances at joints (M, n), in which the
-            choice among the servos' steps judges each command. Default: ``context``.
+        position_only: leave the orientation free.
+        doubtful: (n,) bool, joints whose side of arrival in the context is not certain.
+        context_at: only for a single target: returns the circumstances at joints (M, n). The choice
+            among the servos' steps judges each command in these. Default: ``context``.
         options: fields of `CompensationOptions`.
 
     Returns:
-        One result per target. Invalid or unreachable targets, and a recorded quantity that an
-        effect of the model needs and the context lacks, are reported in `status`, not raised.
+        One result per target. Invalid or unreachable targets, and circumstances that an effect of
+        the model needs and the context lacks, are reported in its `status`, not raised.
     """
     settings, to = CompensationOptions(**options), np.asarray(targets, dtype=float)
     if to.shape in ((3,), (4, 4)):
@@ -105,17 +106,19 @@ def judge(
     sigma: np.ndarray | None,
     doubtful: np.ndarray | None = None,
 ) -> tuple[ExpectedMiss, np.ndarray, list[str]]:
-    """Estimate how far off a command, or each of M, may be by all that the model knows.
+    """Estimate how far the tip may be from its target at one command, or at each of M.
 
     Args:
         command: (n,) or (M, n) joints.
-        pseudo: (..., 3) m, where the physics should bring the tip.
-        sigma: (..., 3) m of the learned error that was subtracted; None: none was.
+        context: circumstances of all, or of each.
+        pseudo: (..., 3) m, the position to which the physics should bring the tip.
+        sigma: (..., 3) m, standard deviation of the learned error that was subtracted; None if no
+            error was.
         doubtful: as in `compensate`.
 
     Returns:
-        The expected miss; whether the model's own error is one that its fitted rows have too,
-        (...); and the doubts of each command, in words.
+        The expected miss; (...) bool, whether the model's part of it is no larger than at the
+        fitted rows; and the doubts about each command, in words.
     """
     physics = physics_of(model, method)
     whole = sigma is None and not missing_column(model, context)
@@ -132,9 +135,10 @@ def judge(
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
-    """Return the values at which the servos can stand; None if they are not known or not asked for.
+    """Return the values at which the servos can stand; None if unknown or not to be used.
 
-    They are those of the arm and its effects, or a lattice that was found.
+    Args:
+        realisable: True: the steps of the arm and of its effects; or a lattice; False: none.
     """
     if not realisable:
         return None
@@ -152,16 +156,16 @@ class _Batch:
     """N targets that are solved side by side: ideal joints, then passes of the pseudo-target.
 
     Attributes:
-        predictor: None where nothing learned is wanted, or there is none.
+        predictor: None if the method uses none, or there is none.
         target: (N, 3) or (N, 4, 4).
         q: (N, n) joints found last.
         ideal: (N, n) joints by physics alone.
-        error, sigma: (N, 3) m, as learned at the joints that were looked up last.
-        in_domain: (N,) whether the predictor answered.
+        error, sigma: (N, 3) m, learned error and its sigma at the joints of the last prediction.
+        in_domain: (N,) whether the predictor was inside its domain.
         passes: (N,) number of passes of the pseudo-target.
         status, reason: outcome of each target. A target without success was given up, or is
             compensated without the learned error.
-        chosen: choice among the servos' steps, by target.
+        chosen: choice among the servos' steps, by target number.
     """
 
     model: Model
@@ -199,7 +203,11 @@ class _Batch:
         return self._list_rows(Status.SUCCESS)
 
     def correct(self, going: list[int]) -> None:
-        """Subtract the expected error from the targets, until it is that of the joints found."""
+        """Solve pseudo-targets until the expected error is that at the joints found.
+
+        Args:
+            going: numbers of the targets to correct.
+        """
         options = self.options
         if self.predictor is None:
             for k in going if self.method.uses_predictor else ():
@@ -259,12 +267,16 @@ class _Batch:
             )
             if self.context_at is not None:
                 self.context = self.context_at(chosen.joints[None]).take(0)
-            if sent and self.predictor is not None:  # it is looked up again at the joints chosen
+            if sent and self.predictor is not None:  # predicted anew at the chosen joints
                 expected = self.predictor.predict(chosen.joints[None], self._context_of([k]))
                 self.error[k], self.sigma[k] = expected.error[0], expected.sigma[0]
 
     def _predict_tip(self, k: int, q: np.ndarray, learned: bool) -> np.ndarray:
-        """Predict poses (M, 4, 4) of the tip at joints (M, n) in the circumstances of target k."""
+        """Predict the tip's poses (M, 4, 4) at joints (M, n) in the circumstances of target k.
+
+        Args:
+            learned: whether to add the learned error.
+        """
         here = self._context_of([k])
         context = here if self.context_at is None else self.context_at(q)
         poses = tip_poses(self.physics, q, context)
@@ -273,7 +285,11 @@ class _Batch:
         return poses
 
     def make_results(self, doubtful: np.ndarray | None) -> list[Compensation]:
-        """Make the result of each target, with how good it is expected to be."""
+        """Return the result of each target, with its expected error.
+
+        Args:
+            doubtful: as in `compensate`.
+        """
         count, status, reason = len(self.target), self.status, self.reason
         sent, alone = self._list_rows(Status.SUCCESS), self._list_rows(*_PHYSICS_ONLY)
         command, error = self.ideal.copy(), self.error.copy()
@@ -324,7 +340,13 @@ class _Batch:
         ]
 
     def _search(self, rows: list[int], to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
-        """Find and store joints that bring the tip to some of N places; return failed searches."""
+        """Find and store joints for some of N targets; return the failed searches by number.
+
+        Args:
+            rows: numbers of the targets.
+            to: (N, 3) or (N, 4, 4), where the physics shall bring the tip.
+            starts: largest number of starts of each search.
+        """
         locked, free = self.options.locked, self.position_only
         given: dict[str, Any] = {"position_only": free, "locked": locked, "max_starts": starts}
         if len(rows) == 1:  # quicker than many of one
@@ -347,9 +369,9 @@ class _Batch:
 
 
 def _index_of(rows: list[int]) -> list[int] | slice:
-    """Return an index of rows; that of one is a slice, which is quicker than an array."""
+    """Return an index of rows. For a single row it is a slice, which is faster than a list."""
     return rows if len(rows) > 1 else slice(rows[0], rows[0] + 1)
 
 
 _PHYSICS_ONLY = (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)
-"""The learned error was wanted and is left out."""
+"""Outcomes in which the learned error is left out although the method uses it."""

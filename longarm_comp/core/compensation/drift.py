@@ -1,11 +1,11 @@
-"""A sequential test of the residual: does the arm still do what its model promised?
+"""A sequential test of the residual: does the arm still behave as its model predicts?
 
 Every rest pose gives one standardised residual ``z = (measured - predicted) / sigma`` (3,), which
-is standard normal as long as model and sigma are right. Seven Page tests (cumulative sums of
+is standard normal while model and sigma are right. Seven Page tests (cumulative sums of
 log-likelihood ratios, restarted at zero) watch for a shift along each axis in each direction, and
-for errors that have grown. The mean number of samples to a false alarm of each is at least
-``exp(h)`` (Lorden 1971, Ann. Math. Stat. 42), so with ``h = ln(7 * run_length)`` it is at least
-``run_length`` of all together.
+for errors that have grown. With a threshold h, the mean number of samples to a false alarm of one
+test is at least ``exp(h)`` (Lorden 1971, Ann. Math. Stat. 42). So with ``h = ln(7 * run_length)``
+the mean number to a false alarm of any of the seven is at least ``run_length``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from longarm_comp.core.errors import InputError
 
 _GROWTH = 1.6
-"""Growth of the standard deviation that is looked for."""
+"""Factor of growth of the standard deviation for which the test is made."""
 _TESTS = ("+x", "-x", "+y", "-y", "+z", "-z", "growth")
 
 
@@ -27,8 +27,11 @@ _TESTS = ("+x", "-x", "+y", "-y", "+z", "-z", "growth")
 class Verdict:
     """The result of the test after some samples.
 
-    `finding` tells size and onset in one sentence once a cumulative sum has passed the threshold.
-    `evidence` is the largest sum over the threshold; 1 is an alarm.
+    Attributes:
+        drifted: whether the alarm is raised.
+        finding: size and duration of the change in a sentence; empty without an alarm.
+        samples: number of samples so far.
+        evidence: largest cumulative sum divided by the threshold; 1 or more is an alarm.
     """
 
     drifted: bool
@@ -42,9 +45,10 @@ class Monitor:
     """The state of the test. It never changes: `seen` returns the next state.
 
     Attributes:
-        run_length: least mean number of samples between two false alarms.
-        sums: (7,) cumulative sums, of the tests in their order.
-        onset: (7,) sample at which each sum last left zero.
+        run_length: mean number of samples between two false alarms, at least.
+        samples: number of samples so far.
+        sums: (7,) cumulative sums, in the order of `_TESTS`.
+        onset: (7,) number of the sample at which each sum last left zero.
         total: (7, 3) sum of the residuals since then, m.
         squares: (7,) sum of ``|z|^2`` since then.
     """
@@ -96,7 +100,7 @@ class Monitor:
         )
 
     def verdict(self) -> Verdict:
-        """Judge by the largest of the cumulative sums."""
+        """Return the verdict on all samples so far, by the largest of the cumulative sums."""
         k = int(np.argmax(self.sums))
         evidence = float(self.sums[k] / self.threshold)
         if evidence < 1.0:

@@ -1,5 +1,7 @@
-"""The learned error at one posture and its linear expansion, so that one answer of the predictor
-serves all steps of a solution."""
+"""The learned error at one posture and its linear expansion.
+
+With the expansion one request to the predictor is enough for all steps of a solution.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ LINEAR_M = 5e-6
 class Expansion:
     """The expected residual at joints (n,) and its linear expansion.
 
-    A compensation needs the error at joints that differ by a few millirad: with the slope one
-    request is enough, which matters when it is a round trip to another process.
+    A compensation needs the error at joints that differ by a few millirad. With the slope one
+    request is enough, which saves time if the predictor runs in another process.
 
     Attributes:
         error, sigma: (3,) m.
@@ -39,7 +41,7 @@ class Expansion:
 
 
 class Nearby:
-    """A predictor for one target, which reuses its last expansion within its reach."""
+    """A predictor for one target: near the joints of its last request it reuses the answer."""
 
     def __init__(self, ask: Callable[[np.ndarray, Context], Expansion]) -> None:
         self._ask = ask

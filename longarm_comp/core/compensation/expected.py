@@ -1,8 +1,9 @@
-"""The error that a command is expected to leave at the tip, without any noise of a measurement.
+"""The error that a command is expected to leave at the tip, without the noise of a measurement.
 
-It has a known part (what was left out of the command on purpose, rounding of the servos) and an
-unknown one.  The latter follows from the model's record (`core/model/uncertainty.py`), for a
-declared arm from its tolerances, and with a predictor from the predictor's own sigma.
+It has a known part (effects that the command leaves out, rounding to the servos' steps) and an
+unknown part.  The unknown part follows from the model's uncertainty
+(`core/model/uncertainty.py`), for a declared arm from its tolerances, and with a predictor from the
+predictor's own sigma.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import sizes
 
 LEAST_MOVED = 0.1
-"""Share of its range by which a joint moves in rows that tell how an error varies with it."""
+"""Share of its range by which a joint must move in the rows, so that they show how the error varies
+with this joint."""
 BY_HAND = math.radians(1.0)
-"""Zero of a joint, rad, as hands and servo horns set it.  A calibration expects less (`JointZero`):
-its rows tell the zeros; before it nothing does."""
+"""Usual error of a joint's zero, rad, that was set by hand or by a servo horn. It holds for an arm
+that is not calibrated; a calibration expects less (`JointZero`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class ExpectedMiss:
 
     Attributes:
         mean: (..., 3) m, the known part.
-        covariance: (..., 3, 3) m^2 of the unknown part; NaN where nothing tells it.
+        covariance: (..., 3, 3) m^2 of the unknown part; NaN if not known.
     """
 
     mean: np.ndarray
@@ -51,11 +53,11 @@ class ExpectedMiss:
 
     @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """The expected distance from the target, and the one that 90 of 100 keep, (...) m each."""
+        """The expected distance from the target, and that of 90 of 100 commands, (...) m each."""
         return sizes(self.covariance, self.mean)
 
     def plus(self, variance: np.ndarray) -> ExpectedMiss:
-        """Add an independent error of a variance (..., 3) along each axis, m^2."""
+        """Return the miss with a further independent error of variance (..., 3), m^2, per axis."""
         further = (variance != 0.0).any(axis=-1, keepdims=True)[..., None]
         whole = np.nan_to_num(self.covariance) + variance[..., None] * np.eye(3)
         return ExpectedMiss(self.mean, np.where(further, whole, self.covariance))
@@ -72,6 +74,7 @@ def expected_miss(
 
     Args:
         q: (n,) or (M, n) commanded joints, rad and m.
+        context: circumstances of all, or of each.
         pseudo: (3,) or (M, 3) m, the target less the learned error.
         learned: (3,) or (M, 3) m, sigma of the learned error, if a predictor is used.
     """
@@ -106,12 +109,12 @@ def expected_miss(
 
 
 def list_tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
-    """Return k unknown parameters of a declared arm, and (k,) how large each may be.
+    """Return k unknown parameters of a declared arm, and their (k,) standard deviations.
 
-    They are its geometry, to the tolerances that arm.yaml gives or that are usual (joint zeros
-    without one to `BY_HAND`), and its compliances, as in `beyond.absent_slots`.  Base and tip count
-    as known unless arm.yaml gives a tolerance, because targets are in the base.  None is returned
-    for a model with fitted geometry, whose record is missing.
+    They are its geometry, with the tolerances that arm.yaml gives or usual ones (`BY_HAND` for
+    joint zeros), and its compliances, as in `beyond.absent_slots`.  Base and tip count as known
+    unless arm.yaml gives a tolerance, because targets are in the base frame.  None is returned for
+    a model with fitted geometry: its uncertainty should be in the model and is missing.
     """
     if any(effect.geometry for effect in model.effects):
         return None
@@ -131,20 +134,20 @@ def list_tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
 
 
 def geometry_of(arm: Arm) -> list[Effect]:
-    """List every geometry effect that the arm may have."""
+    """Return every geometry effect that the arm may have, at each of its places."""
     kinds = (kind for kind in registered().values() if issubclass(kind, Effect) and kind.geometry)
     return [term for kind in kinds for term in kind.for_arm(arm)]
 
 
 @dataclass(frozen=True, eq=False)
 class TipByReadings:
-    """The tip (3,), m, by the readings of the joints, and how far off it may be."""
+    """The tip (3,), m, computed from the readings of the joints, and how far off it may be."""
 
     tip: np.ndarray
     doubt: ExpectedMiss
 
     def describe(self, target: np.ndarray | None = None) -> str:
-        """Say in one sentence where the tip stands, or how far from a target (3,), m."""
+        """Say in a phrase where the tip stands, or how far it is from a target (3,), m."""
         p90_m = float(self.doubt.sizes[1])
         within = f", within {1e3 * p90_m:.2f} mm" if p90_m > 0 else ""
         if target is not None:
@@ -155,7 +158,11 @@ class TipByReadings:
 
 
 def tip_by_readings(model: Model, readings: np.ndarray, context: Context) -> TipByReadings:
-    """Compute the tip from readings (n,) of the joints, rad and m; the model is one of commands."""
+    """Compute the tip from readings (n,) of the joints, rad and m.
+
+    Args:
+        model: a model that predicts the tip from commands; it is converted to readings here.
+    """
     arm = by_readings(model)
     tip = arm.tip(readings, context)
     return TipByReadings(tip, expected_miss(arm, readings, context, tip))

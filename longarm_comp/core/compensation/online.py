@@ -1,4 +1,4 @@
-"""The running arm as it is known now: its joints, and the circumstances of a target."""
+"""What is received from the running arm: are its joints believed, and which circumstances hold."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ from longarm_comp.core.model.model import Model
 
 
 class StaleContext(JobError):  # noqa: N818
-    """The model needs a circumstance that was never received, or too long ago."""
+    """The model needs a circumstance that is missing, too old or wrong."""
 
 
 class _Reading(NamedTuple):
-    """The last reading of one source: columns as `Context` names them, and its time (s, monotonic).
+    """The last reading of one source.
 
-    ``wrong``: why the arm cannot be in these circumstances; empty where it can.
+    Attributes:
+        columns: values by the column names of `Context`.
+        at_s: time of the reading, s, monotonic clock.
+        wrong: why the arm cannot be in these circumstances; empty if it can.
     """
 
     columns: Mapping[str, float]
@@ -41,14 +44,22 @@ class Readings:
     def with_reading(
         self, source: str, columns: Mapping[str, float], at_s: float, wrong: str = ""
     ) -> Readings:
-        """Add a reading.
+        """Return the readings with a new one of a source, which replaces that source's last one.
 
-        A ``wrong`` reading makes its columns unknown until another one comes.
+        Args:
+            source: name of the source.
+            columns, at_s: as in `_Reading`.
+            wrong: why the reading cannot be true. Its columns are then unknown until the next one.
         """
         return replace(self, readings={**self.readings, source: _Reading(columns, at_s, wrong)})
 
     def fresh(self, source: str, now_s: float, max_age_s: float) -> Mapping[str, float]:
-        """Return a source's last reading; nothing if it is wrong or older than ``max_age_s``."""
+        """Return the columns of a source's last reading; {} if missing, wrong or too old.
+
+        Args:
+            now_s: the present time, s, monotonic clock.
+            max_age_s: largest age of the reading, s.
+        """
         reading = self.readings.get(source)
         good = reading and not reading.wrong and now_s - reading.at_s <= max_age_s
         return reading.columns if reading and good else {}
@@ -56,14 +67,19 @@ class Readings:
     def context(
         self, model: Model, now_s: float, max_age_s: float, history: History | None = None
     ) -> Context:
-        """Build the context of a target that is asked for now, with the history on arrival.
+        """Build the circumstances of a target that is requested now.
 
-        Where several sources tell a column, the latest reading counts. A payload that was never
+        If several sources give a column, the latest reading counts. A payload that was never
         received is the declared one.
 
+        Args:
+            now_s: the present time, s, monotonic clock.
+            max_age_s: largest age of a reading, s.
+            history: history of the joints on arrival at the target.
+
         Raises:
-            StaleContext: an effect of the model, or the load, needs a column that is older than
-                ``max_age_s``, wrong, or was never received.
+            StaleContext: an effect of the model needs a column that was never received, is wrong or
+                older than ``max_age_s``; or the payload is wrong, or too old if arm.yaml has one.
         """
         columns: dict[str, float] = {}
         doubts: dict[str, str] = {}
@@ -89,14 +105,14 @@ class Readings:
 
 
 _AGREEING = 3
-"""Readings in a row that must agree before the joints are believed again."""
+"""Number of readings in a row that must agree before the joints are believed again."""
 _RESTART_S, _RIVALS_S = 1.0, 10.0
-"""Another publisher of joints is doubted for so long; two that speak in turn, since they did last:
-they may speak twice a second, or once in five."""
+"""How long the joints are doubted after a change of the publisher, s: the first value after one
+change, the second if it is less than `_RIVALS_S` after the last change (two publishers in turn)."""
 
 
 def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
-    """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m)."""
+    """Raise InputError if a joint of (n,) is outside its limits by over 2 % of its range."""
     # Share of a joint's range by which a reading may lie outside its limits
     margin = 0.02 * (arm.upper - arm.lower)
     low, high = arm.bounds
@@ -106,14 +122,15 @@ def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
 
 
 class JointTrust:
-    """The judge of the readings of an arm's joints: may they be believed?
+    """Judges whether the readings of an arm's joints may be believed.
 
-    After a jump (the numbers are wrong, or two arms publish in turn) they are doubtful until three
-    readings in a row agree.  A joint that moves by more ranges per second than `rate` has jumped.
+    After a jump (wrong values, or two arms that publish in turn) they are doubted until three
+    readings in a row agree.  A step counts as a jump if it is more than a tenth of the joint's
+    range plus `rate` ranges per second.
 
-    Every publisher numbers its messages upwards. A number that does not go up belongs to another
-    publisher: once after a restart, again and again where two publish at the same time. Where the
-    middleware gives no numbers, a jump counts as another publisher.
+    Every publisher numbers its messages upwards. A number that does not rise belongs to another
+    publisher: this happens once after a restart, and again and again if two publish at the same
+    time. If the middleware gives no numbers, a jump counts as a change of the publisher.
     """
 
     def __init__(self, arm: Arm, rate: float) -> None:
@@ -126,11 +143,16 @@ class JointTrust:
 
     @property
     def doubt(self) -> str:
-        """The reason why the joints are not believed now; empty where they are."""
+        """The reason why the joints are not believed now; empty if they are."""
         return self._why if self._agreeing < _AGREEING else ""
 
     def heard(self, number: int | None, now_s: float) -> None:
-        """Note that a message came now (s, monotonic), and its publisher's number of it."""
+        """Note the arrival of a message.
+
+        Args:
+            number: the publisher's number of the message; None: the middleware gives none.
+            now_s: the present time, s, monotonic clock.
+        """
         self._now_s, self._numbered = now_s, number is not None
         if number is not None:
             if number <= self._number:
@@ -138,7 +160,11 @@ class JointTrust:
             self._number = number
 
     def read(self, q: np.ndarray, at_s: float) -> bool:
-        """Take in a reading (n,) of a time (s); return whether the joints are believed after it."""
+        """Judge a reading of joints (n,), rad and m, and return whether they are believed now.
+
+        Args:
+            at_s: time of the reading, s.
+        """
         before, self._last = self._last, (q, at_s)
         settled = self._now_s >= self._until_s
         self._agreeing = min(self._agreeing + 1, _AGREEING) if settled else 0
@@ -166,13 +192,13 @@ class JointTrust:
         return not self.doubt
 
     def distrust(self, why: str) -> None:
-        """Doubt the joints until three readings agree."""
+        """Doubt the joints until three readings agree, for the reason `why`."""
         self._agreeing = 0
         if self._now_s >= self._until_s:
             self._why = why
 
     def _change_publisher(self) -> None:
-        """Doubt the joints for a while, as they come from another publisher than before."""
+        """Doubt the joints for a while, because they come from another publisher than before."""
         again = self._now_s - self._changed_s < _RIVALS_S
         rivals = "two publishers tell joint_states in turn: end one of them"
         self._agreeing, self._changed_s = 0, self._now_s

@@ -1,8 +1,8 @@
-"""A planned path: joints that bring the real tip where the plan meant it, way-points all at once.
+"""Compensation of a planned path: joints that bring the real tip to all way-points.
 
-Each way-point is solved from its planned joints, without restarts, run-ups and choice among servo
-steps, so joints do not jump where the plan does not.  The history of the joints on the path, and
-what is learned, is looked up where they were found, until both settle.
+Each way-point is solved from its planned joints, without restarts, run-ups or a choice among servo
+steps, so joints do not jump where the plan does not.  The history of the joints and the learned
+error are computed at the joints found, and these are solved again, until nothing changes.
 """
 
 from __future__ import annotations
@@ -52,22 +52,25 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.math.cubic_path import STRAIGHT, CubicPath
 
 ContextAt = Callable[[History], Context]
-"""Circumstances at all way-points, given the histories (k, n) there, or one (n,) for all."""
+"""Function that returns the circumstances at all way-points, for the histories (k, n) there, or for
+one history (n,) of all."""
 
 
 @dataclass(frozen=True, eq=False)
 class CompensatedPath:
-    """A path to send, and what its k way-points are for.
+    """A path to send, and the result at each of its k way-points.
 
     Attributes:
-        timed: joints, velocities and times, as `smooth` lays them.
-        ideal: (k, n) joints without what is learned.
-        error, sigma: (k, 3) m, as learned; NaN sigma where nothing is.
-        context: circumstances at the way-points. passes: of the pseudo-targets.
-        correction_m: (k,) m, by how much the declared arm's tip is moved.
-        turn_rad: (k,) by how much the orientation is off, because the joints allow no nearer.
+        timed: joints, velocities and times to send, of `smooth`.
+        ideal: (k, n) joints without the learned error.
+        error: (k, 3) m, learned error that was corrected; zero where the predictor was not used.
+        sigma: (k, 3) m, its standard deviation; NaN where the predictor was not used.
+        context: circumstances at the way-points.
+        passes: number of passes of the pseudo-targets.
+        correction_m: (k,) m, distance of the declared arm's tip at these joints from the target.
+        turn_rad: (k,) rad, by how much the orientation is off because the joints cannot hold it.
         history: of the joints at the end.
-        notes: doubts.
+        notes: doubts, in words.
     """
 
     timed: CubicPath
@@ -82,10 +85,13 @@ class CompensatedPath:
     notes: tuple[str, ...]
 
     def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
-        """Return the results at the way-points of the plan, (k, 3) or (k, 4, 4).
+        """Return one result per way-point, with the error that is expected there.
 
-        They say how good each is expected to be; that does not hold at a way-point where the arm
-        stood already.
+        The expected error does not hold at a first way-point where the arm stood already.
+
+        Args:
+            model, method: with which the path was compensated.
+            targets: (k, 3) m or (k, 4, 4), the way-points of the plan.
         """
         pseudo, command = pseudo_targets(targets, self.error), self.timed.joints
         place = ik.position_of(pseudo)
@@ -127,15 +133,17 @@ def compensate_path(
     limits: PathLimits | None = None,
     options: CompensationOptions | None = None,
 ) -> CompensatedPath:
-    """Find joints and times for a plan, or the reason why there are none.
+    """Find joints and times that bring the real tip along a planned path.
 
-    Where the predictor cannot answer for every way-point, none is corrected by it: no jumps.
+    If the predictor has no answer for one way-point, it is not used for any, so the path does not
+    jump.
 
     Args:
+        predictor: the learned residual of the model that the method uses.
         start: (n,) where the joints stand; None: not known. A plan that has begun begins there.
         history: of the joints at ``start``.
-        context_at: the circumstances at all way-points, given the histories there.
-        seed: (n,) start of the first search, where no joints were planned; ``start`` by default.
+        context_at: returns the circumstances at all way-points for the histories there.
+        seed: (n,) start of the first search if no joints were planned; ``start`` by default.
 
     Raises:
         PathRefused: a way-point cannot be reached, needs too large a correction, or turns a joint
@@ -172,7 +180,7 @@ class _Unanswered(Exception):  # noqa: N818
 
 @dataclass(frozen=True, eq=False)
 class _PathProblem:
-    """A plan, and everything that its way-points are solved with."""
+    """A plan, and all that its way-points are solved with: the arguments of `compensate_path`."""
 
     model: Model
     predictor: ResidualPredictor | None
@@ -197,11 +205,15 @@ class _PathProblem:
         return physics_of(self.model, self.options.method)
 
     def solve(self, seed: np.ndarray | None) -> CompensatedPath:
-        """Find the joints; repeat until learned error and play are those at the joints found."""
+        """Solve the path; repeat until learned error and play are those at the joints found.
+
+        Args:
+            seed: as in `compensate_path`.
+        """
         options, learned = self.options, self.predictor is not None
         play, seeds = PathLag(self.physics, self.limits.turn_m), self._find_seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
-        context = self._find_context(self.history)  # as if no joint reversed: each way is known
+        context = self._find_context(self.history)  # first as if no joint reversed
         lag = play.compute_lag(seeds, context)
         q, turn = self._find_joints(seeds + lag, error, context)
         bare = q - lag
@@ -239,7 +251,7 @@ class _PathProblem:
                 row = int(np.searchsorted(timed.times, times[k]))
                 raise PathRefused(Status.KEPT_OUT, row, entry)
         came = self.history.along(command, command[0] if self.has_begun else self.start)
-        # What is not known where the path begins, and what lies beyond the data
+        # Doubts: unknown circumstances at the beginning, and way-points outside the data
         first = int(self.has_begun)
         begins, rest = slice(first, first + 1), slice(first, None)
         notes = [
@@ -263,7 +275,11 @@ class _PathProblem:
         )
 
     def _measure_corrections(self, joints: np.ndarray) -> np.ndarray:
-        """Measure how far the declared arm's tip is moved, (k,) m; refuse where it is too far."""
+        """Return the (k,) distance, m, of the declared arm's tip at joints (k, n) from the targets.
+
+        Raises:
+            PathRefused: a distance is more than `max_correction_m`.
+        """
         wanted = ik.position_of(self.plan.targets)
         rigid = Model(self.model.arm, elements_per_beam=1)
         meant = carry_place(self.plan.base, rigid.tip(joints))
@@ -277,7 +293,12 @@ class _PathProblem:
     def _give_times(
         self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, reversals: list[Reversal]
     ) -> CubicPath:
-        """Give the commands their times; their parts (k, n) are those of `take_up_play`."""
+        """Return the path to send, with times within the limits.
+
+        Args:
+            way, off, lag: (k, n) parts of the commands, as in `take_up_play`.
+            reversals: the reversals of the path.
+        """
         plan, arm = self.plan, self.model.arm
         planned = np.arange(float(len(way))) if plan.times is None else plan.times
         begun = self._begin_where_it_stands(way + off + lag)[:2]
@@ -288,7 +309,7 @@ class _PathProblem:
 
         def commands(times: np.ndarray) -> CubicPath:
             stands, beyond = take_up_play(way, off, lag, reversals, times)
-            stands[0] = stands[second] - first  # what is beyond is gone first
+            stands[0] = stands[second] - first  # the rest of the first step counts as beyond
             beyond[0] = begun[0] - stands[0]
             return smooth(plan, planned, times, stands, beyond, box)
 
@@ -313,7 +334,7 @@ class _PathProblem:
         return context
 
     def _find_seeds(self, seed: np.ndarray | None) -> np.ndarray:
-        """Return joints (k, n) to start from: as planned, or each from those found before."""
+        """Return joints (k, n) to start from: the planned ones, else solved one after the other."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._begin_where_it_stands(np.clip(plan.joints, *arm.bounds))
@@ -344,7 +365,13 @@ class _PathProblem:
     def _find_joints(
         self, seeds: np.ndarray, error: np.ndarray, context: Context
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Find joints (k, n), and by how much the orientation is off there (k,), rad."""
+        """Find joints (k, n) for the targets less an error, and the (k,) orientation error, rad.
+
+        Args:
+            seeds: (k, n) start of the search at each way-point.
+            error: (k, 3) m, the learned error.
+            context: circumstances at the way-points.
+        """
         found = ik.solve_many(
             self.physics,
             pseudo_targets(self.plan.targets, error),
@@ -363,7 +390,7 @@ class _PathProblem:
         return self._begin_where_it_stands(found.q), turn
 
     def _refuse_unreached(self, row: int, found: ik.Solution) -> None:
-        """Refuse a way-point that was not reached, or whose orientation is too far off."""
+        """Raise PathRefused if a way-point was not reached or its orientation is too far off."""
         if not found.ok:
             here = ik.position_of(self.plan.targets[row])
             why = guess_unit(here, *reach(self.physics)) or describe_miss("target", found)
@@ -374,7 +401,7 @@ class _PathProblem:
             raise PathRefused(Status.UNREACHABLE, row, why)
 
     def _predict_errors(self, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
-        """Look up what is learned at all way-points (k, n): error and sigma (k, 3) m."""
+        """Return the learned error and its sigma, (k, 3) m each, at joints (k, n)."""
         error, sigma = np.zeros((len(q), 3)), np.full((len(q), 3), np.nan)
         assert self.predictor is not None
         for row in range(int(self.has_begun), len(q)):

@@ -1,8 +1,8 @@
-"""A planned path: way-points of the tip, how the joints go there, and when, within limits.
+"""A planned path: way-points of the tip, with joints and times, within limits.
 
 The planned times stay if they keep the limits of velocity and acceleration. Else TOPP-RA (Pham
-and Pham 2018, the library toppra) finds the fastest times that keep them and are nowhere faster
-than the plan.
+and Pham 2018, the library toppra) finds the fastest times that keep the limits and are nowhere
+faster than the plan.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.math.cubic_path import CubicPath, monotone_slopes, smooth_slopes
 
 _LOOKED_AT = 16
-"""Places between two way-points at which the way is looked at."""
+"""Number of points per step between two way-points at which TOPP-RA checks the limits."""
 _ROUNDING = 1e-6
-"""Share of a limit that rounding may take."""
+"""Share by which a limit may be exceeded because of rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedPath:
-    """Way-points of the tip, and how a planner would have the joints bring it there.
+    """Way-points of the tip, and the joints and times of a planner.
 
     Attributes:
         targets: (k, 3) m or (k, 4, 4).
         times: (k,) s, increasing; None: as fast as the limits allow.
-        joints: (k, n) as planned, to start each search from; None: none were planned.
-        velocities: (k, n) as planned; None: none were.
-        begun: the first way-point is where the planner believes the arm to stand.
-        base: (4, 4) of the declared arm's base frame in that of the targets.
+        joints: (k, n) planned joints, from which each search starts; None: not planned.
+        velocities: (k, n) planned joint velocities; None: not planned.
+        begun: whether the first way-point is where the planner believes the arm to stand.
+        base: (4, 4) pose of the declared arm's base in the frame of the targets.
     """
 
     targets: np.ndarray
@@ -50,19 +50,27 @@ class PlannedPath:
     def of_joints(
         cls, arm: Arm, times: np.ndarray, joints: np.ndarray, velocities: np.ndarray | None = None
     ) -> PlannedPath:
-        """Make the path that a planner means with joints (k, n): that of the declared, rigid arm's
-        tip.
+        """Make the path of a joint trajectory: its targets are the declared, rigid arm's tip poses.
 
         The first way-point is where the planner believes the arm to stand.
+
+        Args:
+            times: (k,) s.
+            joints: (k, n) rad and m.
+            velocities: (k, n) rad/s and m/s; None: not planned.
         """
         return cls(Model(arm).pose(joints), times, joints, velocities, begun=True)
 
     def seen_from(self, base: np.ndarray) -> PlannedPath:
-        """Return the plan in a frame in which its present frame has the pose `base` (4, 4)."""
+        """Return the plan with its targets in another frame.
+
+        Args:
+            base: (4, 4) pose of the present frame in the new one.
+        """
         return replace(self, targets=carry_place(base, self.targets), base=base @ self.base)
 
     def check(self, n: int) -> None:
-        """Refuse shapes and times that are not allowed, of an arm of n joints."""
+        """Raise InputError if shapes or times are not allowed for an arm of n joints."""
         k = len(self.targets)
         if not k or self.targets.shape[1:] not in ((3,), (4, 4)):
             allowed = "(k, 3) or (k, 4, 4), k of at least 1"
@@ -84,10 +92,16 @@ class PlannedPath:
 def as_planned(
     rigid: Model, real: np.ndarray, q: np.ndarray, position_only: bool = False
 ) -> np.ndarray:
-    """Find joints (n,) near q that bring the declared, ``rigid`` arm's tip to a pose (4, 4).
+    """Find joints (n,) that bring the tip of the declared, rigid arm to a pose.
 
     The orientation is as near as the joints allow. If no joints inside the limits reach the
     position, the nearest ones are returned.
+
+    Args:
+        rigid: the model of the declared arm without effects.
+        real: (4, 4) pose of the tip.
+        q: (n,) joints near which the search starts.
+        position_only: leave the orientation free.
     """
     found = ik.solve(rigid, real, seed=q, max_starts=1, position_only=position_only, near=True)
     return found.q
@@ -101,7 +115,10 @@ class MotionLimits:
     acceleration: np.ndarray
 
     def excess(self, path: CubicPath) -> float:
-        """Compute the largest share of a limit that velocity, or root of acceleration, takes."""
+        """Compute by which factor a path must be slower to keep all limits; at most 1 if it does.
+
+        It is the largest of velocity / limit and of the square root of acceleration / limit.
+        """
         speed = path.peak_velocity() / self.velocity
         force = path.peak_acceleration() / self.acceleration
         return float(max(speed.max(), np.sqrt(force.max())))
@@ -115,12 +132,11 @@ class PathLimits:
         motion: of the joints; None: the controller keeps them itself.
         max_correction_m: most that the declared arm's tip may be moved, m.
         max_turn_rad: most that the orientation may be off where the joints cannot hold it.
-        max_start: most that a joint may stand from where the plan begins, rad or m.
-        turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
-            up without a kick.
-        max_longer: share by which the path may take longer for the same; 0: planned times stay,
-            where the limits allow. In two halves, with the jerk of one way, a path takes 1.6 times
-            as long, and its play at the start and in the middle a fifth each.
+        max_start: most that a joint may stand away from where the plan begins, rad or m.
+        turn_m: how far the tip may leave the path where a joint reverses, so that its play is
+            taken up smoothly, m.
+        max_longer: share of the planned duration by which the path may take longer to take up
+            play; 0: planned times stay if the limits allow.
         position_only: leave the orientation free.
     """
 
@@ -134,7 +150,11 @@ class PathLimits:
 
 
 def retime(path: CubicPath, limits: MotionLimits) -> CubicPath:
-    """Slow the path down where a limit asks for it, at the same way-points and nowhere faster."""
+    """Return the path with later times where a limit requires it; nowhere is it faster.
+
+    Raises:
+        JobError: no times keep the limits, or the library toppra is missing.
+    """
     if limits.excess(path) <= 1.0 + _ROUNDING:
         return path
     begins = path.times[0]
@@ -143,12 +163,12 @@ def retime(path: CubicPath, limits: MotionLimits) -> CubicPath:
 
 
 def find_fastest_way(joints: np.ndarray, limits: MotionLimits) -> CubicPath:
-    """Find the fastest way through way-points (k, n) from rest to rest."""
+    """Find the fastest path through joints (k, n), rad and m, from rest to rest within limits."""
     ways = (np.abs(np.diff(joints, axis=0)) / limits.velocity).max(axis=1)  # s at full speed
     times = np.concatenate([[0.0], np.cumsum(np.maximum(ways, _ROUNDING * ways.sum()))])
     if not times[-1]:
         return CubicPath(_ROUNDING * np.arange(float(len(joints))), joints, np.zeros_like(joints))
-    slopes = smooth_slopes(times, joints)  # of the way itself, which is at rest nowhere
+    slopes = smooth_slopes(times, joints)  # of the geometric path, which is at rest nowhere
     slopes[[0, -1]] = np.diff(joints, axis=0)[[0, -1]] / np.diff(times)[[0, -1], None]
     path = CubicPath(times, joints, slopes)
     return replace(_find_times(path, limits), stretch=1.0)
@@ -187,7 +207,10 @@ def smooth(
 
 
 def _find_times(path: CubicPath, limits: MotionLimits) -> CubicPath:
-    """Find the times by TOPP-RA, from rest to rest."""
+    """Return the path with the fastest times within limits, by TOPP-RA, from rest to rest.
+
+    Nowhere is it faster than the path.
+    """
     try:
         from toppra import algorithm, constraint
     except ImportError:
@@ -218,7 +241,10 @@ def _find_times(path: CubicPath, limits: MotionLimits) -> CubicPath:
 
 
 def _with_clock(path: CubicPath) -> Any:
-    """Add the plan's own time as one joint more: its limit of 1 keeps the plan's pace."""
+    """Return the path for toppra, with its own time as a further joint.
+
+    The velocity limit of 1 of this joint keeps the path from becoming faster.
+    """
     from toppra.interpolator import AbstractGeometricPath
 
     class Clocked(AbstractGeometricPath):  # type: ignore[misc]

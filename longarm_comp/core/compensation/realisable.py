@@ -1,14 +1,14 @@
-"""Chooses joints at which the servos can stand, all together, so that the tip is nearest its
-target.
+"""Chooses joint values at which the servos can stand, all together, so that the tip is nearest to
+its target.
 
 A servo stands at ``offset + step k`` for whole k.  With q* the ideal joints, e0 the tip's error
-there and J its derivative, those k are sought (`lattice`) that minimise::
+there and J its derivative, the search (`lattice`) finds the k that minimise::
 
     |J (offset + step k - q*) + e0|^2 + |price (offset + step k - q*)|^2,   inside the limits;
 
-the best of them, and plain rounding, are judged by the model itself, which is linearised again at
-the best.  Joints without a step are solved for at the same time.  Neighbouring targets get joints
-up to a degree apart, so a path of close targets is smoother with rounding (docs/realisable.md).
+The model itself judges the best of them and plain rounding, and is linearised again at the best.
+Joints without a step are solved for at the same time.  Neighbouring targets get joints up to a
+degree apart, so a path of close targets is smoother with rounding (docs/realisable.md).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from longarm_comp.core.ik.newton import rotation_error
 from longarm_comp.core.ik.solver import axes_of, position_of
 
 Predict = Callable[[np.ndarray], np.ndarray]
-"""The tip at joints (M, n): positions (M, 3) in m or poses (M, 4, 4)."""
+"""Function that returns the tip at joints (M, n): positions (M, 3) in m, or poses (M, 4, 4)."""
 
 _DIFFERENCE = 1e-4
-"""Half the difference (rad, m) from which the tip's derivative is taken."""
+"""Half the difference (rad, m) by which the tip's derivative is computed."""
 KNOWN_TO = 0.15
-"""Share of a step to which a lattice's offset must be known (standard deviation)."""
+"""Largest standard deviation of a lattice's offset, as a share of the step, that can be used."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Lattice:
     Attributes:
         step: (n,) rad or m; 0: the joint is continuous.
         offset: (n,) rad or m.
-        offset_sd: (n,) rad or m, standard deviation to which the offset is known.
+        offset_sd: (n,) rad or m, standard deviation of the offset.
     """
 
     step: np.ndarray
@@ -51,7 +51,14 @@ class Lattice:
 
     @classmethod
     def of(cls, arm: Arm, offset: Any = 0.0, offset_sd: Any = 0.0) -> Lattice:
-        """Take the steps that an arm declares, with an offset for all joints or for each, (n,)."""
+        """Make the lattice of the steps that an arm declares.
+
+        Args:
+            offset, offset_sd: rad or m, one number for all joints or (n,).
+
+        Raises:
+            InputError: a wrong shape or value.
+        """
         made = [arm.steps]
         for name, value in (("offset", offset), ("offset_sd", offset_sd)):
             given = np.asarray(value, float)
@@ -75,13 +82,13 @@ class Search:
     """The settings of a search for realisable joints.
 
     Attributes:
-        length_m: metres that a radian of tool angle counts for; best the arm's own
-            (`ik.kernel.characteristic_length`).
-        price_m: tip error (m) that a revolute joint may cost by moving 1 rad off the ideal; a slide
-            pays as much for as many metres as a radian is at ``length_m``.
-        kept: points of the lattice that the model judges in each round.
-        rounds: linearisations, the first at the rounded joints, the others at the best so far.
-        max_nodes: of the search tree of one target and round.
+        length_m: by this length an orientation error in rad counts as a tip error in m; best the
+            arm's own (`ik.kernel.characteristic_length`).
+        price_m: tip error (m) as which 1 rad of a revolute joint off its ideal value counts; for a
+            slide, ``length_m`` metres count as much.
+        kept: number of lattice points that the model judges in each round.
+        rounds: number of linearisations: first at the rounded joints, then at the best so far.
+        max_nodes: largest number of nodes in the search of one target and round.
     """
 
     length_m: float
@@ -93,18 +100,18 @@ class Search:
 
 @dataclass(frozen=True)
 class Realisable:
-    """The choice for one target.
+    """The chosen joints for one target.
 
     Attributes:
         joints: (n,) joints to command, inside the limits.
-        ideal: (n,) joints as they were asked for.
-        rounded: (n,) the ideal with each joint rounded by itself.
-        ideal_error, rounded_error, error: predicted tip error at each of the three: m, and rad (0
-            for positions).
+        ideal: (n,) joints that were given, clipped to the limits.
+        rounded: (n,) the ideal joints, each rounded to its nearest step.
+        ideal_error: (2,) predicted tip error at `ideal`: m, and rad (0 for positions).
+        rounded_error, error: the same at `rounded` and at `joints`.
         nodes: number of nodes that the searches visited.
         on_lattice: (n,) bool, joints that were chosen among their steps.
-        reason: why nothing better than rounding was chosen; empty where something was.
-        note: which joints with steps stay at their ideal value, and why; empty where none.
+        reason: why the choice is plain rounding; empty if it is not.
+        note: which joints with steps stay at their ideal value, and why; empty if none does.
     """
 
     joints: np.ndarray
@@ -129,12 +136,12 @@ def choose(
     *,
     locked: Sequence[int] = (),
 ) -> Realisable:
-    """Choose realisable joints that bring the tip as near to a target as they can.
+    """Choose joints at which the servos can stand and the tip is nearest to its target.
 
     Args:
         lattice: the values at which the servos can stand; a joint whose offset is not known to
             `KNOWN_TO` of its step stays at its ideal value.
-        predict: predicts the tip with everything expected of it: learned error, circumstances.
+        predict: predicts the tip, with learned error and circumstances.
         target: position (3,) in m or pose (4, 4), base frame.
         ideal: (n,) joints that bring the tip to the target, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
@@ -143,17 +150,17 @@ def choose(
 
 
 class _Problem:
-    """One target, and where the joints may stand.  Shapes: M candidates, m equations.
+    """One target, and the values that the joints may take.  Shapes: M candidates, m equations.
 
     Attributes:
-        lower, upper: (n,) limits.
+        lower, upper: (n,) limits, rad and m.
         stepped: numbers of the s joints with steps, which stand at ``offset + step k``.
         low, high: (s,) limits of k.
-        free: numbers of the joints that are solved for at the same time; all others stay.
+        free: numbers of the continuous joints that may move; all other joints keep their value.
         moving: numbers of free and stepped joints, the free ones first.
         whole: (s,) the k inside the limits that are nearest to the ideal joints.
-        rounded: (n,) the ideal joints with each rounded by itself.
-        price: (n,) m per rad or m off the ideal joints.
+        rounded: (n,) the ideal joints, each rounded to its nearest step.
+        price: (n,) tip error in m as which 1 rad or 1 m off the ideal value counts.
         note: as in `Realisable`.
     """
 
@@ -172,7 +179,7 @@ class _Problem:
         self.ideal = np.clip(ideal, self.lower, self.upper)
         self.price = search.price_m / np.where(arm.slides, search.length_m, 1.0)
         is_locked = np.isin(np.arange(arm.n), locked)
-        # Lowest and highest k inside the limits; of a continuous joint, of no use
+        # Lowest and highest k inside the limits; not used for continuous joints
         step = np.where(lattice.step > 0, lattice.step, 1.0)
         low = np.ceil((self.lower - lattice.offset) / step - EDGE)
         high = np.floor((self.upper - lattice.offset) / step + EDGE)
@@ -196,13 +203,13 @@ class _Problem:
         )
 
     def at_steps(self, q: np.ndarray, k: np.ndarray) -> np.ndarray:
-        """Put the stepped joints among joints (..., n) at steps k (..., s)."""
+        """Return joints q (..., n) with the stepped ones at steps k (..., s), inside the limits."""
         q = q.copy()
         q[..., self.stepped] = self.offset + self.step * k
         return np.clip(q, self.lower, self.upper)
 
     def solve(self) -> Realisable:
-        """Improve the choice in rounds: keep the best of the present one and those near it."""
+        """Return the choice, improved in rounds: each keeps the best of it and its neighbours."""
         errors = self.errors(np.vstack([self.ideal, self.step_aside(self.rounded)]))
         if not np.isfinite(errors[:2]).all():
             allowed = "a finite tip at the ideal and the rounded joints"
@@ -238,7 +245,7 @@ class _Problem:
         )
 
     def errors(self, q: np.ndarray) -> np.ndarray:
-        """Compute tip less target at joints (M, n), (M, m): m, and rad times a length."""
+        """Compute tip - target at joints (M, n): (M, m) in m, angles in rad times `length_m`."""
         tip = self.predict(q)
         made = position_of(tip) - position_of(self.target)
         if self.target.ndim == 1:
@@ -248,14 +255,14 @@ class _Problem:
         return np.column_stack([made, *(self.search.length_m * v for v in turn)])
 
     def find_near(self, at: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, int]:
-        """Find candidates (M, n) by the model linearised at joints (n,), and count the nodes
-        visited.
+        """Find the best candidates (M, n) of the linearised model, and count the nodes visited.
 
         For joints ``rounded + size x`` the tip's error and the price are ``A x + b``. The free
         joints come before the stepped ones, so the triangular factor of (A b) separates the two.
 
         Args:
-            local: errors at the joints that `step_aside` gives.
+            at: (n,) joints at which the model is linearised.
+            local: (1 + 2 k, m) errors at the joints of `step_aside`.
         """
         moving, m, f = self.moving, local.shape[1], len(self.free)
         size = np.concatenate([np.ones(f), self.step])
@@ -284,7 +291,10 @@ class _Problem:
         return self.at_steps(q, self.whole + k), nodes
 
     def step_aside(self, at: np.ndarray) -> np.ndarray:
-        """Return joints (n,), then each moving joint a little up, each a little down, in limits."""
+        """Return joints (1 + 2 k, n) for differences of the k moving joints, inside the limits.
+
+        First ``at`` (n,), then each moving joint a little higher, then each a little lower.
+        """
         count = len(self.moving)
         q = np.repeat(at[None], 1 + 2 * count, axis=0)
         up, down = self._aside(at)
@@ -292,16 +302,16 @@ class _Problem:
         return q
 
     def _aside(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the moving joints a little up, and a little down, within limits."""
+        """Return the moving joints a little higher and a little lower, (k,) each, within limits."""
         up = np.minimum(at + _DIFFERENCE, self.upper)
         return up[self.moving], np.maximum(at - _DIFFERENCE, self.lower)[self.moving]
 
 
 def _solve_in_box(R: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Find x (M, f) between low and high (f,) with ``|R x + b|`` small; R (f, f), b (M, f).
+    """Return x (M, f) between low and high (f,) with ``|R x + b|`` small; R (f, f), b (M, f).
 
-    An unknown outside the box is put on its edge, the furthest out first, and the others are solved
-    again.
+    Again and again, the unknown that is farthest outside the box is fixed at its edge, and the
+    others are solved again.
     """
     G, g = R.T @ R, b @ R
     x, on_edge = np.zeros_like(g), np.zeros(g.shape, bool)

@@ -36,7 +36,7 @@ class Method(Enum):
 
 
 class Status(IntEnum):
-    """The outcome of a target; the numbers are those of `longarm_interfaces/srv/Compensate`."""
+    """The outcome for a target; the numbers are those of `longarm_interfaces/srv/Compensate`."""
 
     SUCCESS = 0
     NO_PREDICTOR = 1
@@ -61,12 +61,12 @@ class Status(IntEnum):
 
     @property
     def success(self) -> bool:
-        """True if the command is fit to be sent."""
+        """True if the command may be sent, perhaps compensated by physics only."""
         return self <= Status.OUT_OF_DOMAIN
 
 
 class PathRefused(JobError):  # noqa: N818
-    """A path that cannot be followed; nothing of it was sent."""
+    """A path cannot be followed at way-point `row` (0-based); no part of it was sent."""
 
     def __init__(self, status: Status, row: int, why: str) -> None:
         super().__init__(f"way-point {row}: {status}: {why}")
@@ -79,18 +79,17 @@ class CompensationOptions:
 
     Attributes:
         method: the errors that are compensated.
-        locked: joints that stay at their seed, by name or number from 0.
+        locked: joints that stay at their seed, by name or 0-based number.
         run_up: whether a run-up may be added so that joints arrive from a chosen side.
-        realisable: whether to choose the command among the joints at which the servos can stand: by
-            the steps that the arm declares, from each joint's zero, or by a lattice; arms without
-            steps are commanded as they are. Switch it off for paths of close targets; a single pass
-            never chooses.
-        starts: number of starts of the search for the target; 1: from the seed alone, so that no
-            path jumps.
+        realisable: whether to choose the command among the joint values at which the servos can
+            stand. True takes the steps that the arm declares, from each joint's zero; a `Lattice`
+            gives others. Switch it off for paths of close targets. A single pass never chooses.
+        starts: number of starts of the search for the target; with 1, from the seed alone, the
+            joints do not jump along a path.
         single_pass: whether to correct only once, as in the paper.
-        tol_m: largest change of the expected error at which the passes end.
-        max_passes: pseudo-target passes permitted.
-        max_correction_m: length of the expected error that may be corrected.
+        tol_m: change of the expected error, m, at or below which the passes end.
+        max_passes: largest number of passes of the pseudo-target.
+        max_correction_m: largest expected error that is corrected, m.
     """
 
     method: Method = Method.BOTH
@@ -124,23 +123,23 @@ class CompensationOptions:
 
 @dataclass(frozen=True)
 class Prediction:
-    """The learned correction: expected residual at N postures."""
+    """The learned error (the expected residual) at N commands."""
 
     error: np.ndarray  # (N, 3) m, measured - predicted, base frame
-    sigma: np.ndarray  # (N, 3) m, sd of a measurement around ``error``
-    in_domain: np.ndarray  # (N,) bool
-    reason: Sequence[str] = ()  # (N,) empty where in domain
+    sigma: np.ndarray  # (N, 3) m, standard deviation of a measurement around ``error``
+    in_domain: np.ndarray  # (N,) bool, whether the predictor may be believed
+    reason: Sequence[str] = ()  # (N,) why not; empty where in domain
     doubt: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """(N,) epistemic variance as a share of the largest that is trusted."""
+    """(N,) epistemic variance as a share of the largest that is accepted."""
     outside: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
-    """(N,) outside the training data: one reason among others not to be in domain."""
+    """(N,) bool: outside the training data, one of the reasons for not being in the domain."""
 
 
 class ResidualPredictor(Protocol):
-    """The interface of a predictor, as far as compensation needs it."""
+    """The interface of a predictor that compensation needs."""
 
     def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
-        """Return the expected error at joints (N, n) in the given circumstances."""
+        """Return the learned error at joints (N, n), rad and m, in the given circumstances."""
 
 
 @dataclass(frozen=True)
@@ -148,21 +147,21 @@ class Compensation:
     """The result for one target.
 
     Attributes:
-        target: the target as asked: (3,) m or (4, 4).
-        ideal: (n,) joints that the physics alone gives.
-        predicted_error: (3,) m, expected at the command (at `ideal` in the single pass); zero
-            where none is applied.
-        sigma: (3,) m, standard deviation of what the command leaves at the tip; NaN where nothing
-            tells it.
-        in_domain: whether the predictor answered for joints inside its domain.
+        target: the given target: (3,) m or (4, 4).
+        ideal: (n,) joints by the physics alone.
+        predicted_error: (3,) m, learned error at the command (at `ideal` with `single_pass`); zero
+            if none is applied.
+        sigma: (3,) m, standard deviation of the tip's error at the command; NaN if not known.
+        in_domain: whether the joints are inside the predictor's domain; False without a predictor.
         pseudo_target: ``target - predicted_error``, of the target's shape.
-        command: (n,) joints to send; `ideal` where the status is no success.
+        command: (n,) joints to send; `ideal` if the status is no success.
         passes: number of passes of the pseudo-target.
-        status, reason: the outcome, and why or with what doubt (empty on plain success).
-        realisable: how `command` was chosen among the servos' steps; its `ideal` are the joints
-            before. None where nothing was chosen.
-        expected_m, p90_m: expected distance of the tip from the target, and the one that 90 of
-            100 such commands stay below, m; NaN where nothing tells it.
+        status: the outcome.
+        reason: why it is no success, or the doubts; empty if there are none.
+        realisable: the choice of `command` among the servos' steps, from the joints
+            ``realisable.ideal``. None if no choice was made.
+        expected_m: expected distance of the tip from the target, m; NaN if not known.
+        p90_m: distance that 90 of 100 such commands stay below, m; NaN if not known.
     """
 
     target: np.ndarray
@@ -181,7 +180,7 @@ class Compensation:
 
     @property
     def success(self) -> bool:
-        """True if the command is fit to be sent."""
+        """True if the command may be sent, perhaps compensated by physics only."""
         return self.status.success
 
     @property
@@ -200,9 +199,14 @@ _UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
 
 
 def guess_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
-    """Ask whether a target far beyond the arm's reach is in another unit; "" for any other."""
+    """Return a question whether a target far beyond reach is in another unit; else "".
+
+    Args:
+        position, base: (3,) m, of the target and of the arm's base.
+        reach_m: reach of the arm, m.
+    """
     away = math.dist(position, base)
-    # Times its reach: no one means a target so far away, and no unit is so close to the metre
+    # No target is meant to be ten times the reach away, and no unit is so close to the metre
     if away <= 10.0 * reach_m:
         return ""
     named = next((name for name, size in _UNITS if away <= size * reach_m), "metres")
@@ -210,8 +214,12 @@ def guess_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
 
 
 def describe_miss(what: str, found: Solution) -> str:
-    """Say how far a target or pseudo-target is missed, and why."""
-    # No declared length reaches so far; only a linear deflection of an arm far too weak does
+    """Say by how much a search missed a target or pseudo-target, and why.
+
+    Args:
+        what: ``target`` or ``pseudo-target``.
+    """
+    # Only the linear deflection of an arm that is declared far too soft gets so large
     if not found.position_residual_m < 1e7:
         why = "the declared arm bends without limit (check loads, masses, stiffness)"
         return f"{what} missed: {why}"
@@ -220,7 +228,7 @@ def describe_miss(what: str, found: Solution) -> str:
 
 
 def pseudo_targets(targets: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Subtract an error (..., 3) from positions (..., 3) or poses (..., 4, 4): pseudo-targets."""
+    """Return targets, (..., 3) or (..., 4, 4), less an error (..., 3), m: pseudo-targets."""
     pseudo = targets.copy()
     position_of(pseudo)[...] -= error
     return pseudo

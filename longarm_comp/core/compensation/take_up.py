@@ -1,20 +1,22 @@
 """Play along a path: how far joints stand behind their commands, and when this play is taken up.
 
-A joint's *lag* is its command less where it stands.  Where the joint reverses, its command has to
-cross its play while the joint stands still.  The play is taken up smoothly while the joint as
-planned is near its reversal, and the path is slowed down for it.
+A joint's *lag* is its command less the position where it stands.  Where the joint reverses, its
+command has to cross the play while the joint stands still.  The play is taken up smoothly while the
+planned joint is near its reversal, and the path is slowed down for it.
 
-The price of time is the plan's own.  A plan with a mean squared jerk j^2 would lose 5 j^2 of its
-squared jerk if it took a second more.  Each take-up, and each slowing down for it, lasts until a
-further second would save as little:
+How long this takes is a balance of time against jerk, with the exchange rate of the plan itself.
+A plan with a mean squared jerk j^2 would lose 5 j^2 of its squared jerk (integrated over time) if
+it took a second more.  Each take-up, and each slowing down for it, lasts until a further second
+would save no more than that:
 
 - A play w that is taken up in a time T by a quintic has a squared jerk of 720 w^2 / T^5, so
   T^6 = 720 w^2 / j^2.
 - Slowing down from a speed v by a share c of it and up again, each in a time t by a cubic speed,
   has 24 (c v)^2 / t^3 and takes c t longer, so t^4 = 14.4 c v^2 / j^2.
 
-Where these coincide with each other and with the plan's own jerk, the sum is more than its parts.
-Then time gets a lower price, so that the whole path jerks no more than it would without play.
+If these coincide with each other and with the plan's own jerk, the jerk of the sum is larger than
+that of its parts.  Then more time is allowed, until the whole path has no more mean squared jerk
+than the plan.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class PathLag:
 
     Attributes:
         model: the physics that commands are solved with.
-        tolerance_m: how far the tip may be from its way where a joint reverses, m.
+        tolerance_m: how far the tip may leave its path where a joint reverses, m.
     """
 
     model: Model
@@ -53,12 +55,15 @@ class PathLag:
 
     @cached_property
     def tolerance(self) -> np.ndarray:
-        """The joint motion that moves the tip by the tolerance, (n,) rad or m."""
+        """The (n,) joint motion, rad or m, that moves the tip by the tolerance at full reach."""
         arm = self.model.arm
         return np.where(arm.slides, 1.0, 1.0 / reach(arm)) * self.tolerance_m
 
     def compute_lag(self, q: np.ndarray, context: Context) -> np.ndarray:
-        """Compute the lag (k, n), rad and m, of commands q (k, n), by effects of the history."""
+        """Compute the lag (k, n), rad and m, at commands q (k, n).
+
+        It is the joint motion by all effects that read the history.
+        """
         lag, arm = np.zeros_like(q), self.model.arm
         if not self.joints:
             return lag
@@ -78,14 +83,18 @@ class PathLag:
     def find_history(
         self, stands: np.ndarray, lag: np.ndarray, history: History, start: np.ndarray | None
     ) -> History:
-        """Find the history of joints that stand at (k, n), lag (k, n) behind their commands.
+        """Find the history of the joints at each of k way-points.
 
-        Only the joint's own motion counts for its side. The play that its command crosses at a
-        reversal is no way back, nor is a way back that is too short to matter at the tip.  A joint
-        that reverses on the first way, while near where it starts, reverses at once.
+        Only the motion of the joint itself counts for its side, not the play that its command
+        crosses at a reversal. A reversal that is too short to matter at the tip does not count
+        either.  If a joint reverses while it is still near its first position, it counts as
+        reversing at once.
 
         Args:
-            history: history of the joints at ``start`` (n,), from where they come first.
+            stands: (k, n) positions of the joints, rad and m.
+            lag: (k, n) by how much their commands are ahead, rad and m.
+            history: of the joints at ``start``.
+            start: (n,) joints before the path; None: not known.
         """
         steady, half = stands.copy(), 0.5 * self.tolerance
         low, high = stands - half, stands + half
@@ -110,7 +119,13 @@ class PathLag:
     def find_reversals(
         self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray
     ) -> list[Reversal]:
-        """Find the reversals of joints that stand at (k, n): there their sides (k, n) change."""
+        """Find the reversals: where a joint's side changes.
+
+        Args:
+            stands: (k, n) positions of the joints, rad and m.
+            lag: (k, n) by how much their commands are ahead, rad and m.
+            sides: (k, n) of -1, 0, +1, by `find_history`.
+        """
         found = []
         for joint in self.joints:
             before = 0  # the reversal before this one
@@ -130,8 +145,8 @@ class Reversal(NamedTuple):
 
     Attributes:
         joint: its number, 0-based.
-        first, last: numbers (0-based) of the way-points between which the joint stands near it.
-        crossed: play that its command crosses there, rad or m.
+        first, last: numbers (0-based) of the way-points between which the joint is near it.
+        crossed: change of the joint's lag between the two, rad or m.
     """
 
     joint: int
@@ -143,13 +158,17 @@ class Reversal(NamedTuple):
 def take_up_play(
     way: np.ndarray, off: np.ndarray, lag: np.ndarray, reversals: list[Reversal], times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return where joints stand at times (k,), and how far commands are beyond: (k, n) each.
-
-    They are smooth in time from one side of the play to the other.
+    """Make the play be taken up smoothly in time at each reversal.
 
     Args:
-        way: (k, n) where joints would stand if none reversed.
-        off: (k, n) by how much they have to stand further, because play changes the tip a little.
+        way: (k, n) joints as if none reversed, rad and m.
+        off: (k, n) small change of these, because play also moves the tip.
+        lag: (k, n) by how much commands are ahead of the joints.
+        reversals: the reversals of the path.
+        times: (k,) s.
+
+    Returns:
+        Where the joints stand, and how far their commands are beyond, (k, n) each.
     """
     off, lag = off.copy(), lag.copy()
     for joint, first, last, crossed in reversals:
@@ -170,16 +189,16 @@ def slow_down(
     most: float,
     path_at: Callable[[np.ndarray], CubicPath],
 ) -> np.ndarray:
-    """Delay planned times (k,), s, where joints reverse.
+    """Return the planned times (k,), s, delayed where joints reverse.
 
     Args:
-        ways: (k, n) joints as if none reversed.
-        unit: (n,) scale of each joint, by which jerks and speeds of joints are added.
-        begins: (n,) further way of the joints at the beginning of the path.
-        reversals: all of the path, with the play that each crosses.
-        most: share by which the path may take longer.  If the delays need more, time gets a higher
-            price.
-        path_at: returns the path to be sent, at times (k,).
+        times: (k,) s, the planned times.
+        ways: (k, n) joints as if none reversed, rad and m.
+        unit: (n,) scale of each joint: jerks and speeds are divided by it before they are added.
+        begins: (n,) by how much the commands move further in the first step than planned.
+        reversals: the reversals of the path.
+        most: share by which the path may take longer.  Delays that would need more are shortened.
+        path_at: returns the path to send for times (k,).
     """
     plan = CubicPath(times, ways, smooth_slopes(times, ways))
     planned2, allowed_s = plan.mean_square_jerk(unit), most * float(np.ptp(times))
@@ -209,21 +228,30 @@ def slow_down(
 
 
 _ROUNDS, _STEEP = 4, 4.0
-"""Time goes with the fourth to sixth root of its price: few rounds find it, from above."""
+"""Delays fall with the fourth to sixth root of the squared jerk that is allowed for them, so few
+rounds find it. With an exponent of 4 they approach the permitted time from above."""
 _ALONE, _NEAR = 2.0, 0.02
-"""The squared jerk of what is slowed down goes with its price; as much again is the plan's own.
-A hundredth of the jerk is not looked for."""
+"""Exponent by which the allowed squared jerk is reduced, 2 because half of the jerk is the plan's
+own; and the share by which the squared jerk may exceed the plan's."""
 
 
 def _delay_at_reversals(
     times: np.ndarray, speed2: np.ndarray, unit: np.ndarray, reversals: list[Reversal], jerk2: float
 ) -> np.ndarray:
-    """Compute by how much each way takes longer, (k - 1,) s, at a price of time of ``5 jerk2``."""
+    """Compute by how much each step from way-point to way-point takes longer, (k - 1,) s.
+
+    Args:
+        times: (k,) s, the planned times.
+        speed2: (k - 1,) squared speed of the joints in each step, in `unit` per second.
+        unit: (n,) scale of each joint.
+        reversals: the reversals of the path.
+        jerk2: mean squared jerk that is allowed, as j^2 in the formulas above.
+    """
     later = np.zeros(len(times) - 1)
     for joint, first, last, crossed in reversals:
         near_s = times[last] - times[first]
         lasts = (720.0 * (crossed / unit[joint]) ** 2 / jerk2) ** (1.0 / 6.0)
-        if last == 1 or lasts <= near_s:  # on the first way nothing moves yet
+        if last == 1 or lasts <= near_s:  # in the first step nothing moves yet
             continue
         share = 1.0 - near_s / lasts
         away, reaches_s = times - 0.5 * (times[first] + times[last]), 0.5 * near_s
@@ -244,5 +272,5 @@ def _delay_at_reversals(
 
 
 _TOGETHER = 3
-"""Reversals near each other use the same time: the most of what each takes, but smoothly."""
+"""Exponent of a smooth maximum: reversals that overlap in time share the longest delay."""
 _SHARE = np.linspace(0.0, 1.0, 129)

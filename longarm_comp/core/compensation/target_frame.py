@@ -1,10 +1,9 @@
 """The frame of targets: the arm's own base, or the frame in which the rows were measured.
 
-A calibrated model computes in the frame of the measurements, and carries a target from the base
-into it.  A motion of all rows by the measuring side belongs to that frame, as in the errors as
-commanded (`core/data/commanded.py`).  Where the frame is not stated, both must mean the same
-place, to within an ordinary error of setting up, wherever the arm reaches; else the targets are
-refused.
+A calibrated model computes in the frame of the measurements, and a target in the base frame is
+transformed into it.  A shift of all rows by a bias counts as part of that frame, as in the errors
+as commanded (`core/data/commanded.py`).  If the frame of a target is not stated, both frames must
+agree to within a usual error of setup everywhere in reach; else the target is refused.
 """
 
 from __future__ import annotations
@@ -29,15 +28,16 @@ FRAMES = (BASE, MEASURED)
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The placement of targets for a model.
+    """The transforms between the frames of targets, of the measurements and of a model.
 
     Attributes:
         frame: frame of the target, ``base`` or ``measured``.
-        motion: (4, 4) from the frame of the target to that of the model.
+        motion: (4, 4) transform from the frame of the target to that of the model.
         base: (4, 4) pose of the base in the frame of the measurements.
-        moved: (4, 4) from the base that arm.yaml declares to that one.
-        seen: (4, 4) from the frame of the measurements to that of the model.
-        solved: whether a calibration found the base there.
+        moved: (4, 4) motion from the base that arm.yaml declares to `base`; identity where both
+            frames count as one.
+        seen: (4, 4) transform from the frame of the measurements to that of the model.
+        solved: whether `base` comes from a calibration.
     """
 
     frame: str
@@ -59,10 +59,11 @@ class Placement:
         )
 
     def promising(self, model: Model) -> Model:
-        """Return the model with the record of what is not known at targets of this frame.
+        """Return the model with the uncertainty that applies to targets of this frame.
 
-        Targets in the frame of the measurements lie where the rows lay: what the fit does not know
-        of the base and of the joints' zeros cancels. From the arm's own base only the arm counts.
+        Targets in the frame of the measurements need the whole uncertainty: there the errors of the
+        base and of the joints' zeros cancel each other. For targets in the base frame the
+        uncertainty of the base is left out.
         """
         if self.frame == MEASURED or not self.solved or model.uncertainty is None:
             return model
@@ -74,29 +75,29 @@ class Placement:
         return made
 
     def carry_to_model(self, target: np.ndarray) -> np.ndarray:
-        """Carry targets (..., 3) or (..., 4, 4) to the frame of the model."""
+        """Transform targets, (..., 3) m or (..., 4, 4), to the frame of the model."""
         return carry_place(self.motion, target)
 
     def carry_from_model(self, place: np.ndarray) -> np.ndarray:
-        """Carry places (..., 3) or (..., 4, 4) of the model to the frame of the target, m."""
+        """Transform positions, (..., 3) m, or poses from the model's frame to the target's."""
         return carry_place(self._back, place)
 
     @cached_property
     def _back(self) -> np.ndarray:
-        """The model's frame in the frame of the target, (4, 4)."""
+        """The (4, 4) pose of the model's frame in the frame of the target."""
         return np.linalg.inv(self.motion)
 
     @property
     def measurements(self) -> np.ndarray:
-        """The frame of the measurements in the frame of the target, (4, 4)."""
+        """The (4, 4) pose of the measurements' frame in the frame of the target."""
         return self.carry_from_model(self.seen)
 
     def turn_from_model(self, vector: np.ndarray) -> np.ndarray:
-        """Turn a vector (3,) of the model into the frame of the target."""
+        """Rotate a vector (3,) from the model's frame to the frame of the target."""
         return np.asarray(self.motion[:3, :3].T @ vector)
 
     def carry_back(self, outcome: Compensation) -> Compensation:
-        """Carry the places of a target's outcome to the frame of the target."""
+        """Return a result with its target, error and pseudo-target in the frame of the target."""
         return replace(
             outcome,
             target=self.carry_from_model(outcome.target),
@@ -108,12 +109,16 @@ class Placement:
 def find_placement(
     model: Model, frame: str = "", group: str = "", where: str = "targets"
 ) -> Placement:
-    """Find where targets of one frame and group lie for a model.
+    """Return the placement of targets of one frame and group.
 
     Args:
         model: the model.
-        frame: ``base``, ``measured``, or nothing where nobody said it.
-        group: rows of the measurements that they belong to, where the base was moved.
+        frame: ``base``, ``measured``, or "" if it is not stated.
+        group: group of rows to which the targets belong, if the base was moved between groups.
+        where: source of the targets, for error messages.
+
+    Raises:
+        InputError: the frame or the group is missing, unknown or not possible.
     """
     if frame not in ("", *FRAMES):
         raise InputError(where, "frame", frame, " or ".join(FRAMES))
@@ -143,10 +148,10 @@ def find_placement(
 
 
 def base_of_graph(model: Model) -> Placement:
-    """Find where the graph's base lies for a model, at every target.
+    """Return the placement of the targets of the graph, which are in the frame ``base``.
 
-    It is the base of arm.yaml, if the calibration found the measurements' frame farther from it
-    than an ordinary error of setting up. Else both count as one frame, the model's own.
+    If the calibration found the base farther from where arm.yaml declares it than a usual error of
+    setup, this is the arm's own base. Else both frames count as one, that of the measurements.
     """
     arm, seen = model.arm, _motion_of_all_rows(model)
     declared = arm.base.frame().matrix()
@@ -159,14 +164,14 @@ def base_of_graph(model: Model) -> Placement:
 
 
 def _motion_of_all_rows(model: Model) -> np.ndarray:
-    """Return the motion (4, 4) from the measurements' frame to the model's, common to all rows."""
+    """Return the transform (4, 4) from the measurements' frame to the model's: `frame_shift`."""
     made = np.eye(4)
     made[:3, 3] = np.negative(model.frame_shift)
     return made
 
 
 def _bases(model: Model) -> dict[str, np.ndarray]:
-    """List the base's poses (4, 4) in the frame of the measurements, by group, as calibrated."""
+    """Return the calibrated poses (4, 4) of the base in the measurements' frame, by group."""
     found: dict[str, np.ndarray] = {}
     for effect in model.effects:
         stands = effect.base(model.arm)
@@ -176,11 +181,11 @@ def _bases(model: Model) -> dict[str, np.ndarray]:
 
 
 def _farthest_apart(motion: np.ndarray, arm: Arm) -> tuple[float, float]:
-    """Compute how far apart two frames put a tip, and how far an error of setup usually does, m.
+    """Compute how far a motion (4, 4) moves a tip, and how far a usual error of setup does, m.
 
-    A motion (4, 4) has points that it hardly moves. So it is the tip at which the first is most,
-    as a share of the second (90 of 100 errors are below it).  For these tips the joints stand in
-    the middle of their ranges, each or all of them at either end.
+    90 of 100 errors of setup are below the second value. A motion hardly moves some points, so both
+    are returned for the tip at which their ratio is largest. Tips are tried with all joints
+    mid-range, all at one end of their ranges, and each alone at one end.
     """
     if arm.hash not in _in_reach:
         ends = np.clip(arm.bounds, -2 * np.pi, 2 * np.pi)

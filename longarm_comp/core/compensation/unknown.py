@@ -1,4 +1,4 @@
-"""Circumstances that a model needs and a command cannot know: they are reported, never assumed."""
+"""Circumstances that a model needs and a command does not know: what they add to its error."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.model.model import Model
 
 NO_END = "the model does not say when its session ended: calibrate again"
-"""Why it gives no command, where it holds what went on while the session was measured."""
+"""Why a model that depends on the session's clock gives no command if this end is missing."""
 _LEAST_M = 1e-5
-"""A tip that moves by less, whatever the joints did before, does not depend on it."""
+"""The tip counts as independent of the history if it can move by no more than this, m."""
 
 
 def missing_column(model: Model, context: Context) -> str:
@@ -35,9 +35,15 @@ def missing_column(model: Model, context: Context) -> str:
 def unknown_circumstances(
     model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[str]]:
-    """Estimate how far off the tip may be by all that a command cannot know, (M, 3) m, and say why.
+    """Estimate how far off the tip may be by circumstances that a command does not know.
 
-    The arguments are those of `unknown_history`.
+    They are the history, the payload, and values beyond those of the session.
+
+    Args:
+        q, context, doubtful: as in `unknown_history`.
+
+    Returns:
+        Standard deviations (M, 3) in m, and M texts that say why; zeros and "" where all is known.
     """
     each = (
         unknown_history(model, q, context, doubtful),
@@ -52,7 +58,7 @@ def unknown_circumstances(
 
 
 def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
-    """List the per-joint fields that effects of the model read, and of which joints (0-based)."""
+    """Return the joints (0-based) whose history the model's effects read, by field of `Context`."""
     read: dict[str, set[int]] = {}
     for effect in model.effects:
         for name in effect.inputs:
@@ -64,14 +70,15 @@ def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
 def unknown_history(
     model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[str]]:
-    """Estimate how far the tip depends on what is not known of the joints' history.
+    """Estimate how far off the tip may be, because the joints' history is not fully known.
 
     Args:
         q: (M, n) commanded joints, rad and m.
-        doubtful: (n,) joints whose side of arrival is told but not certain.
+        context: circumstances of all, or of each.
+        doubtful: (n,) bool, joints whose side of arrival in `context` is not certain.
 
     Returns:
-        Standard deviations (M, 3) in m, and which fields of which joints in one sentence each;
+        Standard deviations (M, 3) in m, and M sentences that name the unknown fields and joints;
         zeros and "" where everything that matters is known.
     """
     m, n = q.shape
@@ -121,7 +128,11 @@ def unknown_history(
 def uncertain_payload(
     model: Model, q: np.ndarray, context: Context
 ) -> tuple[np.ndarray, list[str]]:
-    """Estimate how far the tip depends on a payload known to `SD` only: as `unknown_history`."""
+    """Estimate how far off the tip may be, because the payload is only known to its column `SD`.
+
+    Returns:
+        Standard deviations (M, 3) in m, and M sentences; zeros and "" for a certain payload.
+    """
     sd = np.broadcast_to(context.columns[SD], len(q)) if SD in context.columns else np.zeros(0)
     if not sd.any():
         return np.zeros((len(q), 3)), [""] * len(q)
@@ -139,12 +150,12 @@ def uncertain_payload(
 
 @dataclass(frozen=True)
 class _KnownHistory:
-    """The record of what is known of a joint's history at M commands (`History`).
+    """What is known of one joint's history at M commands; fields as in `History`.
 
     Attributes:
         approach, last_way: (M, 1).
         legs: (M, LEGS).
-        unsure: its side is told but not certain.
+        unsure: whether `approach` is given but not certain.
         span: range of the joint, rad or m.
     """
 
@@ -156,15 +167,18 @@ class _KnownHistory:
 
 
 def _list_sides(joint: _KnownHistory) -> np.ndarray | None:
-    """Give both sides (2, M, 1) where the side is not known, the side where it is."""
+    """Return the two extremes (2, M, 1) of the side: both sides, or twice the known one.
+
+    None is returned if the side is known at all M commands.
+    """
     unknown = (joint.approach == 0.0) | joint.unsure
     return np.where(unknown, [[[1.0]], [[-1.0]]], joint.approach) if unknown.any() else None
 
 
 def _list_ways_before(joint: _KnownHistory) -> np.ndarray:
-    """Give the known legs after a long way up and after one down, (2, M, LEGS).
+    """Return two extremes (2, M, LEGS) of the earlier moves: a long one up, and a long one down.
 
-    Between the two lies every state that play of any radius can have.
+    Each comes before the known legs. Every possible state of a joint's play lies between the two.
     """
     legs = joint.legs
     first = np.argsort(legs == 0.0, axis=1, kind="stable")
@@ -175,12 +189,12 @@ def _list_ways_before(joint: _KnownHistory) -> np.ndarray:
 
 
 def _list_rests_of_way(joint: _KnownHistory) -> np.ndarray:
-    """Give the last way twice and not at all, (2, M, 1); where no way is known, half the joint's
-    range up and down.
+    """Return two extremes (2, M, 1) of the last displacement: twice the known one, and none.
 
-    Nobody tells how soon after its move a tip is used: what is left of the way may be more than it
-    was in the session, or nothing.  Ways all over the range have a standard deviation of 0.41 of
-    it.
+    It is not known how soon after its move the tip is used. So the after-effect of the move may be
+    larger than it was in the session, or gone.  If no displacement is known, the extremes are half
+    the joint's range up and down. (Displacements between random positions in the range have a
+    standard deviation of 0.41 of it.)
     """
     half = 0.5 * joint.span
     known = np.stack([2.0 * joint.last_way, np.zeros_like(joint.last_way)])
@@ -193,5 +207,5 @@ _FIELDS: Mapping[str, tuple[str, Callable[[_KnownHistory], np.ndarray | None]]] 
     "legs": ("earlier moves", _list_ways_before),
     "last_way": ("time since the last move", _list_rests_of_way),
 }
-"""By field of the history, its name for people, and the two extremes of what it may be at a joint;
-None: all are known."""
+"""By field of the history: its name in messages, and the function that returns the two extremes of
+its value at a joint, or None if it is known."""

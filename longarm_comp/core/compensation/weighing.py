@@ -1,10 +1,10 @@
-"""The payload, by what drives or a wrist sensor feel of it while the arm rests.
+"""The payload, estimated from drive efforts or a wrist force sensor while the arm rests.
 
-A drive holds what gravity asks of its joint (`joint_load`), and friction hides a part: more coming
-from below, less from above.  Payload, friction of every channel and one scale of the arm's own
-weight are solved together over the rests (least squares with priors).  How large friction is, and
-which part of it is alike from rest to rest, is weighed by the evidence of the rests (restricted
-likelihood; Patterson and Thompson 1971, Biometrika 58).
+The effort of a drive holds the gravity load of its joint (`joint_load`), plus or minus friction:
+more if the joint came from below, less from above.  Payload, friction of every channel and one
+scale of the arm's own weight are solved together over the rests (least squares with priors).  How
+large friction is, and which part of it is the same at every rest, follows from the evidence of the
+rests (restricted likelihood; Patterson and Thompson 1971, Biometrika 58).
 """
 
 from __future__ import annotations
@@ -21,41 +21,46 @@ from longarm_comp.core.effects.joint_term import joint_load
 from longarm_comp.core.model.model import Model
 
 SD = "payload_sd_kg"
-"""Column of a context: standard deviation of its `payload_kg`; absent: it is certain."""
+"""Column of a context: standard deviation of its `payload_kg`; without it this is certain."""
 _OWN_WEIGHT = 0.1
-"""Standard deviation of the arm's own weight against the declared one, as `link_mass` has it."""
+"""Standard deviation of the arm's own weight, as a share of the declared one (see `link_mass`)."""
 _SCALES = np.geomspace(0.25, 4.0, 5)
-"""Friction at rest over that of running free, which data sheets give; all alike beforehand."""
+"""Possible ratios of friction at rest to friction of running free (of data sheets), equally
+likely."""
 _ALIKE = (0.0, 0.25, 0.5, 0.75, 0.95)
-"""Share of the variance of friction that is the same at every rest."""
+"""Possible shares of the variance of friction that are the same at every rest, equally likely."""
 _MOST = 40
-"""Rests that are kept: friction changes over a day."""
+"""Number of the last rests that are kept, because friction changes over a day."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """The friction and the steps of joints' efforts, (n,) each, N m and N; NaN: not known."""
+    """Friction and resolution of the drives' efforts, (n,) each, N m and N; NaN: not known."""
 
-    friction: np.ndarray  # of a joint turning free
-    step: np.ndarray  # of the reading
+    friction: np.ndarray  # of a joint running free
+    step: np.ndarray  # smallest step of the effort reading
 
 
 class Wrist(NamedTuple):
-    """A force sensor's reading (3,) N, in the axes of a row of arm.yaml, and how good it is, N."""
+    """The reading of a force sensor at the wrist."""
 
-    row: int
-    force: np.ndarray
-    sigma: float
+    row: int  # the row of arm.yaml in whose axes it reads
+    force: np.ndarray  # (3,) N
+    sigma: float  # standard deviation of each axis, N
 
 
 class Felt(NamedTuple):
-    """The loads felt at one rest, (k,) each: of the joints, then of the wrist; N m, N.
+    """The loads at one rest, measured and computed.
+
+    Each is (k,) with k = n + 3, N m and N: of the n joints, then of the three axes of the wrist.
 
     Attributes:
-        value: as measured, in the sense of the load; NaN where nothing was.
-        without, per_kg: what the arm's statics say, without payload, and of a kilogram.
-        side: that friction works on, -1, +1; 0: not known.
-        friction, step: as of `Drives`.
+        value: measured load, with the sign of the load; NaN where not measured.
+        without: load by the arm's statics without payload.
+        per_kg: load by the statics of a payload of 1 kg.
+        side: sign of the friction in `value`, -1 or +1; 0: not known. +1 at the wrist.
+        friction: friction of the joints as in `Drives`; at the wrist, standard deviation.
+        step: smallest step of the reading as in `Drives`; 0 at the wrist.
     """
 
     value: np.ndarray
@@ -67,7 +72,7 @@ class Felt(NamedTuple):
 
     @property
     def finite(self) -> bool:
-        """True where the statics say a number, or none, of every channel."""
+        """True if the computed load and load per kg are finite on every channel that has one."""
         here = ~np.isnan(self.without)
         return bool(np.isfinite([self.without[here], self.per_kg[here]]).all())
 
@@ -80,12 +85,14 @@ def feel_rest(
     drives: Drives,
     wrist: Wrist | None = None,
 ) -> Felt:
-    """Compare what drives and wrist say at one rest with the arm's statics.
+    """Return the loads measured at one rest, with those of the arm's statics.
 
     Args:
         q: (n,) joints, rad and m.
         context: circumstances at q, with the sides of arrival.
-        effort: (n,) of the drives, N m and N.
+        effort: (n,) efforts of the drives, N m and N; NaN: not measured.
+        drives: friction and resolution of these.
+        wrist: reading of a force sensor, if there is one.
     """
 
     def loads(kg: float) -> np.ndarray:
@@ -112,14 +119,14 @@ def feel_rest(
 
 @dataclass(frozen=True)
 class _FeltPayload:
-    """An estimate of the payload, kg, over a number of rests."""
+    """An estimate of the payload and its standard deviation, kg, and the number of its rests."""
 
     kg: float
     sigma_kg: float
     rests: int
 
     def tells(self, reference_kg: float) -> bool:
-        """Tell whether it tells such a payload from none; if not, friction hides it."""
+        """Tell whether it is exact enough to tell a payload of `reference_kg` from none."""
         return 2.0 * self.sigma_kg <= reference_kg
 
     def __str__(self) -> str:
@@ -128,12 +135,15 @@ class _FeltPayload:
 
 @dataclass(frozen=True)
 class Weighing:
-    """Rests so far. A payload that changed without a word is noticed and weighed anew.
+    """The weighing of the payload over the last rests.
+
+    It notices by itself when the payload changes, and then weighs the new one.
 
     Attributes:
-        run_length: rests between two false alarms, on average.
-        rests, loads: what was felt, and a number for each payload that was carried.
-        load: number of the present one.
+        run_length: mean number of rests between two false alarms of a change.
+        rests: the loads at each rest.
+        loads: for each rest the number of the payload that was carried.
+        load: number of the present payload.
     """
 
     run_length: float = 1e4
@@ -142,11 +152,11 @@ class Weighing:
     load: int = 0
 
     def change_payload(self) -> Weighing:
-        """Take it that another payload is carried from now on."""
+        """Return the weighing that begins anew, because another payload is carried from now on."""
         return replace(self, load=self.load + 1) if self.load in self.loads else self
 
     def with_rest(self, rest: Felt) -> Weighing:
-        """Take a further rest into account."""
+        """Return the weighing with one more rest."""
         rests, loads = (*self.rests, rest)[-_MOST:], (*self.loads, self.load)[-_MOST:]
         load = self.load + 1  # of another payload
         if self.load in loads[:-1]:
@@ -158,12 +168,12 @@ class Weighing:
 
     @property
     def limit(self) -> float:
-        """Standard deviations beyond which it is no chance."""
+        """Number of standard deviations beyond which a difference is not by chance."""
         return NormalDist().inv_cdf(1.0 - 0.5 / self.run_length)
 
     @cached_property
     def payload(self) -> _FeltPayload | None:
-        """The present one; None before the first rest with it."""
+        """The estimate of the present payload; None before the first rest with it."""
         if self.load not in self.loads:
             return None
         means, covariance = _solve(self.rests, self.loads)
@@ -171,15 +181,15 @@ class Weighing:
         return _FeltPayload(float(means[-1]), sigma, self.loads.count(self.load))
 
     def contradicts(self, told_kg: float) -> bool:
-        """Tell whether a payload that somebody tells, kg, cannot be what is felt."""
+        """Tell whether a stated payload, kg, is too far from the estimate to be true."""
         found = self.payload
         return found is not None and abs(found.kg - told_kg) > self.limit * found.sigma_kg
 
 
 def _solve(rests: tuple[Felt, ...], loads: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate the last two payloads (or the only one), kg: mean and covariance.
+    """Estimate the last two payloads (or the only one), kg: mean (2,) and covariance (2, 2).
 
-    The covariance is infinite where nothing is felt.
+    The covariance is infinite if the rests do not determine the payloads.
     """
     value, without, per_kg, side, friction, step = map(np.array, zip(*rests, strict=True))
     here = np.isfinite(value - without) & (friction > 0)

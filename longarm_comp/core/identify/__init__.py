@@ -1,1 +1,1 @@
-"""The diagnosis: what the model lacks, the proof, and the poses that would tell more."""
+"""The diagnosis: the effects that the model lacks, their proof, and poses that would tell more."""

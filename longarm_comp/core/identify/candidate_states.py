@@ -1,5 +1,4 @@
-"""The state of every candidate of a diagnosis, the reason in words, and its smallest visible
-size."""
+"""The state of every candidate of a diagnosis, with the reason, and its smallest visible size."""
 
 from __future__ import annotations
 
@@ -23,7 +22,14 @@ State = Literal["accepted", "rejected", "not_testable", "invisible"]
 
 
 class TriedCandidate(ReportPart):
-    """A candidate that was tried, or could not be, as report.json holds it."""
+    """A candidate and its state in report.json.
+
+    Attributes:
+        effect, where: its name and place.
+        log_bayes_factor: evidence for it beside the other effects; None if it cannot be tested.
+        state: whether it is in the model to use, was rejected, or could not be tested or seen.
+        why: the reason in words.
+    """
 
     effect: str
     where: str
@@ -38,9 +44,9 @@ class SmallestSize:
 
     Attributes:
         candidate: the possible effect.
-        log_bayes_factor: what it scores on these data.
-        size: in its prior standard deviations; infinite where no size could be seen.
-        shift_m: RMS shift of the tip that this size stands for, m; infinite as `size`.
+        log_bayes_factor: evidence for it in these data.
+        size: smallest size in prior standard deviations; infinite if no size could be seen.
+        shift_m: RMS shift of the tip by an effect of this size, m; infinite if `size` is.
     """
 
     candidate: Candidate
@@ -52,13 +58,13 @@ class SmallestSize:
 def find_smallest_sizes(
     fit: ModelFit, candidates: Sequence[Candidate], threshold: float
 ) -> tuple[SmallestSize, ...]:
-    """Compute the smallest visible size of each candidate, on top of everything that was fitted.
+    """Compute the smallest visible size of each candidate, beside everything that was fitted.
 
-    The smallest size is the one whose expected log Bayes factor reaches the threshold, noise apart.
+    At the smallest size the expected log Bayes factor, without noise, reaches the threshold.
     With ``S = B'PB`` of the k prior-scaled columns, parameters drawn with a standard deviation
     of c priors give ``E[t'(I+S)^-1 t] = c^2 tr(S (I+S)^-1 S)``; c solves
     ``c^2 tr(S (I+S)^-1 S) / 2 - ln|I+S| / 2 = threshold``.  An effect without parameters has
-    one size, which is seen or not.
+    only one size, which is visible or not.
 
     Args:
         fit: the fit, with its rows, noise and weights.
@@ -95,7 +101,7 @@ def find_smallest_sizes(
 
 
 def best_forms(tried: Sequence[SmallestSize]) -> dict[Label, SmallestSize]:
-    """Choose the form that scores best, by effect and place."""
+    """Return the form of the highest log Bayes factor, by effect and place."""
     best: dict[Label, SmallestSize] = {}
     for one in tried:
         at = one.candidate.name, ", ".join(one.candidate.where)
@@ -119,7 +125,7 @@ def judge_candidates(
         findings: the named effects that were found.
         written: keys of the terms of the model to use.
         tried: the candidates that are not in the model.
-        not_testable: (effect, reason).
+        not_testable: (effect, reason) of the candidates that could not be tested.
     """
     states: dict[Label, tuple[float, State, str]] = {}
     columns = FitColumns(search.fit)
@@ -154,7 +160,7 @@ def _judge_unused(need: float, findings: Sequence[Finding], one: SmallestSize) -
     """Return the state of a candidate that is not in the model, and the reason."""
     value = one.log_bayes_factor
     alike = [f for f in findings if one.candidate.name in f.names[1:]]
-    places = set(one.candidate.where)  # of a look-alike: one of the finding's, or none of its own
+    places = set(one.candidate.where)  # a name of the set acts at one of these, or on the whole arm
     if alike and (places & set(alike[0].where) or "arm" in places):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
     if value >= need:

@@ -1,4 +1,4 @@
-"""The diagnosis of a session: residual, missing effect, effect added, proof; or "I don't know"."""
+"""The diagnosis of a session: finds the effects that the model lacks, and proves them."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import choose_splitting_poses
 
 POSES = 12
-"""Poses proposed for each question: an hour's work."""
+"""Number of poses proposed for each question: about an hour's work."""
 MOST_ROWS = 2000
-"""Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
-further rows cost time and change nothing."""
+"""Largest number of rows that are fitted. A hundred parameters are then known to a few percent of
+the noise; further rows take time and change nothing."""
 
 
 def diagnose(
@@ -70,16 +70,16 @@ def diagnose(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Trace the residual of a session to what the model lacks.
+    """Find the causes of a session's residual, and return the diagnosis.
 
     Args:
         arm: the declared arm.
         session: admitted measurements.
         test: rows to hold out; without them every row of the session is held out once, in folds.
-        model: what is known already (its effects are never added twice).
-        kind: what other arms of the kind tell about its geometry and about effects that all have.
-        kinds: the effects to try; all of the catalogue where None.
-        train_network: trains a predictor of the residual; without it none is trained.
+        model: the model so far, to which effects are added; None: the declared arm.
+        kind: knowledge from other arms of the kind: their geometry, and effects that all have.
+        kinds: the effect classes to try; None: all of the catalogue.
+        train_network: trains a predictor of the residual; None: no predictor.
         seed: seed of everything random; the same seed gives the same bytes.
         progress: called with the name of each step.
 
@@ -165,17 +165,20 @@ def diagnose(
 def _prepare_rows(
     session: Session, test: Session | None, nominal: Model
 ) -> tuple[Session, Session | None]:
-    """Return the rows to fit and those to hold out (None: folds), with all that effects read."""
+    """Return the rows to fit and those to hold out (None: folds), with the inputs of effects.
+
+    These are run-ups as long as those of `nominal`, and numbers of rows without a time.
+    """
     session = with_fitted_run_ups(session, nominal)
     test = None if test is None else with_fitted_run_ups(test.on_clock_of(session), nominal)
-    if not any(ORDER in e.inputs for e in nominal.terms):  # what the model holds has happened
+    if not any(ORDER in e.inputs for e in nominal.terms):  # its events lie before this session
         test = None if test is None else _number_rows(test, len(session))
         session = _number_rows(session)
     return _split_test_rows(session, test)
 
 
 def _find_structure(proved: ProvedModels) -> Structure:
-    """Find what the explanation leaves: in its own rows, in rows left out, in rows held out."""
+    """Find the structure that is left: in the fitted rows, in outliers, in held-out rows."""
     found = proved.search
     beside = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
     structure = find_structure(found.fit, proved.fits[CALIBRATED], beside)
@@ -184,7 +187,7 @@ def _find_structure(proved: ProvedModels) -> Structure:
 
 
 def _refuse_as_calibrate(final: ModelFit, proof: Proof, proved: ProvedModels) -> SetAside:
-    """Refuse a fit that `calibrate` would refuse; return the rows that it set aside."""
+    """Raise JobError for a fit that `calibrate` would refuse; return the rows that it set aside."""
     rows = proved.held_out.take(proof.rows_at)
     at = {name: error[mark_believed_rows(final, rows)] for name, error in proof.errors.items()}
     plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}
@@ -192,9 +195,12 @@ def _refuse_as_calibrate(final: ModelFit, proof: Proof, proved: ProvedModels) ->
 
 
 def _number_rows(session: Session, first: int = 0) -> Session:
-    """Return a session whose rows are numbered in a column `ORDER`, if it does not tell their time.
+    """Return a session with the row numbers in a column `ORDER`, unless it has this or the times.
 
-    Without it an event (a blow to a camera, another tool, a belt that jumps) shows in no column.
+    Without these an event (a blow to a camera, another tool, a belt that jumps) is in no column.
+
+    Args:
+        first: number of the first row.
     """
     if not {"t_s", ORDER}.isdisjoint(session.columns):
         return session
@@ -203,7 +209,13 @@ def _number_rows(session: Session, first: int = 0) -> Session:
 
 
 def _split_test_rows(session: Session, test: Session | None) -> tuple[Session, Session | None]:
-    """Split a session into rows to fit and rows to hold out, if such are given or labelled."""
+    """Return the rows to fit, at most `MOST_ROWS`, and the rows to hold out.
+
+    The latter are those of `test`, or the rows with the label ``role`` "test"; else None.
+
+    Raises:
+        InputError: there are rows of both.
+    """
     roles = session.labels.get("role", np.array([]))
     if (roles == "test").any() and (roles != "test").any():
         if test is not None:

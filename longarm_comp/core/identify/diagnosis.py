@@ -1,4 +1,4 @@
-"""A diagnosis: what was found and how sure it is, or an honest "I don't know"."""
+"""The result of a diagnosis: what was found and how sure it is, or "I don't know"."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
 
 SPLITS = 3.0
-"""Smallest expected log odds for which poses are worth measuring."""
+"""Smallest expected log odds between two names for which poses are worth measuring."""
 
 
 @dataclass(frozen=True)
@@ -54,22 +54,22 @@ class Diagnosis:
         search: the explained session with which the search ended.
         findings: effects with a name, strongest first.
         causes: functions without a name, largest first.
-        fits: fits of calibrated, with_effects, with_functions (where there are functions), to the
-            same rows with the same noise.
-        expected: by these names, the mean error (m) that a command may expect.
+        fits: fits of the models calibrated, with_effects and (if there are functions)
+            with_functions, by name, to the same rows with the same noise.
+        expected: by these names, the mean error, m, that a command is expected to have.
         written: name of the model to use: the one of least expected error whose proof holds.
-        failed: how a fuller model failed its proof; empty where none did.
+        failed: how a fuller model failed its proof; empty if none did.
         intervals: intervals of the parameters of the model to use, by position in its slots.
-        structure: the structure that the search left.
-        set_aside: rows that the fit of the model to use does not believe.
+        structure: the structure that is left in the residual.
+        set_aside: rows that the fit of the model to use set aside as outliers.
         models: nominal, frames_only and the models of `fits`.
-        folds: the same models fitted without some rows; every row is left out once.
+        folds: the same models fitted without some rows; every held-out row is in one fold.
         proof: errors of all models at the rows that they were fitted without.
-        network: the predictor of the residual, where it helps at held-out poses.
-        split_by: for each set the poses that would tell its names apart.
-        doubts: what the data cannot tell about the functions.
+        network: the predictor of the residual; None if it does not help at held-out poses.
+        split_by: for each finding with other names, the poses that would tell them apart.
+        doubts: sentences on what the data do not tell about the functions.
         next_q: (M, n) poses that would settle these doubts, rad and m.
-        not_testable: (effect, reason).
+        not_testable: (effect, reason) of the candidates that could not be tested.
         train: rows that were fitted.
         held_out: the rows of the proof.
         seed: seed of everything random.
@@ -122,19 +122,19 @@ class Diagnosis:
 
     @property
     def left_out(self) -> bool:
-        """True where the model to use leaves out something that was found."""
+        """True if the model to use does not contain all that was found."""
         return self.written != list(self.fits)[-1]
 
     @cached_property
     def none_of_these(self) -> float:
-        """Probability that something without a name is needed."""
+        """Probability that a cause is needed that has no name in the library."""
         found = (*self.search.found, *self.search.doubtful)
         none = (1.0 - f.presence * f.chance_unnamed for f in found)
         return 1.0 - math.prod(none) if not self.structure.flag else 1.0 - self.structure.p_value
 
     @cached_property
     def smallest(self) -> tuple[SmallestSize, ...]:
-        """Score and smallest visible size of every candidate that is not in the model."""
+        """Evidence and smallest visible size of every candidate that is not in the model."""
         held = {t.key for t in self.search.chosen_terms}
         library = self.search.candidates
         outside = [c for c in library if held.isdisjoint(t.key for t in c.terms)]
@@ -142,7 +142,7 @@ class Diagnosis:
 
     @cached_property
     def candidates(self) -> list[TriedCandidate]:
-        """Every candidate with its state, best first, the untestable last."""
+        """Every candidate with its state, the best first, those that cannot be tested last."""
         written = {t.key for t in self.model.terms}
         return judge_candidates(
             self.search, self.findings, written, self.smallest, self.not_testable
@@ -155,7 +155,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """``noise``, ``named``, ``set``, ``partly`` or ``unknown``."""
+        """The verdict: ``noise``, ``named``, ``set``, ``partly`` or ``unknown``."""
         found = bool(self.findings or (self.causes and self.written == WITH_FUNCTIONS))
         if self.causes or self.structure.flag or (self.failed and found):
             contradicted = self.failed and self.written == CALIBRATED
@@ -166,20 +166,22 @@ class Diagnosis:
 
     @property
     def compared_stages(self) -> tuple[str, str]:
-        """The stages before and after what was added: without an addition, nominal and
-        calibrated."""
+        """The names of the two models to compare: before and after the additions.
+
+        If nothing was added to the calibrated model, they are nominal and calibrated.
+        """
         if self.network is not None:
             return CALIBRATED, NETWORK
         return ("nominal", CALIBRATED) if self.written == CALIBRATED else (CALIBRATED, self.written)
 
     @property
     def seen_gain(self) -> Gain:
-        """The gain between the two stages compared, in errors as the instrument sees them."""
+        """The gain between the two `compared_stages`, in errors as seen."""
         return Gain.of(*(self.proof.errors[stage] for stage in self.compared_stages))
 
     @property
     def commanded_gain(self) -> Gain:
-        """The gain between the two stages compared, in errors as a command would have them."""
+        """The gain between the two `compared_stages`, in errors as a command would have them."""
         return Gain.of(*(self.proof.commanded[stage] for stage in self.compared_stages))
 
     @property
@@ -220,7 +222,7 @@ def _describe_findings(found: Diagnosis) -> str:
 
 
 def _describe_change(found: Diagnosis) -> str:
-    """Say the errors before and after, also where only orientations were measured."""
+    """Say the held-out errors before and after; of orientations if no positions were measured."""
     before, after = (found.proof.rows[stage] for stage in found.compared_stages)
     if not before.n:
         return f"{before.mean_text} -> {after.mean_text}"

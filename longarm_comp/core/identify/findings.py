@@ -1,7 +1,7 @@
 """Findings: the named effects that were found, each with its credible set of names.
 
-The posterior makes a `Finding`, report.json holds it unchanged, and the page and the command line
-print it.
+A `Finding` is made from found effects. It is written to report.json, and the page and the command
+line print it.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from longarm_comp.core.yaml_file import Closed
 Pair = tuple[float, float]
 
 UNWEIGHED = "arm.yaml declares no weight, so which part yields is not sure"
-"""The doubt of every part that yields, where the load on it is not known."""
+"""The doubt about an elastic finding if the loads are not known."""
 
 
 class ReportPart(Closed):
     """A part of report.json."""
 
-    # What is written has every key, so the schema requires each
+    # Every key is always written, so the schema requires each
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
 
 class FindingParameter(ReportPart):
-    """A value of a finding, in `unit`.
+    """A fitted parameter of a finding, in `unit`.
 
-    `ci95` is None for a value at its bound, which is no estimate.
+    `ci95` is None if the value is at its bound or not in the model to use: then it is no estimate.
     """
 
     name: str
@@ -60,7 +60,7 @@ class RunnerUp(ReportPart):
 
 
 class TipSize(ReportPart):
-    """The shift of the seen tip by an effect, over the fitted rows."""
+    """The shift of the seen tip by a finding, mm, over the fitted rows."""
 
     median: float = Field(ge=0)
     max: float = Field(ge=0)
@@ -68,7 +68,7 @@ class TipSize(ReportPart):
 
 @dataclass(frozen=True)
 class PartialAlias:
-    """Another effect that may stand in the place of a part of a finding.
+    """Another effect that may be true instead of a part of a finding.
 
     Attributes:
         part: the part in words: ``part at joint 4``.
@@ -80,27 +80,30 @@ class PartialAlias:
 
 
 class Finding(ReportPart):
-    """An effect that the data ask for, with the names that they cannot tell from it.
+    """An effect that the data show, with the names that they cannot tell from it.
 
     Attributes:
         name: canonical name of the most probable cause; ``effect`` in report.json.
-        title, reading: the effect in words, and the meaning of its values.
-        names: the credible set: `name` first, then what cannot be told from it; ``set`` in
-            report.json.
-        probability: probability that there is an effect.
-        set_probability: probability of each name of the set, given that there is an effect.
-        unnamed: reason why a cause without a name may be there instead; empty if none may.
+        title: the effect in words.
+        reading: the meaning of its values in words.
+        names: the credible set: `name` first, then the names that cannot be told from it; ``set``
+            in report.json.
+        probability: probability that the effect exists.
+        set_probability: probability of each name of the set, given that the effect exists.
+        unnamed: reason why a cause without a name may be true instead; empty if none may.
         where: places, in order.
-        log_bayes_factor: evidence against leaving the effect out; geometry and all other effects
-            are marginalised.
-        runner_up: the most probable other name, in the set or not; None where none is likely.
+        log_bayes_factor: log evidence for the effect; geometry and all other effects are
+            marginalised.
+        parameters: its fitted parameters.
+        runner_up: the most probable other name, in the set or not; None if none is likely.
         compensated: whether commands with the model to use correct for it.
-        seen_mm, commanded_mm: mean held-out errors without the effect (all others fitted again) and
-            with it: as seen, and as a command would have it.
-        doubts: in words: names that may stand for one of its parts only, and `UNWEIGHED`.
+        tip_mm: its size at the tip.
+        seen_mm, commanded_mm: mean held-out error, mm, without the effect (all others fitted again)
+            and with it; as seen, and as a command would have it.
+        doubts: doubts in words: names that may stand for one of its parts only, and `UNWEIGHED`.
         action: one sentence for a mechanic.
-        parts: the single effects of the posterior that it is made of; not in report.json.
-        left_out: whether the model to use is without it; not in report.json.
+        parts: the found effects of which it is made; not in report.json.
+        left_out: whether the model to use does not contain it; not in report.json.
     """
 
     name: str = Field(alias="effect")
@@ -127,12 +130,12 @@ class Finding(ReportPart):
 
     @property
     def name_open(self) -> bool:
-        """True where another name, or a cause without a name, may be the true one."""
+        """True if another name, or a cause without a name, may be the true one."""
         return len(self.names) > 1 or bool(self.unnamed)
 
     @property
     def open(self) -> bool:
-        """True where the name is open, or where the effect may be absent."""
+        """True if the name is open, or if the effect exists with a probability below 95 %."""
         return self.name_open or self.probability < CREDIBLE
 
     @property
@@ -147,7 +150,7 @@ class Finding(ReportPart):
 
     @property
     def chances(self) -> tuple[tuple[str, float], ...]:
-        """(name, probability) of its causes, given that there is one, the largest first."""
+        """(name, probability) of each possible cause, given that there is one, likeliest first."""
         return _weigh_names(self.parts)
 
     @property
@@ -162,11 +165,11 @@ class Finding(ReportPart):
 
 
 def make_findings(found: Sequence[FoundEffect]) -> tuple[Finding, ...]:
-    """Make one finding of all single effects of a name, strongest first.
+    """Make one finding of all found effects of one name, the strongest first.
 
-    Effects without a name make none.  A finding's set holds the names that may stand for all of its
-    places; a name that may stand for some only is a partial alias.  Its values and its size at the
-    tip are added by `complete_findings`.
+    Functions without a name make none.  The set of a finding holds the names that may be true at
+    all of its places. A name that may be true at some places only is a partial alias.
+    `complete_findings` adds the values and the size at the tip.
     """
     names = dict.fromkeys(f.name for f in found if not f.unnamed)
     made = [_make_finding(name, [f for f in found if f.name == name]) for name in names]
@@ -207,7 +210,7 @@ def _make_finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
 
 
 def _weigh_names(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
-    """Return (name, probability) of the causes of all parts, each part weighed by its evidence."""
+    """Return (name, probability) of all causes, likeliest first; parts count by their evidence."""
     size = sum(f.log_bayes_factor for f in parts)
     chances: dict[str, float] = {}
     for f in parts:
@@ -217,7 +220,7 @@ def _weigh_names(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
 
 
 def _list_rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
-    """Return all other causes of all parts, the most probable first."""
+    """Return the rivals of all parts, one per name, the most probable first."""
     size, chances = sum(f.log_bayes_factor for f in parts), dict(_weigh_names(parts))
     rivals: dict[str, Rival] = {}
     for f in parts:
@@ -247,15 +250,15 @@ def complete_findings(
     intervals: Mapping[int, Interval],
     held_out: Sequence[tuple[ModelFit, Session]],
 ) -> tuple[Finding, ...]:
-    """Add to findings their values, their size at the tip and their gain on held-out rows.
+    """Return findings with their values, size at the tip and gain on held-out rows.
 
     Args:
-        found: as `make_findings` returns them.
+        found: the findings of `make_findings`.
         arm: the declared arm.
         fit: the final fit of all that was found.
         written: the fit of the model to use.
         intervals: intervals of its parameters, by position in its slots.
-        held_out: fits of all that was found without some rows, and these rows.
+        held_out: fits of the fullest model without some rows, and these rows.
     """
     known = {(*s.owner.key, s.parameter.name): intervals[k] for k, s in enumerate(written.slots)}
     in_model = {t.key for t in written.model.terms}
@@ -299,11 +302,11 @@ def complete_findings(
 
 
 _MOST = 4
-"""Number of values in a sentence."""
+"""Largest number of values in a sentence."""
 
 
 def describe_finding(finding: Finding) -> str:
-    """Say what was found, where, how large, with its interval, and what else it could be.
+    """Describe a finding in words: names, places, values with intervals, runner-up, doubts.
 
     A parameter at its bound is no estimate and is left out.
     """
@@ -335,13 +338,13 @@ def describe_finding(finding: Finding) -> str:
 
 
 def describe_improvement(seen: Gain, commanded: Gain) -> str:
-    """Say the errors before and after as commanded; and as seen, where these differ."""
+    """Say the errors before and after, as commanded, and also as seen if these differ."""
     told = [f"{1e3 * g.before:.2f} -> {1e3 * g.after:.2f} mm" for g in (commanded, seen)]
     return told[0] if told[0] == told[1] else f"{told[0]} as commanded ({told[1]} as seen)"
 
 
 def describe_structure(structure: Structure) -> str:
-    """Say which structure is left in the residual and where it shows; "" where none is."""
+    """Say how large the structure in the residual is and where it shows; "" if there is none."""
     if not structure.flag:
         return ""
     size = f"{1e3 * structure.size_m:.2f} mm of "

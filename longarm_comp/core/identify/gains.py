@@ -1,7 +1,8 @@
-"""The worth of a finding: its size at the tip, and its gain on held-out rows.
+"""The size of a finding at the tip, and its gain on held-out rows.
 
-The gain of one finding among several is that of the whole model over the model without it, all
-others fitted again (to first order). So what geometry can take up does not count for it.
+The gain of a finding is the difference between the error of the model without it, all other terms
+fitted again (to first order), and that of the whole model. So the part of its shift that the
+geometry can explain does not count.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ class Gain:
     """Mean 3-D error on held-out rows before and after, m.
 
     Attributes:
-        before, after: the means.
-        ci95: of before - after, from the scatter of blocks of successive rows.
+        before, after: the mean errors, m.
+        ci95: 95 % interval of before - after, m, from the scatter of blocks of successive rows.
     """
 
     before: float
@@ -42,13 +43,16 @@ class Gain:
 
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
-        """Compute the gain from the (M, 3) errors of two models on the same rows; zeros without
-        rows."""
+        """Compute the gain from the (M, 3) errors, m, of two models on the same rows."""
         return cls.of_lengths(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
 
     @classmethod
     def of_lengths(cls, long: np.ndarray, short: np.ndarray) -> Gain:
-        """Compute the gain from the (M,) lengths of the errors of two models on the same rows."""
+        """Compute the gain from the (M,) lengths of the errors of two models on the same rows.
+
+        Args:
+            long, short: before and after, m.
+        """
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
         gain = long - short
@@ -60,7 +64,11 @@ class Gain:
 
 
 def measure_tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
-    """Return the (N,) shift (m) of the seen tip by the terms at some places, at each fitted row."""
+    """Return the (N,) shift, m, of the seen tip by some terms, at each fitted row.
+
+    Args:
+        places: keys (effect, place) of the terms.
+    """
     still = fitted.model.without(places)
     moved = fitted.model.measured_at(fitted.posture)
     return np.linalg.norm(moved - still.measured_at(still.posture_near(fitted.posture)), axis=1)
@@ -69,14 +77,14 @@ def measure_tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndar
 def compute_gains(
     held_out: Sequence[tuple[ModelFit, Session]], each: Sequence[set[tuple[str, str]]]
 ) -> list[tuple[Gain, Gain]]:
-    """Compute the gain by the terms at some places on held-out rows: as seen, and as commanded.
+    """Compute the gains of each finding on held-out rows.
 
     Args:
         held_out: fits without some rows, and these rows.
-        each: keys of the terms of each finding.
+        each: keys (effect, place) of the terms of each finding.
 
     Returns:
-        Both gains of each finding.
+        For each finding the gain in errors as seen, and that in errors as commanded.
     """
     folds = [_errors_without_each(fit, each, rows.take(rows.placed)) for fit, rows in held_out]
     made = []
@@ -95,10 +103,10 @@ Pair = tuple[np.ndarray, np.ndarray]
 def _errors_without_each(
     fitted: ModelFit, each: Sequence[set[tuple[str, str]]], rows: Session
 ) -> list[tuple[Pair, Pair]]:
-    """Compute the errors (M, 3) at rows without and with the terms of each finding.
+    """Compute the errors (M, 3), m, at rows without and with the terms of each finding.
 
     Returns:
-        Two pairs by finding: as seen, and as commanded.
+        For each finding two pairs (without, with): of errors as seen, and of errors as commanded.
     """
     if not len(rows):
         none = np.zeros((0, 3))
@@ -110,7 +118,7 @@ def _errors_without_each(
     for places in each:
         before = after
         if not places.isdisjoint(held):
-            # A first-order fit may overshoot; what is left without any fit is then nearer
+            # A first-order fit may overshoot; the model without any new fit is then better
             tried = (refit_without(fitted, places), model.without(places))
             seen = [compute_tip_errors(less, rows, at[0]) for less in tried]
             nearest = int(np.argmin([np.linalg.norm(error) for error in seen]))
@@ -121,9 +129,12 @@ def _errors_without_each(
 
 
 def refit_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
-    """Return the model without the terms at some places, all others fitted again to first order.
+    """Return the model without some terms, all others fitted again to first order.
 
-    What every arm has a little of stays as it is: it would take the place of what is left out.
+    Background effects keep their values; otherwise they would replace the terms that are left out.
+
+    Args:
+        places: keys (effect, place) of the terms to leave out.
     """
     shares = dict(fitted.model.beyond)
     little = {s.owner.key for s in fitted.slots if shares.get(s.identity, 1.0) < 1.0} - places

@@ -1,5 +1,7 @@
-"""95 % intervals of the parameters of a fit: the wider of Laplace's and that from blocks of
-rows."""
+"""95 % intervals of the parameters of a fit.
+
+The standard deviation is the larger of two: by the Laplace approximation, and by blocks of rows.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +19,21 @@ from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.identify.posterior.forms import neighbouring_values
 
 BLOCKS = 20
-"""Blocks of rows whose pulls scatter; noise that lasts for a while stays within one."""
+"""Number of blocks of successive rows by which scatter is estimated. Noise that is correlated over
+some rows stays within one block."""
 LOOSE = 3.0
-"""Times a found value that its prior must reach, so that it hardly pulls at the interval."""
+"""Smallest prior, as a multiple of the value found, that hardly changes the interval."""
 TOUCHES = 0.05
-"""Share of an interval within which a value is at its bound."""
+"""A value counts as at its bound if it is nearer to it than this share of the interval."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A parameter with its 95 % interval (SI).
+    """A parameter's value and 95 % interval, SI units.
 
     Attributes:
-        at_bound: whether the value is at a bound of the parameter, as far as the interval can tell.
-            Then it is no estimate, and only the other end of the interval tells something.
+        at_bound: whether the value is at a bound of the parameter (within `TOUCHES` of the
+            interval). Then it is no estimate, and only the other end of the interval is useful.
     """
 
     value: float
@@ -46,8 +49,8 @@ def compute_intervals(
 ) -> dict[int, Interval]:
     """Compute the intervals of a fit's parameters, by position in its slots.
 
-    The search could also have chosen other places of the found effects, or other values of their
-    forms. How much these, with their priors, move an estimate is added to its error.
+    The found effects may also act at other places, or have other values of their forms. These are
+    added as columns with their priors, so the intervals are wider.
 
     Args:
         fit: the final fit.
@@ -86,9 +89,9 @@ def compute_intervals(
 
 
 def _widen_priors(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
-    """Return (p,) the factors by which priors must be wider to leave found values alone.
+    """Return the (p,) factors that make priors wide enough to leave the found values unchanged.
 
-    The data decide how large a found effect is, because its existence is already decided.
+    The existence of a found effect is decided already, so its size should follow from the data.
     """
     mine = {t.key for t in found}
     sizes = [
@@ -101,8 +104,7 @@ def _widen_priors(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
 def _other_places(
     fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]
 ) -> tuple[Term, ...]:
-    """List the terms at the other places of the found effects, in the found form where there is
-    one."""
+    """List the terms at the other places of the found effects, if possible in the found form."""
     held = {t.key for t in fit.model.terms}
     missing: dict[tuple[str, str], Term] = {}
     forms = {t.name: tuple(t.forms.items()) for t in reversed(found)}
@@ -116,7 +118,10 @@ def _other_places(
 def _change_of_scales(
     fit: ModelFit, columns: FitColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
-    """Return (N, d, 1) changes of the rows as each scale moves half way to the next tried value."""
+    """Return for each scale of the terms the change of the rows (N, d, 1), m or rad.
+
+    The scale moves by half the distance of the tried values to both sides of it.
+    """
     ways: list[tuple[Term, Term]] = []
     for term in terms:
         for field in term.scales():

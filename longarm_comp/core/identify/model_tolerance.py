@@ -1,8 +1,9 @@
-"""The model tolerance: what moves the rows besides an explanation, and is no finding.
+"""The model tolerance: small errors of every real arm that are no finding.
 
-The form of no effect is exact. And every part of a real arm yields and errs a little. The latter is
-the infinitesimal part beside a sum of single effects (Cui et al. 2024, "Improving fine-mapping by
-modeling infinitesimal effects", Nature Genetics 56): a finding must explain more than it does.
+The form of no effect is exact, and every part of a real arm yields and errs a little. These small
+effects at all places are like the infinitesimal part beside a sum of single effects (Cui et al.
+2024, "Improving fine-mapping by modeling infinitesimal effects", Nature Genetics 56). A finding
+must explain more than they can.
 """
 
 from __future__ import annotations
@@ -25,26 +26,28 @@ from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.model.model import slots_of
 
 BACKGROUND_COMPLIANCE = 0.03
-"""Size of what gives way at every place of an arm, in the size of a finding.  On UR5 and three
-Pandas (1, 4, 6) the evidence for it is highest at 0.1 to 0.3; at 0.1 it also stands for single soft
-parts, whose names are lost (`test_explain.py`), and real test rows err no less than at 0.03."""
+"""Size of the background compliance at every place of an arm, as a share of the prior of a finding.
+On UR5 and three Pandas (1, 4, 6) the evidence is highest at 0.1 to 0.3. But at 0.1 it also explains
+single soft parts, whose names are then lost (`test_explain.py`), and held-out rows of real arms are
+predicted no better than at 0.03."""
 BACKGROUND_REST = 0.005
-"""Size of everything else at every place.  Beside what was found on Justin and UR5 the evidence is
-highest at 0.005 to 0.008."""
+"""The same of all effects that are not elastic.  Beside the findings on Justin and UR5 the evidence
+is highest at 0.005 to 0.008."""
 
 
 OF_NOISE = 0.1
-"""Share of the noise below which what is a little off is not in the model: nobody would see it."""
+"""Shift of the rows, as a share of the noise, below which a background effect is left out of the
+model."""
 
 
 class ModelTolerance(NamedTuple):
-    """An assumption on what moves the rows besides an explanation, and is no finding.
+    """One assumption on the small errors of an arm that are no finding.
 
     Attributes:
-        form: share of its own shift by which the form of an effect in the model may err.
-        compliance: how much every part yields, as a share of `BACKGROUND_COMPLIANCE`. A finding
-            that yields must exceed it, because the parts of one arm are stiff alike. 0: only what
-            is found yields.
+        form: error of the form of each effect in the model, as a share of its own shift.
+        compliance: compliance of every part of the arm, in units of `BACKGROUND_COMPLIANCE`. An
+            elastic finding must exceed it, because the parts of one arm are about equally stiff. 0:
+            only parts that are found yield.
     """
 
     form: float
@@ -52,41 +55,41 @@ class ModelTolerance(NamedTuple):
 
     @property
     def is_soft(self) -> bool:
-        """True where every part yields by more than a little, which is a cause without a name."""
+        """True if every part yields by much (`SOFT`), which counts as a cause without a name."""
         return self.compliance in SOFT
 
     @property
     def log_prior(self) -> float:
-        """Log prior relative to that of an arm whose parts yield by no more than a little."""
+        """Log prior, relative to that of an arm whose parts yield only a little."""
         return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.is_soft else 0.0
 
     @property
     def elastic_share(self) -> float:
-        """Size of an elastic effect that is found, as a share of its prior."""
+        """Size of an elastic finding, as a share of its prior; at most 1, and 1 for 0."""
         return min(self.compliance, 1.0) or 1.0
 
 
 FORMS = (0.01, 0.03, 0.1)
-"""Shares of its own shift by which an effect's form may err, equally likely beforehand: play,
-friction and stiffness of real joints differ by a tenth from place to place along their way."""
+"""Possible values of `ModelTolerance.form`, equally likely beforehand. Play, friction and stiffness
+of real joints differ by a tenth between positions of the joint."""
 STIFF = (1.0, 0.125, 0.0)
-"""How much every part of an arm gives way, equally likely beforehand: arms of plastic and of steel
-differ by ten, the parts of one arm by less."""
+"""Possible values of `ModelTolerance.compliance`, equally likely beforehand. Arms of plastic and of
+steel differ by a factor of ten, the parts of one arm by less."""
 SOFT = (16.0, 4.0)
-"""The same where all parts yield by up to half of what a soft part does: then the arm has no soft
-part.  That is a cause without a name, and costs what a function costs."""
+"""Further values, at which all parts yield by up to half of a soft part: then no single part is to
+blame.  This counts as a cause without a name and has the prior of a function."""
 FUNCTIONS = 1000
-"""About so many functions without a name are on offer, one as likely as the other."""
+"""Rough number of functions without a name on offer, equally likely."""
 TOLERANCES = tuple(ModelTolerance(form, share) for form in FORMS for share in (*STIFF, *SOFT))
-"""Each as likely as the others but for `ModelTolerance.log_prior`."""
+"""All tolerances that are tried; their priors are `ModelTolerance.log_prior`."""
 RIGID = ModelTolerance(FORMS[0], 0.0)
-"""Only what is found gives way."""
+"""The tolerance without background compliance."""
 
 
 def list_background_terms(library: Sequence[Candidate]) -> tuple[Term, ...]:
-    """List the terms of what every real arm has a little of, in every form.
+    """List the terms of all background effects, of which every real arm has a little.
 
-    Of two names for the same physics only one is listed.
+    They are those of the library in every form. Of two names for the same physics one is listed.
     """
     names = {candidate.name for candidate in library}
     return tuple(t for t in distinct_terms(library) if names.isdisjoint(t.aliases))
@@ -95,12 +98,12 @@ def list_background_terms(library: Sequence[Candidate]) -> tuple[Term, ...]:
 def background_columns(
     columns: FitColumns, library: Sequence[Candidate], tolerances: Sequence[ModelTolerance]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the columns of what every real arm has a little of.
+    """Compute the columns of all background effects.
 
-    The forms of an effect at a place share its size.
+    The variance of an effect at a place is divided among its forms.
 
     Returns:
-        (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
+        (m, k) whitened columns, and (S, k) their sizes at each of S tolerances.
     """
     every = list_background_terms(library)
     forms = Counter(t.key for t in every)
@@ -114,12 +117,14 @@ def background_columns(
 def fit_with_background(
     fitted: ModelFit, library: Sequence[Candidate], compliance: float = 1.0
 ) -> ModelFit:
-    """Fit again with what every arm has a little of, as much as the rows ask for; same rows and
-    noise.
+    """Return a fit with background effects, to the same rows and with the same noise.
 
-    Added is every effect of the arm that reads no recorded column, in its first form, if it moves
-    the rows by at least `OF_NOISE`. For an elastic effect it is enough that it may move them by so
-    much: under another load it would, and the model's `sigma` counts it.
+    Every effect on the arm that reads no recorded column is added, in its first form, if it moves
+    the rows by at least `OF_NOISE`. An elastic effect is added if its prior size would move them so
+    much: under another load it may, and the model's `sigma` includes this.
+
+    Args:
+        compliance: as in `ModelTolerance`.
     """
     held = {t.key for t in fitted.model.terms}
     added: dict[tuple[str, str], Term] = {}
@@ -153,9 +158,9 @@ def _fit_with(
 
 
 def _background_size(owner: Term, compliance: float) -> float:
-    """Return the size of a background parameter as a share of its prior.
+    """Return the size of a background effect's parameters, as a share of their priors.
 
-    A soft arm is softer everywhere, but its other errors are no larger.
+    Above a compliance of 1 only elastic effects get larger.
     """
     return (
         BACKGROUND_COMPLIANCE * compliance

@@ -1,7 +1,7 @@
 """The proof: every row predicted by models that were fitted without it.
 
-Without each fold of the rows the effects are chosen anew (`Resampling.explain_sample`) and fitted
-anew.  What is on offer, its forms and the noise are those of all rows.
+For each fold, the effects are chosen anew (`Resampling.explain_sample`) and fitted anew, on the
+other rows.  The offers, their forms and the noise are those of all rows.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class Fold:
     """A fold: models that were fitted without some rows, and these rows.
 
     Attributes:
-        models: the models by name, in the order of the ladder.
-        fits: the fits of the calibrated model and those above it.
-        rows: the rows that were held out, all seen, in time order.
+        models: the models by name, plainer ones first.
+        fits: the fits of the calibrated model and of fuller ones, by name.
+        rows: the M held-out rows, in time order; each holds a measurement.
         numbers: (M,) their positions among all held-out rows.
     """
 
@@ -51,13 +51,13 @@ class Proof:
     """Errors of every model at rows that it was fitted without.
 
     Attributes:
-        errors: by model name, (M, 3) measured - predicted of the rows that say where the tip is,
-            m (`core/data/measurement.py`).
+        errors: by model name, (M, 3) measured - predicted, m, at the rows that tell the tip's
+            position (`core/data/measurement.py`).
         commanded: the same as a command would have them (`core/data/commanded.py`).
         turned: by model name, (K, 3) errors of the tip's orientation, rad, at rows that measure it.
-        rows_at: (M,) positions of the rows of `errors` among those that were held out. A touched
-            point that only one row of a fold touched tells nothing there.
-        folds: number of folds; 1 where the rows to hold out were given.
+        rows_at: (M,) positions of the rows of `errors` among all held-out rows. A touch is left out
+            if no other row of its fold touches the same point.
+        folds: number of folds; 1 if the rows to hold out were given.
     """
 
     errors: Mapping[str, np.ndarray]
@@ -74,15 +74,18 @@ class Proof:
     def expected_errors(
         self, found: Sequence[FoundEffect], names: Sequence[str]
     ) -> dict[str, np.ndarray]:
-        """Compute for some models the error (M,), m, that a command may expect at each row.
+        """Compute the (M,) error, m, that a command is expected to have at each row, by model.
 
-        An effect of the measuring side moves what is seen, not the tip. So an error that a bias
-        explains does not count, with the probability that a bias is there, by whatever name;
-        otherwise a command errs by it.
+        A bias moves the sighting, not the tip, so a command does not have the error that it
+        explains. The squared errors as seen and as commanded are averaged: the former with the
+        probability that all found biases are really biases, the latter with the rest.
 
         Args:
-            found: single effects of the fullest of the models.
+            found: the effects of the fullest model.
             names: names of the models.
+
+        Returns:
+            The errors by model name.
         """
         ours = 1.0
         for f in found:
@@ -96,8 +99,12 @@ class Proof:
 
 
 def describe_worsening(before: np.ndarray, after: np.ndarray) -> str:
-    """Say how errors (M,), m, rise beyond chance, on all rows or on the worst tenth; "" if they do
-    not."""
+    """Say how much errors rise if this is not by chance, on all rows or on the worst; else "".
+
+    Args:
+        before, after: (M,) m, the errors of two models at the same rows. The worst rows are the
+            share `WORST` of them, by the larger of both errors.
+    """
     longest = np.maximum(before, after)
     worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
     for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
@@ -115,8 +122,8 @@ def prove_models(
 
     Args:
         made: the folds.
-        learned: trains a predictor without a fold's rows, and returns it with its model; it counts
-            inside its domain only.
+        learned: returns for a fold a model and a predictor that was trained without its rows.
+            Outside the predictor's domain the model alone predicts. None: no network is proved.
     """
     seen, told, turned = (_Rows() for _ in range(3))
     for fold in made:
@@ -139,7 +146,7 @@ def prove_models(
 
 
 class _Rows:
-    """Errors of models, collected fold by fold with the positions of their rows."""
+    """A store for errors of models, which come fold by fold with the positions of their rows."""
 
     def __init__(self) -> None:
         self._parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}

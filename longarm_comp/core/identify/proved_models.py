@@ -1,4 +1,4 @@
-"""The models that a diagnosis may write: fitted, proved on rows held out, and one chosen."""
+"""The models that a diagnosis may write: fits them, proves them on held-out rows, chooses one."""
 
 from __future__ import annotations
 
@@ -38,16 +38,17 @@ class ProvedModels:
     """Models that may be written, with the proof of each and the choice among them.
 
     Attributes:
-        search: what they hold, and how sure it is.
-        fits: fits of the calibrated model and of those above it, plainer ones first, to the same
-            rows with the same noise.
+        search: the search that found the effects.
+        fits: fits of the calibrated model and of fuller ones, by name, plainer ones first, to the
+            same rows with the same noise.
         models: nominal, frames_only and the models of `fits`, as files hold them.
         held_out: the rows of the proof.
-        folds: the same models fitted without some rows; every row is left out once.
+        folds: the same models fitted without some rows; every held-out row is in one fold.
         proof: their errors at these rows.
-        expected: by name of `fits`, the error (M,), m, that a command may expect at each row.
+        expected: by name of `fits`, the (M,) error, m, that a command is expected to have at each
+            row.
         written: name of the model to write.
-        failed: how a fuller model failed its proof; empty where none did.
+        failed: how a fuller model failed its proof; empty if none did.
     """
 
     search: ExplainedSession
@@ -67,18 +68,20 @@ class ProvedModels:
 
     @property
     def fullest(self) -> list[tuple[ModelFit, Session]]:
-        """Of each fold the fit of the fullest model, and the rows that it was fitted without."""
+        """The fit of the fullest model in each fold, and the rows of this fold."""
         return [(list(f.fits.values())[-1], f.rows) for f in self.folds]
 
     def train_network(self, train: Train, anew: bool) -> tuple[Predictor | None, Proof]:
-        """Train a network on what the model to write leaves, and prove it with the models.
+        """Train a network on the residual of the model to write, and prove it.
 
         Args:
-            train: trains a predictor for a model and the rows it was fitted to.
-            anew: whether it is trained without each fold; else the one network is proved.
+            train: trains a predictor for a model on the rows to which it was fitted.
+            anew: whether to train one more network for each fold, without its rows; else the one
+                network is proved.
 
         Returns:
-            The network, None where it does not help or its proof fails; and the proof.
+            The network, None if it does not help or its proof fails; and the proof, with the
+            network's errors if there is a network.
         """
         final = self.final
         network = train(final.model, final.session.take(final.weights > 0))
@@ -111,8 +114,8 @@ def prove_written(
     Args:
         nominal: the declared model.
         staged: fits of its placements (``frames_only``) and of its geometry (``geometry``).
-        search: the search that found what else they hold.
-        test: rows that are held out; None: every fitted row is, once, in folds.
+        search: the search that found the effects.
+        test: the held-out rows; None: every fitted row is held out once, in folds.
         seed: seed of the folds.
 
     Raises:
@@ -140,16 +143,19 @@ def prove_written(
 def choose_written(
     expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]
 ) -> tuple[str, str]:
-    """Choose the model to write, and say how the proof of a fuller model failed.
+    """Choose the model to write, and say how the proofs of fuller models failed.
 
-    A model is out if a command is expected to err more with it, beyond chance, than with a plainer
-    one. Its proof fails if its errors as seen are larger, beyond chance, than a plainer one's; no
-    doubt about the measuring side explains that. Of the others the one of least mean error is
-    chosen, of equals the plainer.
+    A model is excluded if commands are expected to err more with it than with a plainer one, not by
+    chance (`describe_worsening`). Its proof fails if its errors as seen are larger than a plainer
+    one's, not by chance. Of the other models that with the least expected mean error is chosen, of
+    equals the plainer one.
 
     Args:
-        expected: by model, plainer ones first: errors (M,), m, that a command may expect.
-        seen: by model: errors (M,), m, as seen.
+        expected: by model, plainer ones first: the (M,) expected errors of commands, m.
+        seen: by model: the (M,) errors as seen, m.
+
+    Returns:
+        The name of the chosen model, and the failed proofs in words.
     """
     written, failed = dict(expected), dict[str, str]()
     for name, plainer in combinations(list(expected)[::-1], 2):
@@ -162,8 +168,12 @@ def choose_written(
 
 
 def _fit_written_models(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
-    """Fit the calibration alone, the model with named effects, and that with functions, to the same
-    rows."""
+    """Fit the calibrated model, that with named effects and that with functions, to the same rows.
+
+    Args:
+        start: the model with its geometry.
+        found: the explained session, which holds all that was found.
+    """
     whole = found.fit
     bare = fit_model(start, whole.session, **whole.noise_arguments)
     more = found.found or found.tolerance.compliance
@@ -187,12 +197,12 @@ def _fit_folds(
     Args:
         nominal: the declared model.
         frames_only: the same with its placements fitted.
-        fits: fits of the calibrated model and those above it, to all rows.
-        search: the search that found what they hold.
+        fits: fits of the calibrated model and of fuller ones, to all rows.
+        search: the search that found the effects.
         seed: seed of the folds.
 
     Returns:
-        The rows, each held out once, and the folds.
+        The rows that are held out once, and the folds.
 
     Raises:
         JobError: a fit without some rows did not stay finite.
@@ -218,7 +228,12 @@ def _fit_folds(
 def _refit_fold(
     fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
 ) -> dict[str, ModelFit]:
-    """Fit to the kept rows (N,) the models with the effects that these rows alone would find."""
+    """Fit the models with the effects that a part of the rows alone would find, to this part.
+
+    Args:
+        fits: as in `_fit_folds`.
+        kept: (N,) bool, the part of the rows.
+    """
     whole, session = search.fit, search.fit.session.take(kept)
     judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
 
@@ -237,7 +252,7 @@ def _refit_fold(
 
 
 def _replace_found(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
-    """Return the model of a search with other effects in the place of what it found."""
+    """Return the model of a search with the effects `found` instead of those that it found."""
     model = search.fit.model
     known = {t.variant: t for t in model.terms}
     terms = {t.key: known.get(t.variant, t) for f in found for t in f.terms}

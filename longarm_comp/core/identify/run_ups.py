@@ -1,7 +1,7 @@
-"""The length of run-ups of which only the side was recorded, because a joint may remember it.
+"""Finds the length of run-ups of which only the side was recorded; errors may depend on it.
 
-It belongs to the whole session and is no parameter of a fit. So it is sought before the search,
-where the evidence is highest with all that the library holds beside it.
+One length holds for the whole session, and it is no parameter of a fit. So it is found before the
+search, as the length of highest evidence beside all other effects of the library.
 """
 
 from __future__ import annotations
@@ -27,15 +27,13 @@ from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.model.model import Model, slots_of
 
 RUN_UPS = (0.02, 0.035, 0.05, 0.07, 0.1)
-"""Lengths that are tried (rad; a tenth as many m for a slide); the data hardly tell a factor of
-1.5."""
+"""Lengths that are tried, rad (for a slide times `SLIDE`, m). Data hardly tell a factor of 1.5."""
 
 
 def remembers_run_up(term: Effect | Bias) -> bool:
-    """Tell whether an effect depends on its joint's history.
+    """Tell whether an effect depends on the length of unrecorded run-ups.
 
-    The length that unrecorded run-ups were taken to have is then one of its forms: `run_up`, one
-    for the whole session, which is sought in the data.
+    Then it has a form `run_up`: the length for the whole session, which `find_run_up` finds.
     """
     return isinstance(term, Effect) and "run_up" in term.forms
 
@@ -51,14 +49,14 @@ def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
 
 
 def with_fitted_run_ups(session: Session, model: Model) -> Session:
-    """Return the session with unrecorded run-ups as long as those that a model was fitted with."""
+    """Return the session with unrecorded run-ups of the length with which a model was fitted."""
     taken = [float(e.forms["run_up"]) for e in model.effects if remembers_run_up(e)]
     longest = max(taken, default=0.0)
     return with_run_ups(session, model.arm, longest) if longest else session
 
 
 def set_run_up(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidate, ...]:
-    """Return the candidates for a session whose unrecorded run-ups have a length (rad)."""
+    """Return the candidates with the form `run_up` set to a length (rad), where they have it."""
     forms: dict[str, float] = {"run_up": run_up}
     return tuple(
         Candidate(
@@ -72,11 +70,11 @@ def set_run_up(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidat
 def find_run_up(
     model: Model, rows: Callable[[float], Session], candidates: Sequence[Candidate]
 ) -> float:
-    """Find the length of highest evidence (rad); 0 where nothing shows that a joint remembers one.
+    """Return the run-up length (rad) of highest evidence; 0 if the data do not show a length.
 
     Args:
         model: the model with its geometry, fitted or not.
-        rows: returns the rows to fit, with unrecorded run-ups of a length (rad).
+        rows: returns the rows to fit for a length (rad) of unrecorded run-ups.
         candidates: the library.
     """
     families = [tuple(t for t in c.terms if remembers_run_up(t)) for c in candidates]
@@ -94,9 +92,9 @@ def find_run_up(
     marginal, slots = Marginal(design, fitted.data), slots_of(fitted.model.arm, terms)
 
     def evidence(length: float) -> float:
-        """Compute the evidence of a length, with the arm's postures as fitted without run-ups.
+        """Compute the log evidence of a length, with the postures of the fit without run-ups.
 
-        Run-ups change what joints remember, and hardly the posture.
+        Run-ups change the history of the joints, and hardly the posture.
         """
         session = rows(length)
         seen = session.take(session.seen)

@@ -1,10 +1,11 @@
-"""Searches for steps of an unknown size: every step of every joint that the data could show.
+"""Searches for servo steps of unknown size: tries every step of every joint that data could show.
 
-A servo that stands at whole steps errs by ``round(q/step) step - q``.  At a joint's poses this is a
-saw-tooth with no parameter but the step, so thousands of steps are scored by one product with the
-residual.  The best one becomes a candidate, which pays for the search (`Effect.price`).  On few
-positions any step imitates other functions of the joint, so none is sought there.  The residual may
-still hold other effects; so a step must explain more than it would with random signs of the rows.
+A servo that stands at whole steps errs by ``round(q/step) step - q``.  Over the joint's positions
+this is a saw-tooth with no parameter but the step, so thousands of steps are scored by one product
+with the residual.  The best one becomes a candidate, whose price includes the choice among them
+(`Effect.price`).  With few positions a step looks like other functions of the joint, so such joints
+are left out.  The residual may still hold other effects, so a step must explain more than it would
+with random signs of the rows.
 """
 
 from __future__ import annotations
@@ -19,24 +20,24 @@ from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.model import slots_of
 
 COARSEST, FINEST = 12, 5000
-"""Steps in a joint's range: coarser ones are any function of it; the finest are a twentieth of a
-degree in 250 degrees, less than people round to."""
+"""Smallest and largest number of steps in a joint's range. With coarser steps they look like any
+function of the joint; the finest are a twentieth of a degree in 250 degrees."""
 POSITIONS = 2 * COARSEST
-"""Positions at which a joint must have stood: two on each of the coarsest steps."""
+"""Number of positions at which a joint must have stood: two on each of the coarsest steps."""
 APART, FINER = 0.25, 20
-"""Steps in the range between two that are tried (at the range's end they differ by so much of a
-step), and steps tried between two neighbours, around the best."""
+"""Distance of the numbers of steps that are tried first (at the end of the range they differ by
+this share of a step), and into how many parts it is divided around the best."""
 BEST = 8
-"""Peaks of the first look, which leaves out what geometry takes up, that are looked at closely."""
+"""Number of peaks of the first search, which ignores the geometry, that are searched finely."""
 
 
 def scan_steps(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, ...]:
-    """Find the best step of every joint that declares none and has none in the model.
+    """Return the best step of each joint that has none in the model, as a candidate.
 
     Args:
-        fitted: the fit of geometry and of what was found so far.
-        kind: the effect (`Effect.of_step`).
-        need: log evidence that a step must have after its own price.
+        fitted: the fit of the geometry and the found effects.
+        kind: the effect class (`Effect.of_step`).
+        need: log evidence that a step must have after its price is subtracted.
     """
     arm, kept, columns = fitted.model.arm, fitted.weights > 0, FitColumns(fitted)
     marginal = columns.marginal_without(())
@@ -72,8 +73,8 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
     """Return the (B,) best numbers of steps in the range; overlap with the geometry is ignored.
 
     Args:
-        share: (M,) positions in units of the range.
-        white: (M, d) motion for the whole range, in units of the noise.
+        share: (M,) positions in units of the joint's range.
+        white: (M, d) motion of the channels by the whole range, in units of the noise.
         left: (M, d) residual of the fit, in units of the noise.
     """
     along, size = (white * left).sum(1), 0.5 * (white**2).sum(1)
@@ -95,5 +96,5 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
 
 
 def _rounding_errors(turns: np.ndarray) -> np.ndarray:
-    """Return what rounding adds to a number of steps, in steps."""
+    """Return the change by rounding numbers of steps to whole ones, in steps."""
     return np.asarray(np.rint(turns) - turns)

@@ -1,10 +1,11 @@
-"""The test for structure: is there anything left in the residual?  An F test per group of inputs.
+"""The test for structure: is more than noise left in the residual?  An F test per group of inputs.
 
-It knows no physics. Whatever moves the tip, or a joint, as some function of a joint, of a pair
-of joints, of the approach, temperature, time or payload shows here, whether the library has a name
-for it or not.  Three more tests ask whether held-out poses err by more than the noise, whether the
-rows that the fit left out share a displacement, and whether the rows state far less noise.  Each of
-them shows structure too: it changes the verdict, and a network is trained.
+It uses no physics. It finds every cause that moves the tip or a joint as a function of a joint, of
+a pair of joints, of the side of arrival, temperature, time or payload, whether the library has a
+name for it or not.  Three further tests ask whether held-out poses err by more than the noise,
+whether the rows that the fit left out share a displacement, and whether the scatter is much more
+than the sensor's.  Structure that one of these shows counts in the same way: it changes the
+verdict, and a network is trained.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ from longarm_comp.core.data.registration import median_spread
 from longarm_comp.core.data.session import Session
 
 SIGNIFICANT = 0.005
-"""Chance of structure where there is none."""
+"""Largest p value at which structure counts: the probability of a false alarm."""
 WORTH = 0.25
-"""Structure below this share of the noise is not worth a verdict."""
+"""Smallest structure, as a share of the noise, that counts."""
 SMALLEST_M = 5e-5
-"""Less at the tip does not matter: no servo and no camera knows better."""
+"""Smallest structure at the tip that counts, m: servos and cameras are not more exact."""
 OF_SPREAD = 2e-4
-"""On a small arm: the same as a share of the median distance of the sightings from their middle."""
+"""The same on a small arm, as a share of the median distance of the sightings from their middle."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +48,14 @@ class Structure:
 
     Attributes:
         flag: whether there is more than noise.
-        p_value: chance of the largest statistic of all groups.
+        p_value: probability of so large a statistic in any group if there is only noise.
         inputs: the inputs on which the structure depends, strongest first.
-        size_m: RMS of the smooth part, m.
-        share_explained: share of the structure before that the named effects explain (1 when
-            nothing else is left).
-        at: the joint that the strongest group moves; empty where that is the tip.
-        sign: where another test than this one shows it: ``shows in held-out poses``.
+        size_m: RMS of the part that is a function of these inputs, m.
+        share_explained: share of the structure after calibration that the named effects explain; 1
+            if no structure is left.
+        at: the joint that the strongest group moves; empty if it moves the tip.
+        sign: the sign of it in words (``shows in the held-out poses``), if another test than the F
+            test shows it; else empty.
     """
 
     flag: bool
@@ -67,14 +69,14 @@ class Structure:
     def add_test(
         self, p_value: float, size_m: float, least_m: float, by: str, sign: str
     ) -> Structure:
-        """Return the structure, flagged also where another test than the F test shows it.
+        """Return the structure, also flagged if another test than the F test shows some.
 
         Args:
-            p_value: chance of what that test saw, were there no structure.
-            size_m: size of what it saw, m.
-            least_m: size below which it does not matter, m.
-            by: what shows it, for `inputs`.
-            sign: the same as a part of a sentence.
+            p_value: probability of that test's result if there is no structure.
+            size_m: size of the structure by that test, m.
+            least_m: smallest size that counts, m.
+            by: name of the test's rows, for `inputs`.
+            sign: the result as a part of a sentence, for `sign`.
         """
         if self.flag or p_value > SIGNIFICANT or size_m < least_m:
             return self
@@ -85,13 +87,13 @@ def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = No
     """Test whether the residual of a fit is a function of any input.
 
     Each group of columns is compared with the rest of the residual (F test), and the smallest
-    chance is multiplied by the number of groups.  Readings that a fit meets to their encoder's step
-    do not count.
+    p value is multiplied by the number of groups.  Joint readings that the fit reproduces to their
+    encoder's step do not count.
 
     Args:
-        fit: the fit with everything that was named.
-        base: the geometry alone, on the same rows and with the same noise.
-        beside: (m, k) whitened columns of what the forms of the fitted effects may leave.
+        fit: the fit with all that was found.
+        base: the fit of the geometry alone, to the same rows and with the same noise.
+        beside: (m, k) whitened columns of the model tolerance, which count as no structure.
     """
     tested = list_groups(fit)
     design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
@@ -142,19 +144,20 @@ def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = No
 
 
 def smallest_that_matters(fit: ModelFit) -> float:
-    """Return the size (m) below which structure does not matter."""
+    """Return the size (m) below which structure does not count."""
     xyz = fit.session.take(fit.session.has_position).xyz
     return min(SMALLEST_M, OF_SPREAD * median_spread(xyz) if len(xyz) > 1 else SMALLEST_M)
 
 
 @dataclass(frozen=True)
 class Group:
-    """A group of displacements that the same inputs may cause.
+    """A group of displacements that are functions of the same inputs.
 
     Attributes:
-        inputs: names of what drives them.
-        at: the joint that moves (``joint 2``), or empty where the tip moves, along each axis.
-        columns: (N, d, k) m or rad, each about as large as the noise.
+        inputs: names of these inputs.
+        at: the joint that moves (``joint 2``); empty if the tip moves.
+        columns: (N, d, k) displacements of the channels, m or rad, each about as large as the
+            noise.
     """
 
     inputs: tuple[str, ...]
@@ -163,10 +166,10 @@ class Group:
 
 
 def list_groups(fit: ModelFit) -> list[Group]:
-    """List all groups: functions of each input and products of joints, at the tip or at a joint.
+    """List all groups: functions of each input and products of two joints, at the tip or a joint.
 
-    Motions of the tip are tried along all axes together, and functions of one input along each axis
-    too.
+    A motion of the tip is one group for all axes. For functions of one input there is also one
+    group for each axis.
     """
     session = fit.session
     curves = [smooth_functions(session.q[:, j]) for j in range(session.n)]
@@ -175,7 +178,7 @@ def list_groups(fit: ModelFit) -> list[Group]:
         if features.shape[1]:
             columns = _move_each_channel(features, fit)
             made.append(Group(inputs, "", columns))
-            if len(inputs) == 1 and fit.width > 1:  # what moves one axis only hides among three
+            if len(inputs) == 1 and fit.width > 1:  # a motion along one axis shows less in three
                 each = np.split(columns, fit.width, axis=2)
                 made += [Group(inputs, "", own) for own in each if own.any()]
     for slot, column in zip(fit.slots, np.moveaxis(fit.columns, -1, 0), strict=True):
@@ -189,13 +192,17 @@ def list_groups(fit: ModelFit) -> list[Group]:
 
 
 _MEMORY = 0.15
-"""Radius of the play that stands for what a joint remembers, as a share of its way."""
+"""Radius of the play that stands for all memory of a joint, as a share of its range in the data."""
 
 Features = Iterator[tuple[tuple[str, ...], np.ndarray]]
 
 
 def _tip_features(session: Session, curves: list[np.ndarray]) -> Features:
-    """Yield functions of each joint, of pairs, of direction, way, temperature, time and payload."""
+    """Yield the inputs, and functions (N, k) of these, by which the tip may move.
+
+    They are functions of each joint, products of two, functions of side and history of each joint,
+    and of each recorded column.
+    """
     yield from _joint_features(curves)
     for j, curve in enumerate(curves):
         side = session.approach[:, j].astype(float)[:, None]
@@ -209,7 +216,7 @@ def _tip_features(session: Session, curves: list[np.ndarray]) -> Features:
 
 
 def _joint_features(curves: list[np.ndarray]) -> Features:
-    """Yield functions of each joint, and products of two."""
+    """Yield inputs and functions (N, k): of each joint, and products of two joints."""
     for j, curve in enumerate(curves):
         yield (f"q{j + 1}",), curve
     for k, j in combinations(range(len(curves)), 2):
@@ -217,8 +224,7 @@ def _joint_features(curves: list[np.ndarray]) -> Features:
 
 
 def smooth_functions(values: np.ndarray) -> np.ndarray:
-    """Compute up to six orthogonal functions of one input (N,); as many as its distinct levels
-    allow.
+    """Compute up to six orthogonal functions (N, k) of one input (N,), fewer if it has few levels.
 
     The k-th is a polynomial of degree k, so the first ones are the smoothest.
     """
@@ -232,8 +238,10 @@ def smooth_functions(values: np.ndarray) -> np.ndarray:
 
 
 def _standardise(features: np.ndarray) -> np.ndarray:
-    """Centre features and make them orthogonal, of unit size, each to those before it; drop those
-    that depend on these."""
+    """Return features (N, m) centred, orthogonal and of rms 1.
+
+    A feature that is a linear combination of those before it is dropped.
+    """
     centred = features - features.mean(0)
     size = np.sqrt((centred**2).mean(0))
     centred = centred[:, size > 1e-9] / size[size > 1e-9]
@@ -245,25 +253,27 @@ def _standardise(features: np.ndarray) -> np.ndarray:
 
 
 def _move_each_channel(features: np.ndarray, fit: ModelFit) -> np.ndarray:
-    """Expand features (N, m) to (N, d, dm): each feature moves each channel by one standard
-    deviation of its noise."""
+    """Return the columns (N, d, d m) in which each of m features (N, m) moves one channel alone.
+
+    A feature of 1 moves the channel by one standard deviation of its noise.
+    """
     noise = np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.session.measured
     each = features[:, None, None, :] * (noise[..., None] * np.eye(fit.width))[..., None]
     return each.reshape(len(features), fit.width, -1)
 
 
 OFF = 0.5
-"""Excess over the noise, as a share of it, that counts: the noise itself is known to a tenth."""
+"""Smallest excess over the noise, as a share of it, that counts. The noise is known to a tenth."""
 
 
 def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Session]]) -> Structure:
-    """Return the structure, flagged also where only the held-out poses show it.
+    """Return the structure, also flagged if only the held-out poses show some.
 
-    An error of the parameters moves all poses together, so it is subtracted first. Half of what is
-    left should exceed the median that noise gives (chi); a few gross errors change nothing.
+    The part that errors of the parameters explain is subtracted first. If only noise is left, half
+    of the rows exceed its median (chi distribution). A few gross errors do not change this test.
 
     Args:
-        structure: as it shows in the fitted rows.
+        structure: the structure by the fitted rows.
         held_out: fits without some rows, and these rows.
     """
     parts = [_compare_with_noise(fit, rows) for fit, rows in held_out]
@@ -271,7 +281,7 @@ def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Sessi
     fit = held_out[0][0]
     if structure.flag or not len(ratio):
         return structure
-    count = max(round(len(ratio) / rows_as_one(fit.rho)), 1)  # rows that count
+    count = max(round(len(ratio) / rows_as_one(fit.rho)), 1)  # effective number of rows
     above = round(float((ratio > 1.0).mean()) * count)
     p = float(bdtrc(above - 1, count, 0.5))
     expected = np.sqrt(square.mean())
@@ -282,10 +292,10 @@ def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Sessi
 
 
 def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarray]:
-    """Compare rows that were not fitted with their noise.
+    """Compare the errors at rows that were not fitted with their noise.
 
     Returns:
-        (M,) size of what the fit leaves over the median of noise, and (M,) the square of the noise,
+        (M,) size of the error divided by the median that noise has, and (M,) variance of the noise,
         m^2.
     """
     found = make_equations(fit.model, rows)
@@ -305,13 +315,13 @@ def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.nd
 
 
 def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
-    """Return the structure, flagged also where the rows that the fit left out share a displacement.
+    """Return the structure, also flagged if the rows that the fit left out share a displacement.
 
-    Gross errors have no direction in common: Hotelling's T-squared test of their mean, with the
-    noise as the least that they scatter.
+    Gross errors have no common direction. This is tested by Hotelling's T-squared test of their
+    mean; the scatter is taken as at least the noise.
 
     Args:
-        structure: as it shows in the fitted rows.
+        structure: the structure by the fitted rows.
         fit: the final fit.
     """
     out = fit.weights == 0
@@ -332,10 +342,10 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
 
 
 def with_scatter(structure: Structure, fit: ModelFit) -> Structure:
-    """Return the structure, flagged also where the scatter is hardly the sensor's.
+    """Return the structure, also flagged if the scatter cannot be that of the sensor alone.
 
     Args:
-        structure: as it shows in the fitted rows.
+        structure: the structure by the fitted rows.
         fit: the final fit.
     """
     sensor, least = share_of_sensor(fit), smallest_that_matters(fit)
@@ -344,10 +354,14 @@ def with_scatter(structure: Structure, fit: ModelFit) -> Structure:
 
 
 def _sizes_left(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return (N,) sizes of what parameters with unit normal priors leave of data (N, d).
+    """Return the (N,) size of the residual of each row, standardised by its own variance.
 
-    The parameters belong to columns `a` (N, d, p). Gross errors do not count for them, as in every
-    fit.
+    Parameters with unit normal priors are fitted to the rows without outliers.
+
+    Args:
+        a: (N, d, p) columns of the parameters, in units of the noise.
+        y: (N, d) data in units of the noise.
+        measured: (N, d) bool.
     """
     kept = mark_inliers(y, measured)[:, None]
     shared = (kept[..., None] * a).reshape(-1, a.shape[-1])

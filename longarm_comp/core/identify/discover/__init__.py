@@ -1,1 +1,1 @@
-"""The search for effects without a name: place, component and function."""
+"""The search for effects without a name, by place, component and function."""

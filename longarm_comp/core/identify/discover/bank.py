@@ -1,9 +1,9 @@
 """Searches all products of a component and a function for those that explain most of a residual.
 
-A candidate's column is the motion of the channels by a unit of a component, row by row times a
-function of the inputs.  Its products with the geometry's columns and with the residual are
+A candidate's column is the motion of the channels by a unit of a component, multiplied at each row
+by a function of the inputs.  Its products with the geometry's columns and with the residual are
 therefore matrix products, and some hundred thousand candidates are tried in a second, on a part
-of the rows.  The best of every kind are then weighed on all rows.
+of the rows.  The best of every kind are then judged on all rows.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from longarm_comp.core.identify.posterior.offers import AMPLITUDES
 from longarm_comp.core.model.model import slots_of
 
 MOST_ROWS = 350
-"""Rows of the first look: they tell a function apart; the best are weighed on all."""
+"""Largest number of rows in the first selection; the best candidates are judged on all rows."""
 SHORTLIST = 60
-"""Candidates of each kind that are weighed on all rows: the first look takes the columns of a group
-to be apart."""
+"""Number of candidates of each kind that are judged on all rows. The first selection is rough: it
+takes the columns of a group for orthogonal."""
 _WEAK = float(np.sqrt(np.finfo(np.float32).eps))
-"""Share of a column's square that must be left beside the geometry: half of the digits of the first
-look, which counts in single precision."""
+"""Smallest share of a column's square that must remain when the geometry is projected out: half of
+the digits of single precision, in which the first selection is computed."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """A place and a component there: a twist or load on the arm, an axis at the camera."""
+    """A place and a component there: of a twist or load on the arm, or of the camera's view."""
 
     at: str
     component: str
@@ -67,7 +67,7 @@ class FunctionCandidate:
 
     Attributes:
         members: place and function of each column.
-        decay: prior standard deviation of each, relative to the first.
+        decay: prior standard deviation of each column, relative to the first.
         log_prior: log prior of the choice among all candidates.
     """
 
@@ -81,8 +81,8 @@ class FunctionBank:
 
     Args:
         fit: the fit, with its rows, noise and columns.
-        places: the K components.
-        units: (N, d, K) motion of the channels by a unit of each, m or rad.
+        places: the K components, with their places.
+        units: (N, d, K) motion of the d channels by a unit of each component, m or rad.
         functions: G functions at the N rows.
     """
 
@@ -107,7 +107,8 @@ class FunctionBank:
         """Return the (C,) log odds of each candidate against none, priors included.
 
         Args:
-            marginal: the columns that are there already, on all inliers (`marginalise_columns`).
+            marginal: the columns that are in the model already, at all inliers
+                (`marginalise_columns`).
             listed: the C candidates, each judged alone.
         """
         made = np.array([h.log_prior for h in listed])
@@ -136,11 +137,11 @@ class FunctionBank:
         return _average_amplitudes(_evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
     def unit_shifts(self, candidate: FunctionCandidate) -> np.ndarray:
-        """Return the (r,) rms shift of the rows by a unit of each column, in units of the noise."""
+        """Return the (r,) rms shift of the rows by a unit of each of r members, in noise units."""
         return self._rms_shift(self._white_columns(candidate.members))
 
     def _white_columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
-        """Return the (dM, r) columns per unit at the M inliers, in units of the noise."""
+        """Return the (d M, r) columns of r members at the M inliers, in units of the noise."""
         made = [
             self.units[:, :, self._number[p]] * self.functions.values_of(f)[:, None]
             for p, f in members
@@ -149,18 +150,21 @@ class FunctionBank:
         return columns[self.fit.weights > 0].reshape(-1, len(members))
 
     def _rms_shift(self, white: np.ndarray) -> np.ndarray:
-        """Return the (r,) rms over the rows of whitened columns (dM, r), at least 1e-150."""
+        """Return the (r,) rms over the rows of whitened columns (d M, r), at least 1e-150."""
         rows = max(len(white) // self.fit.width, 1)
         return np.asarray(np.sqrt(np.maximum((white**2).sum(0) / rows, 1e-300)))
 
     def shortlist_candidates(
         self, kept: np.ndarray, left: Sequence[np.ndarray]
     ) -> list[list[list[FunctionCandidate]]]:
-        """Return the best candidates of every kind by a first look, for each residual in `left`.
+        """Select the best candidates roughly, on a part of the rows.
 
         Args:
-            kept: (p,) mask of the fit's columns that no candidate may stand for.
-            left: residuals (N, d), whitened, of the fit or of a part of it.
+            kept: (p,) mask of the fit's columns, which are projected out of all candidates.
+            left: residuals (N, d), whitened, of the fit or of the fit without an effect.
+
+        Returns:
+            For each residual, for each kind, its best candidates.
         """
         rows = choose_evenly(np.flatnonzero(self.fit.weights > 0), MOST_ROWS)
         white = (self.units * channel_weights(self.fit)[..., None])[rows].astype(np.float32)
@@ -183,7 +187,14 @@ class FunctionBank:
     def _squares_taken_by_fit(
         self, rows: np.ndarray, kept: np.ndarray, white: np.ndarray, values: np.ndarray
     ) -> np.ndarray:
-        """Return the (K, G) part of each candidate's square that the fit's columns explain."""
+        """Return the (K, G) part of each candidate's square that the fit's columns explain.
+
+        Args:
+            rows: numbers of the M selected rows.
+            kept: (p,) mask of the fit's columns.
+            white: (M, d, K) motion by a unit of each component, in units of the noise.
+            values: (M, G) values of the functions.
+        """
         design = whitened_design(self.fit)[rows][..., kept]
         flat = flatten_design(design)
         factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
@@ -200,11 +211,11 @@ class FunctionBank:
             return np.stack(list(pool.map(squares, turned)))
 
     def _best_of_kinds(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
-        """Yield the best candidates of every kind.
+        """Yield the best candidates of each kind, one list per kind.
 
         Args:
-            worth: (K, G) log evidence of each component and function. That of several columns is
-                taken to be their sum.
+            worth: (K, G) log evidence of each component with each function. For candidates with
+                several columns it is summed, as if these were orthogonal.
         """
         alone = [g.functions[0] for g in self._single]
         for sharp in (False, True):
@@ -245,9 +256,10 @@ class FunctionBank:
     def _make_candidate(
         self, members: Sequence[tuple[int, int]], group: FunctionGroup | None
     ) -> FunctionCandidate:
-        """Make a candidate from numbers of components and functions.
+        """Make a candidate from (number of component, number of function) pairs.
 
-        Without a group it holds one function at each joint.
+        Args:
+            group: the group of the functions; None: one function for each joint.
         """
         named = tuple((self.places[k], self.functions.listed[f]) for k, f in members)
         if group is None:
@@ -257,8 +269,10 @@ class FunctionBank:
         return FunctionCandidate(named, decay, self._log_prior(group))
 
     def _log_prior(self, group: FunctionGroup) -> float:
-        """Return the log prior of a group of functions at one component; half is for single
-        components."""
+        """Return the log prior of a group of functions at one component.
+
+        Half of the probability of a family is for single components, half for all three axes.
+        """
         if group.family is FunctionFamily.OWN_JOINT:
             return -math.log(len(FunctionFamily) * len(self.functions.own_joint))
         alike = 2.0 * self.functions.counts[group.family] * len(self.places)
@@ -266,9 +280,9 @@ class FunctionBank:
 
 
 def _evidence_by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Compute the (A, ...) log evidence of columns at each amplitude.
+    """Compute the (A, ...) log evidence of columns at each of A amplitudes.
 
-    A unit of each column shifts the rows by one noise, rms.
+    A unit of each column shifts the rows by one standard deviation of the noise, rms.
 
     Args:
         t: projected products of the columns with the data.
@@ -285,13 +299,16 @@ def _average_amplitudes(each: np.ndarray) -> np.ndarray:
 
 
 def _sum_evidence(each: np.ndarray) -> np.ndarray:
-    """Sum the log evidence of (r, ...) columns, without those that move nothing."""
+    """Return the sum (...) of the log evidence of r columns (r, ...); -inf entries do not count.
+
+    If all are -inf, so is the sum.
+    """
     seen = np.isfinite(each)
     return np.where(seen.any(axis=0), np.where(seen, each, 0.0).sum(axis=0), -np.inf)
 
 
 def channel_weights(fit: ModelFit) -> np.ndarray:
-    """Return (N, d) the root of a row's weight over the noise; 0 where it lacks the channel."""
+    """Return (N, d) the root of the row's weight / sigma of the channel; 0 where not measured."""
     held = np.isfinite(fit.sigma) & fit.session.measured
     return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
 
@@ -309,14 +326,14 @@ def flatten_design(design: np.ndarray) -> np.ndarray:
 def marginalise_columns(
     fit: ModelFit, kept: np.ndarray, beside: np.ndarray
 ) -> tuple[Marginal, np.ndarray]:
-    """Marginalise some of a model's columns, as if the noise were not correlated.
+    """Marginalise some of a model's columns, as if the noise of rows were independent.
 
     Args:
-        kept: (p,) mask of these columns of the model.
+        kept: (p,) mask of the columns of the model.
         beside: (m, k) further columns, whitened in the same way.
 
     Returns:
-        The marginal, and (N, d) the whitened residual that the columns leave.
+        The marginal, and the whitened residual (N, d) that the columns leave; 0 at outliers.
     """
     inside = fit.weights > 0
     weights = channel_weights(fit)
@@ -330,7 +347,7 @@ def marginalise_columns(
 
 
 def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
-    """Return the places (row, column) of the largest finite entries."""
+    """Return the positions (row, column) of the `SHORTLIST` largest entries that are finite."""
     flat = table.ravel()
     if not flat.size:
         return []
@@ -339,9 +356,10 @@ def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
 
 
 def make_banks(fit: ModelFit, remembering: Collection[int] = ()) -> tuple[FunctionBank, ...]:
-    """Make the banks of the arm's side and, where positions are measured, of the camera's.
+    """Make the bank of the arm's side and, if positions are measured, those of the camera's.
 
-    ``remembering``: as in `read_arm_inputs`.
+    Args:
+        remembering: as in `read_arm_inputs`.
     """
     arm, rows = fit.model.arm, fit.session
     spots = [Spot(place, name) for place in _list_places(arm) for name in components(arm)]
@@ -360,15 +378,19 @@ def make_banks(fit: ModelFit, remembering: Collection[int] = ()) -> tuple[Functi
 
 
 def make_term(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
-    """Make the term of a model that stands for a place and a function."""
+    """Make the term of a model for a component and a function.
+
+    Args:
+        function, domain: the function and its domain in words (`Function.text`, `.domain`).
+        scale: prior standard deviation of its amount.
+    """
     if place.at == CAMERA:
         return DiscoveredView(place.component, function, domain, scale)
     return Discovered(place.at, place.component, function, domain, scale)
 
 
 def _list_places(arm: Arm) -> list[str]:
-    """List the places that coincide with no other: a row's end counts only if the row has a
-    length."""
+    """List the places on the arm; of places that coincide only one is listed."""
     same = {f"frame {j.id}" for j in arm.joints if j.d_m == 0 and j.type != "prismatic"}
     if arm.tip.frame and not any(arm.tip.position_m):
         same.add(f"frame {arm.tip.frame}")
@@ -376,8 +398,7 @@ def _list_places(arm: Arm) -> list[str]:
 
 
 def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
-    """Return the K places where something moves a channel, and (N, d, K) the motion by a unit of
-    each."""
+    """Return the K spots that move a channel, and the motion (N, d, K), m or rad, by one unit."""
     slots = slots_of(fit.model.arm, [make_term(spot, "1", "", 1e-3) for spot in spots])
     columns = make_equations(fit.model, fit.session, slots, at=fit.posture).columns
     largest = np.abs(columns).max(axis=(0, 1))
@@ -386,8 +407,10 @@ def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarr
 
 
 def _number_joint_axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
-    """Return for each commanded joint the component along its own axis; empty if any joint lacks
-    one."""
+    """Return for each commanded joint the number of the component along its own axis.
+
+    The list is empty if a joint lacks this component.
+    """
     slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
     own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
     return [number[spot] for spot in own] if number.keys() >= set(own) else []

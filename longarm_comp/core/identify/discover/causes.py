@@ -1,4 +1,4 @@
-"""Causes without a name: the discovered functions, in words and figures."""
+"""Causes without a name: the discovered functions, described in words and numbers."""
 
 from __future__ import annotations
 
@@ -39,15 +39,16 @@ class Cause:
         where: places that explain it equally well; the first is the one in the model.
         names: effects of the library that may be the cause instead, with their probability.
         formula: place, component and function with units.
-        reading: what it behaves like, in words.
-        domain: range of each quantity in the data; beyond it the value at the end holds.
+        reading: its behaviour in words.
+        domain: range of each quantity in the data, in words; beyond it the function keeps its value
+            at the end.
         inputs: names of these quantities.
-        amounts: the coefficients.
-        log_evidence: log Bayes factor on top of the other effects.
-        probability: probability that it, or what it cannot be told from, is there.
-        tip_m: rms and largest shift of the tip over the fitted rows.
-        compensated: whether commands correct for it: never for what the camera alone sees, nor for
-            a circumstance that no command knows.
+        amounts: the fitted coefficients.
+        log_evidence: log Bayes factor beside the other effects.
+        probability: probability that it, or an effect that cannot be told from it, exists.
+        tip_m: rms and largest shift of the tip over the fitted rows, m.
+        compensated: whether commands correct for it; never for a cause on the measuring side, nor
+            for a circumstance that no command knows.
     """
 
     terms: tuple[Found, ...]
@@ -65,7 +66,7 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """A sentence with the formula, its size at the tip, and what it behaves like."""
+        """A sentence with the formula, its size at the tip, and its behaviour."""
         rms, most = (1e3 * v for v in self.tip_m)
         text = f"{self.formula} ({rms:.2f} mm rms at the tip, at most {most:.2f}); {self.reading}"
         if len(self.where) > 1:
@@ -74,7 +75,7 @@ class Cause:
 
 
 def list_causes(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Cause, ...]:
-    """Return the causes of the functions without a name among found effects, the largest first."""
+    """Describe each found effect without a name as a cause, the largest at the tip first."""
     made = [_describe_cause(fit, f) for f in found if f.unnamed]
     return tuple(sorted(made, key=lambda c: -c.tip_m[0]))
 
@@ -109,15 +110,17 @@ def _describe_cause(fit: ModelFit, found: FoundEffect) -> Cause:
 
 
 def _list_places(terms: Sequence[Found], found: FoundEffect) -> tuple[str, ...]:
-    """Return where a cause may act: the place in the model, then others of the credible set."""
+    """Return the places at which a cause may act: that in the model, then equally good ones."""
     first = " and ".join(dict.fromkeys(t.where for t in terms))
     other = [" and ".join(dict.fromkeys(places)) for places in found.where]
     return (*dict.fromkeys((first, *words.seen_alike(terms), *other)),)
 
 
 def describe_doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
-    """Say what the data leave open about functions: few positions of a joint, a threshold in a gap
-    of the data."""
+    """Say in sentences what the data do not tell about functions.
+
+    These are a joint that was measured at few positions, and a threshold in a gap of the data.
+    """
     made = []
     for shape in _list_shapes(found):
         if _has_few_positions(fit, shape):
@@ -129,7 +132,7 @@ def describe_doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
 
 
 def propose_poses(fit: ModelFit, found: Sequence[Found], count: int, seed: int) -> np.ndarray:
-    """Propose (M, n) poses, rad and m, that would settle the doubts: `count` for each doubt."""
+    """Propose (M, n) poses, rad and m, that would settle the doubts: up to `count` for each."""
     from scipy.stats import qmc  # takes a quarter of a second
 
     arm = fit.model.arm

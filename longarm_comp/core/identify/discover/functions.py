@@ -1,4 +1,4 @@
-"""The functions that are tried: shapes of the inputs, alone and in products, in groups."""
+"""The functions that are tried: shapes of one input and products of two, in groups."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from longarm_comp.core.effects.shapes import (
 from longarm_comp.core.identify.discover.inputs import FunctionInput, FunctionInputs
 
 ANALYTIC = 0.25
-"""By how much the Legendre coefficients of a physical function of one joint fall from one order to
-the next: of cos q over two radians by this, over four by the half."""
+"""Factor by which the Legendre coefficients of a physical function of one joint fall from one order
+to the next: about that of cos q over two radians. (Over four radians it is a half.)"""
 ORDERS = 5
-"""Legendre orders of a smooth function of one input."""
+"""Highest Legendre order of a smooth function of one input."""
 TOTAL = 3
-"""Highest sum of orders of a smooth function of two."""
+"""Highest sum of the Legendre orders of a smooth function of two inputs."""
 LOOKS = 7
-"""Values of a threshold, or of a scale of a form, that are looked at side by side.  Waves are as
-fine: half a period is no less than what lies between two of these."""
+"""Number of values of a threshold, or of a form's scale, on the first grid.  Waves are as fine:
+half a period is no shorter than the distance of two of these values."""
 DENSE = LOOKS**2
-"""Values that are looked at around the best; of a form at once, where rows were set aside that may
-want any."""
+"""Number of values on the fine grid around the best. If rows were set aside as outliers, the whole
+scale of a form is searched that finely."""
 
 
 class FunctionFamily(Enum):
-    """A kind of function; all kinds are equally likely beforehand."""
+    """The kinds of functions; all have the same prior probability."""
 
     CONSTANT = "constant"
     LINEAR = "linear"
@@ -62,24 +62,24 @@ class FunctionFamily(Enum):
 
     @property
     def has_threshold(self) -> bool:
-        """True for functions that jump or bend at a threshold."""
+        """True for functions that jump or bend at a threshold: switch and contact."""
         return self in (FunctionFamily.SWITCH, FunctionFamily.CONTACT)
 
 
 OWN = ("q", "load_", "side_")
-"""What every joint has of its own: names, without its number."""
+"""Names, without the joint's number, of the inputs that each joint has of its own."""
 
 
 @dataclass(frozen=True)
 class FunctionGroup:
-    """Functions that are fitted together, with one amount each.
+    """Functions that are fitted together, each with its own coefficient.
 
     Attributes:
         family: their kind.
         functions: numbers of the functions.
         decay: prior standard deviation of each, relative to the first.
-        rare: number of quantities that a cause is not likely to depend on; each has the odds of
-            an effect that is not there (`NONE`).
+        rare: number of their quantities on which a cause seldom depends. Each lowers the log prior
+            by `NONE`.
     """
 
     family: FunctionFamily
@@ -89,19 +89,19 @@ class FunctionGroup:
 
 
 class Functions:
-    """Every function that is tried, at N rows.
+    """Every function that is tried, with its values at N rows.
 
     Args:
-        inputs: what they depend on.
-        of: kind of quantity that each must depend on; any where None.
+        inputs: the quantities that functions may depend on.
+        of: class of quantity that each function must depend on; None: any.
 
     Attributes:
         listed: the functions.
-        groups: those that are fitted together at one component.
+        groups: the groups of functions that are fitted together at one component.
         each_joint: sets of (commanded joint, function) that are fitted together, each function
             along its joint's own axis.
-        own_joint: by commanded joint, the smooth function of its position along its own axis, as by
-            a hose, a spring or a gear without a form of its own.
+        own_joint: by commanded joint, the smooth functions of its position that move it along its
+            own axis, as a hose, a spring or a gear may.
     """
 
     def __init__(self, inputs: FunctionInputs, of: type[Quantity] | None = None) -> None:
@@ -126,7 +126,7 @@ class Functions:
         return np.stack(self._values, axis=1)
 
     def add_function(self, *factors: Shape) -> int:
-        """Return the number of a product of shapes; add it if it is new."""
+        """Return the number in `listed` of a product of shapes, and add it if it is new."""
         made = Function(factors)
         if made not in self._numbers:
             self._numbers[made] = len(self.listed)
@@ -201,8 +201,10 @@ class Functions:
         self._add_each_joint()
 
     def _add_each_joint(self) -> None:
-        """Add for all joints together an input of each joint times an input that all joints
-        share."""
+        """Add sets with one function for each joint: an input of the joint times a shared input.
+
+        The last displacements of the joints alone are a further set.
+        """
         held = self.inputs.by_name
         joints = range(self.inputs.joints)
         for shared in (held[name] for name in self.inputs.shared):
@@ -236,16 +238,15 @@ class Functions:
 
 
 def _make_linear(one: FunctionInput) -> Shape:
-    """Return the input itself, about the middle of its range where that is far from zero.
+    """Return the input itself; about the middle of its range if that is far from zero.
 
-    An input that no command knows is also centred, so that its omission from a command makes no
-    mean error.
+    An input that no command knows is centred too. Then commands without it have no mean error.
     """
     return Legendre(*one.domain, 1) if one.is_far_from_zero or not one.told else Linear(*one.domain)
 
 
 def make_switch(one: FunctionInput, threshold: float) -> Switch:
-    """Return a switch at a threshold, as a ramp over the gap that the data have there."""
+    """Return a switch at a threshold: a ramp over the gap of the data around the threshold."""
     below = one.values[one.values < threshold]
     above = one.values[one.values >= threshold]
     half = 0.5 * float(above.min() - below.max()) if len(below) and len(above) else 0.0
@@ -254,7 +255,10 @@ def make_switch(one: FunctionInput, threshold: float) -> Switch:
 
 
 def list_orders(one: FunctionInput) -> list[float]:
-    """Return the harmonics of an input that are tried."""
+    """Return the angular frequencies of an input's waves that are tried; none if it is smooth.
+
+    They are whole numbers for an angle, else those of 2 to `LOOKS` + 1 half periods in the range.
+    """
     if one.smooth:
         return []
     if one.circular:
@@ -264,7 +268,7 @@ def list_orders(one: FunctionInput) -> list[float]:
 
 
 def list_thresholds(one: FunctionInput) -> list[float]:
-    """Return the thresholds of an input that are tried: quantiles of its values above the least."""
+    """Return the thresholds of an input that are tried: quantiles of its values; none if smooth."""
     if one.smooth:
         return []
     shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
@@ -272,12 +276,13 @@ def list_thresholds(one: FunctionInput) -> list[float]:
 
 
 def vary_shape(shape: Shape, one: FunctionInput, width: float) -> list[Shape]:
-    """Return the same shape with `DENSE` other thresholds or orders around it.
+    """Return the same shape with up to `DENSE` thresholds or orders around its own.
 
     Args:
-        shape: a shape with a threshold or an order; for any other nothing is returned.
+        shape: a shape with a threshold, or a wave. For others, and for waves of an angle, nothing
+            is returned.
         one: its input.
-        width: how far around, in steps between those that were tried.
+        width: how far to go on each side, in steps of the first grid.
     """
     if isinstance(shape, Threshold):
         place = float((one.values < shape.threshold).mean())

@@ -26,17 +26,17 @@ from longarm_comp.core.effects.quantities import (
 from longarm_comp.core.effects.shapes import LARGEST
 
 ALIKE = 0.9995
-"""Correlation from which on two inputs count as one."""
+"""Correlation above which two inputs count as one."""
 LEAST_SPAN = 0.03
-"""Range of a load or of gravity's direction, in the widest of its kind, below which it is sag
-alone: declared masses and lengths are right to a few percent."""
+"""Smallest range of a load or of gravity's direction, as a share of the widest of its kind, that
+counts. Less may be sag or an error of declared masses and lengths, right to a few percent."""
 FEW_LEVELS = 3
-"""On no more positions than this nothing tells a curve of the joint from another."""
+"""With this many positions of a joint or fewer, no curve of it can be told from another."""
 _FINE = 50
 _FAR = 20.0
 
 SEEN = "seen_"
-"""What coordinates of the seen point begin with."""
+"""Prefix of the names of the seen point's coordinates."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class FunctionInput:
         name: name of the quantity (`core/effects/quantities.py`).
         values: (N,) its values.
         levels: number of distinct values, to a fiftieth of the range (a sagging arm blurs them).
-        circular: whether it is an angle, of which harmonics are natural.
-        smooth: whether it is a coordinate of what is seen: lenses bend it slowly, without waves or
+        circular: whether it is an angle, of which harmonics are tried.
+        smooth: whether it is a coordinate of the seen point: errors of lenses have no waves or
             thresholds.
-        told: whether a command knows it.
+        told: whether a command knows its value.
     """
 
     name: str
@@ -77,23 +77,23 @@ class FunctionInput:
 
     @property
     def is_far_from_zero(self) -> bool:
-        """True far from zero compared with the range, as the time of day in seconds is."""
+        """True if its values are far from zero compared with their range, as a date in seconds."""
         return abs(self.low + self.high) > 2 * _FAR * (self.high - self.low)
 
     @property
     def shows_curves(self) -> bool:
-        """True where it took so many values that more than a straight line could show."""
+        """True if it has enough distinct values to show more than a straight line."""
         return self.levels > FEW_LEVELS
 
 
 @dataclass(frozen=True)
 class FunctionInputs:
-    """The quantities that a discovered function may depend on; no two of them agree at every row.
+    """The quantities that a discovered function may depend on, no two of them alike (`ALIKE`).
 
     Attributes:
         all: the quantities.
-        shared: names of those that act on every joint alike (loads in all, time, columns).
-        joints: number of commanded joints.
+        shared: names of those that all joints share (sum of loads, time, recorded columns).
+        joints: number of commanded joints; 0 on the measuring side.
     """
 
     all: tuple[FunctionInput, ...]
@@ -102,18 +102,19 @@ class FunctionInputs:
 
     @cached_property
     def by_name(self) -> dict[str, FunctionInput]:
-        """Arguments by name."""
+        """The quantities by name."""
         return {i.name: i for i in self.all}
 
 
 def read_arm_inputs(
     arm: Arm, posture: Posture, session: Session, remembering: Collection[int] = ()
 ) -> FunctionInputs:
-    """Read the quantities of the arm's side at the rows of a session.
+    """Compute the quantities on the arm's side at the N rows of a session.
 
     Args:
-        remembering: commanded joints, 0-based, whose last way counts too: what was found there
-            depends on what the joint did before.
+        posture: of the arm at these rows.
+        remembering: commanded joints, 0-based, whose last displacement is a quantity too, because
+            an effect found there reads the joint's history.
     """
     rows = len(session)
     columns = tuple(
@@ -143,8 +144,12 @@ def read_arm_inputs(
 def _least_span(
     arm: Arm, posture: Posture, found: Quantity, values: np.ndarray, widest: float
 ) -> float:
-    """Return the span from which on a quantity counts, because smaller ones are not known well
-    enough."""
+    """Return the span below which a quantity is left out, because it is not known well enough.
+
+    Args:
+        values: (N,) the quantity at the rows.
+        widest: largest span of a quantity of its class.
+    """
     if isinstance(found, (JointPosition, JointSide, JointWay)):
         span = float(np.ptp(np.asarray(posture.q[found.joint], float)))
         return 0.0 if span >= arm.telling[found.joint] else np.inf
@@ -156,7 +161,7 @@ def _least_span(
 
 
 def read_camera_inputs(points: np.ndarray, session: Session) -> FunctionInputs:
-    """Read the quantities of the measuring side: the seen point (N, 3) m, and recorded columns."""
+    """Return the quantities on the measuring side: seen points (N, 3), m, and recorded columns."""
     made: list[FunctionInput] = []
     for axis, values in zip("xyz", points.T, strict=True):
         _add_distinct(made, f"{SEEN}{axis}", values, None)
@@ -169,8 +174,7 @@ def read_camera_inputs(points: np.ndarray, session: Session) -> FunctionInputs:
 def _list_names(
     arm: Arm, session: Session, columns: tuple[str, ...], remembering: Collection[int]
 ) -> Iterator[str]:
-    """Yield the names of what may be tried, the plainest first: of two that agree the first
-    stays."""
+    """Yield the names of all quantities to try, the plainest first: of equal ones it is kept."""
     joints = range(1, arm.n + 1)
     rows = [joint.id for joint in arm.joints]
     yield from (f"q{j}" for j in joints)
@@ -188,7 +192,11 @@ def _list_names(
 def _add_distinct(
     made: list[FunctionInput], name: str, values: np.ndarray, arm: Arm | None
 ) -> None:
-    """Add a quantity if it varies and agrees with none of those before."""
+    """Append a quantity (N,) to `made` if it varies and none in `made` is like it (`ALIKE`).
+
+    Args:
+        arm: None on the measuring side.
+    """
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
     largest = float(np.abs(values).max(initial=0.0))
     if span <= 1e-9 * max(1.0, largest) or largest > LARGEST:

@@ -1,4 +1,4 @@
-"""Coordinate ascent over single effects, with restarts."""
+"""The best explanation by single effects: coordinate ascent, with restarts."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, OtherEff
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 
 SWEEPS = 30
-"""Sweeps over the effects at most; single effects settle in five to ten."""
+"""Largest number of sweeps over the effects; five to ten are usual."""
 AT_ONCE = 3
-"""Single effects that one call adds at most: an effect's form, and what it leaves, must be fitted
-before what is smaller can be told from it."""
+"""Largest number of single effects that one call adds. The forms of large effects must be fitted
+before smaller effects can be told from them."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Explanation:
 
     Attributes:
         bank: the offers among which they were chosen.
-        effects: those that are there, in the order in which they were found.
+        effects: the effects, in the order in which they were found.
     """
 
     bank: OfferBank
@@ -45,20 +45,20 @@ class Explanation:
 def find_explanation(
     bank: OfferBank, known: Sequence[int] = (), begun: Sequence[SingleEffect] | None = None
 ) -> Explanation:
-    """Find the single effects by coordinate ascent, with a restart for each effect found.
+    """Find the best explanation by coordinate ascent, with a restart for each effect found.
 
-    The ascent only goes uphill.  So it starts from nothing, and from what is known. Then the offers
-    of each effect found are excluded once, others are sought in its place, and the offers are
-    admitted again; the explanation of higher evidence stays.
+    The ascent only finds the nearest maximum.  So it starts without effects, and again from the
+    known ones. Then the offers of each effect found are excluded once: others are sought in its
+    place, and the offers are admitted again. The explanation of higher evidence is kept.
 
     Args:
-        bank: what is on offer.
-        known: the offers that were found before.
-        begun: what explains the same offers already. The ascent also starts from it, and there is
-            no restart.
+        bank: the offers.
+        known: numbers of the offers that were found before.
+        begun: the effects of an earlier explanation by the same offers. If given, the ascent also
+            starts from these instead of `known`, and there is no restart.
 
     Returns:
-        The explanation of highest evidence, without effects that are not worth their price.
+        The explanation of highest evidence, without effects that do not raise it.
     """
     most = len(known) + AT_ONCE
     starts = [_add_effects(bank, (), frozenset(), most)]
@@ -82,7 +82,11 @@ def find_explanation(
 
 
 def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
-    """Return some offers as certain effects, with the coefficients that they have together."""
+    """Return one certain effect for each of some offers.
+
+    Args:
+        known: numbers of the offers; their coefficients are solved together.
+    """
     offers = [bank.offers[n] for n in known]
     made = []
     for n, offer, values in zip(known, offers, bank.solve_together(offers)[1], strict=True):
@@ -100,7 +104,7 @@ def _add_effects(
 
     Args:
         start: the effects to begin with.
-        shut: numbers of the offers that no effect may be.
+        shut: numbers of the offers that are excluded.
         most: number of effects at which to stop.
     """
     effects = list(start)
@@ -117,7 +121,11 @@ def _add_effects(
 def _sweep_effects(
     bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
 ) -> list[SingleEffect]:
-    """Update each effect by what the others leave, until no probability changes any more."""
+    """Update each effect from the residual of the others until no probability changes any more.
+
+    Args:
+        shut: numbers of the offers that are excluded.
+    """
     taken = np.sum([e.mean for e in effects], axis=0)
     for _ in range(SWEEPS):
         moved = 0.0
@@ -134,6 +142,6 @@ def _sweep_effects(
 
 
 def _drop_superfluous(found: Explanation) -> Explanation:
-    """Drop effects that the others make superfluous, the least first."""
+    """Return the explanation without effects that do not raise its evidence, priors included."""
     kept = found.bank.worth_their_price(found.offers)
     return Explanation(found.bank, tuple(found.effects[k] for k in kept))

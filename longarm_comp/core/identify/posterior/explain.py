@@ -1,8 +1,7 @@
-"""Explains a session: what the model lacks is sought, compared with its rivals, and averaged.
+"""Explains a session: finds the effects that the model lacks, and how sure they are.
 
-The search (`search.py`) finds an explanation.  Every effect of it is then compared with those that
-may stand in its place, and with its absence.  At last its probability is averaged over samples of
-the rows.
+The search (`search.py`) finds an explanation.  Each of its effects is then compared with its rivals
+and with its absence.  Finally the probabilities are averaged over samples of the rows.
 """
 
 from __future__ import annotations
@@ -41,17 +40,17 @@ def explain_session(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ExplainedSession:
-    """Find what the model lacks.
+    """Find the effects that the model lacks, and return the model fitted with them.
 
     Args:
         base: the declared model with its geometry terms.
         session: training rows.
         candidates: the library.
-        known_noise: the noise from repeats; without it, it is judged from the residual.
-        stepped: effects whose steps are scanned.
+        known_noise: the noise from repeats, as an upper limit; None: only from the residual.
+        stepped: effect classes whose steps are scanned (`step_scan.py`).
         functions: whether functions without a name are offered.
         seed: seed of the samples of the rows over which the probabilities are averaged.
-        progress: called with the name of each step.
+        progress: called with the name of each step and of each effect found.
 
     Raises:
         InputError, JobError: as `fit_model`.
@@ -63,7 +62,7 @@ def explain_session(
     weighed = not any(t.through_others for t in base.terms)
     state = search.repeat_until_best(state) if weighed else _start_soft(search, state)
     of_halves: Halves = ()
-    if functions:  # only beside the best of what has a name
+    if functions:  # only beside the best named effects
         state, _, changed = _compare_rivals(search, state)
         state = search.repeat_until_best(state) if changed else state
         search = replace(search, nameless=True)
@@ -91,10 +90,15 @@ def _average_samples(
     of_halves: Halves,
     seed: int,
 ) -> tuple[ExplainedSession, tuple[FoundEffect, ...]]:
-    """Average the probabilities over samples of the rows, and leave out what they seldom show.
+    """Average the probabilities over samples of the rows, and drop effects that few samples show.
+
+    Args:
+        absence: the second result of `_compare_absence`.
+        of_halves: the effects found on each half of the rows.
+        seed: seed of the samples.
 
     Returns:
-        The state with its linear stage, and the effects that were left out.
+        The new state, and the effects that were dropped.
     """
     tolerance = search.weigh_tolerances(state.fit, state.found)[1]
     linear = Resampling(
@@ -116,7 +120,7 @@ def _average_samples(
 
 
 def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
-    """Converge the fit of a model, with what every other part yields."""
+    """Return the state with its fit converged, and with the background compliance."""
     rest = search.other_compliance(state)
     closed = fit_model(
         state.fit.model, search.session, begun=state.fit, **state.fit.noise_arguments
@@ -128,10 +132,11 @@ def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> Explain
 
 
 def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
-    """Search also from an elastic effect at all its places, where some of them are better.
+    """Return the best state of an arm that declares no weights.
 
-    Only a fit moves the weights of an arm that declares none.  At those of another effect the
-    columns show the wrong part, and without any there is no column.
+    The search also starts from each elastic effect at all of its places, if these are better.
+    Such an arm's weights are estimated only by a fit: without an elastic effect they have no
+    columns, and after a fit with the wrong effect the columns favour the wrong part.
     """
     best = search.repeat_until_best(state)
     for c in search.candidates:
@@ -150,14 +155,18 @@ def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> Explained
 def _explain_halves(
     search: ExplanationSearch, state: ExplainedSession, seed: int
 ) -> tuple[ExplainedSession, Halves]:
-    """Try on all rows the explanations of either half of them, where functions are needed.
+    """Explain each half of the rows alone, and try these explanations on all rows.
 
-    Of many causes none may be worth its price while the others count as noise, so that the
-    ascent stops early.  On other rows it stops elsewhere.  What each half finds by itself is
-    also a sample of what another session would show.
+    This is done only if the state contains functions without a name. If there are many causes,
+    none may raise the evidence enough while the others count as noise, so the ascent stops early.
+    On other rows it stops elsewhere. The effects of each half are also a sample of what another
+    session would show.
+
+    Args:
+        seed: seed of the division.
 
     Returns:
-        The better state, and what each half found.
+        The better state, and the effects found on each half; empty without functions.
     """
     of_halves: Halves = ()
     if not any(f.unnamed for f in state.found):
@@ -178,7 +187,7 @@ def _explain_halves(
 def _settle(
     search: ExplanationSearch, state: ExplainedSession
 ) -> tuple[ExplainedSession, tuple[FoundEffect, ...]]:
-    """Compare every effect with its rivals, and explain again, until none of them is better.
+    """Compare every effect with its rivals, and explain again, until no rival is better.
 
     Returns:
         The state, and the doubtful effects.
@@ -197,11 +206,11 @@ def _settle(
 def _compare_rivals(
     search: ExplanationSearch, state: ExplainedSession
 ) -> tuple[ExplainedSession, tuple[FoundEffect, ...], bool]:
-    """Converge the fit, and compare every effect with those that may stand in its place.
+    """Converge the fit, and compare every effect with its rivals, each fitted in its place.
 
     Returns:
-        The state, the doubtful effects, and whether another effect was better somewhere, so
-        that everything must be explained again.
+        The state, the doubtful effects, and whether an effect was dropped or replaced, so that
+        everything must be explained again.
     """
     was = state.fit
     state = replace(
@@ -236,15 +245,15 @@ def _compare_rivals(
 def _compare_absence(
     search: ExplanationSearch, state: ExplainedSession
 ) -> tuple[ExplainedSession | None, dict[str, tuple[FoundEffect, float]]]:
-    """Compare each name with the best explanation without it, until one of these is better.
+    """Compare each named effect with the best explanation without its name.
 
-    Several functions may stand in the place of one name, and exchanging one effect for one
-    never finds them. This is not tried where the explanation needs no function, nor for elastic
-    effects.
+    Several functions may explain as much as one named effect, and exchanging one effect for another
+    never finds them. This is not tried for elastic effects, nor if the explanation contains no
+    function without a name.
 
     Returns:
-        The better explanation, None where there is none; and for each name the function that would
-        replace it, with the log odds of that explanation.
+        The first better explanation, or None; and for each name the function that would replace
+        it, with the log odds of that explanation.
     """
     absence: dict[str, tuple[FoundEffect, float]] = {}
     if not any(f.unnamed for f in state.found):

@@ -1,4 +1,4 @@
-"""The explained session: the model with what was found in it, fitted."""
+"""The explained session: the model with the effects that were found, fitted."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from longarm_comp.core.identify.posterior.resampled import Resampling
 from longarm_comp.core.model.model import Model
 
 NEAR = 0.3
-"""Last step of a fit between rounds, in standard errors: the next would be a tenth of it or less.
-The last fit converges."""
+"""Size of the last step of a fit between rounds, in standard errors: a further step would be a
+tenth of it or less. Only the final fit converges."""
 
 
 @dataclass(frozen=True)
 class ExplainedSession:
-    """A model with what was found in a session, fitted to it.
+    """A model with the effects found in a session, fitted to it.
 
     Attributes:
-        fit: the fitted model; at the end also with what yields besides what was found.
-        found: the single effects in the model, with their credible sets.
-        noise: the noise as it was judged last.
-        doubtful: single effects whose presence is in doubt, not in the model.
+        fit: the fitted model; at the end of the search also with the background compliance.
+        found: the found effects in the model, with their credible sets.
+        noise: the last estimate of the noise.
+        doubtful: effects whose presence is in doubt; they are not in the model.
         candidates: the library as it was offered last.
-        tolerance: what moves the rows besides.
+        tolerance: the model tolerance.
         linear: the linear stage of the search, which can be repeated on other rows.
     """
 
@@ -48,12 +48,12 @@ class ExplainedSession:
 
     @property
     def chosen_terms(self) -> tuple[Term, ...]:
-        """The terms in the model, as they were offered."""
+        """The terms of all found effects, as they were offered."""
         return tuple(t for f in self.found for t in f.terms)
 
     @property
     def needed_evidence(self) -> float:
-        """Log Bayes factor from which on a candidate is more likely there than not."""
+        """Log Bayes factor above which a candidate is more likely there than not."""
         return NONE + math.log(max(len(self.candidates), 1))
 
 
@@ -66,18 +66,18 @@ def judge_noise_and_fit(
     *,
     known: NoiseEstimate | None = None,
 ) -> ExplainedSession:
-    """Judge the noise by the residual of all that the library could explain, then fit.
+    """Estimate the noise, then fit a model with this noise.
+
+    The noise is estimated from the residual that would be left if the library explained as much as
+    it can.
 
     Args:
-        model: holds what was found.
+        model: the model with the effects found.
         candidates: the library.
-        before: what was fitted before; the columns of the library are computed at its fit, not at
-            one of the geometry alone.
         found: the effects that the model holds besides the geometry.
-        known: the noise by repeats, if there are any.
-
-    Returns:
-        The explained session, whose noise is no more than repeats allow.
+        before: the last explained session, at whose fit the columns of the library are computed.
+            Default: at a first fit of `model`.
+        known: the noise by repeats, which is an upper limit.
 
     Raises:
         InputError, JobError: as `fit_model`.
@@ -105,7 +105,10 @@ def judge_noise_and_fit(
 
 
 def drop_idle(fitted: ModelFit) -> ModelFit:
-    """Leave out effects that act through others if the model has none that they act through."""
+    """Return the fit without effects that act only through others, if none of these is there.
+
+    For example, a mass moves the tip only through a part that yields under load.
+    """
     model = fitted.model
     idle = {e.key for e in model.effects if e.through_others}
     if not idle or any(e.loaded for e in model.effects if e.key not in idle):
@@ -114,8 +117,10 @@ def drop_idle(fitted: ModelFit) -> ModelFit:
 
 
 def widen_prior(found: FoundEffect) -> FoundEffect:
-    """Widen a function's prior until it hardly pulls at the amount; its existence is already
-    decided."""
+    """Return a function without a name with a prior so wide that it hardly changes the amount.
+
+    Its existence is decided already. A named effect is returned unchanged.
+    """
     if not found.unnamed:
         return found
     terms = tuple(
@@ -126,7 +131,7 @@ def widen_prior(found: FoundEffect) -> FoundEffect:
 
 
 def put_found(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
-    """Put found effects into the base model, at the values that they have in the model `now`."""
+    """Return the base model with found effects added; values are those in the model `now`."""
     known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
     terms = (alike.get(t.variant, t) for f in found for t in f.terms)
     return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])

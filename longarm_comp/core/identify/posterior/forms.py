@@ -1,7 +1,7 @@
-"""Moves forms on a scale to where the evidence is highest.
+"""Moves the scales of forms, such as a threshold, to where the evidence is highest.
 
 A row on the wrong side of a threshold errs by the whole jump.  So it is set aside as an outlier,
-and with it the information that would have moved the threshold.  Therefore, where rows were set
+and its information is lost, which would have moved the threshold.  Therefore, if rows were set
 aside, the form with which most rows agree is sought first, and no row counts more than an outlier.
 """
 
@@ -25,12 +25,17 @@ from longarm_comp.core.identify.posterior.offers import evidence_of_each
 def find_better_forms(
     fit: ModelFit, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> dict[tuple[str, str], Term]:
-    """Find the terms that fit better in another form.
+    """Find the terms that fit better with other scales of their forms.
 
-    Each form is judged beside those that have moved before it.
+    Terms that were moved before are in their new form when the next one is judged.
+
+    Args:
+        fit: the fit that holds the terms.
+        terms: the terms to try.
+        candidates: the library; its values of the scales are tried first.
 
     Returns:
-        Such terms in their better form, by effect and place.
+        The moved terms, by effect and place.
     """
     fitted = {t.key: t for t in fit.model.terms}
     moved: dict[tuple[str, str], Term] = {}
@@ -45,16 +50,16 @@ def find_better_forms(
 def refine_form(
     fit: ModelFit, term: Term, candidates: Sequence[Candidate], moved: Sequence[Term] = ()
 ) -> Term:
-    """Return the term in the form of highest evidence, first of the tried values, then between
-    them.
+    """Return the term with the scales of highest evidence.
 
-    The term is unchanged where that is hardly better: a refit costs more than it brings.
+    The search begins with the scales' values in the library and goes on between them. The term is
+    returned unchanged if the best is hardly better, because a new fit takes time.
 
     Args:
         fit: the fit that holds the term.
         term: the term as it is in the model.
-        candidates: their values of the scales are the tried ones.
-        moved: other terms of the model, in forms that were found better since it was fitted.
+        candidates: the library.
+        moved: other terms of the model, in better forms that were found since the fit.
     """
     marginal = FitColumns(fit).marginal_without({t.key for t in (term, *moved)}, moved)
 
@@ -83,12 +88,12 @@ def refine_form(
 def _search_scales(
     term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.ndarray]
 ) -> Term:
-    """Search the scales for the form of highest worth, closer and closer while it improves.
+    """Return the term with the scales of highest worth, on finer and finer grids.
 
     Args:
-        term: returned unchanged where no form is better.
-        grid: (M, s) values of the scales, the first ones that are tried.
-        worth: rates terms.
+        term: returned unchanged if no form is better.
+        grid: (M, s) values of the s scales on the first grid.
+        worth: returns the worth of each of some terms.
     """
     fields = list(term.scales())
     least = float(worth([term])[0]) + BETTER
@@ -116,9 +121,9 @@ def _search_scales(
 
 
 def measure_agreement(fit: ModelFit, residual: np.ndarray) -> float:
-    """Return the log likelihood of all rows, outliers too, up to a constant.
+    """Return the log likelihood of all rows, up to a constant; outliers are included.
 
-    No row counts more than one at the limit of an outlier does.
+    No row counts more than a row at the limit of an outlier.
 
     Args:
         fit: gives the noise of the channels.
@@ -131,7 +136,13 @@ def measure_agreement(fit: ModelFit, residual: np.ndarray) -> float:
 def _agree_by_form(
     fit: ModelFit, now: Term, moved: Sequence[Term], then: Sequence[Term]
 ) -> np.ndarray:
-    """Return (T,) `measure_agreement` of the rows with each of the other forms `then` of a term."""
+    """Return the (T,) `measure_agreement` of the rows for T other forms of a term.
+
+    Args:
+        now: the term as it is in the model.
+        moved: other terms of the model, in better forms that were found since the fit.
+        then: the T other forms.
+    """
     columns = FitColumns(fit)
     columns.prior_columns(then)  # all at once: much faster
     fitted = {t.key: t for t in fit.model.terms}
@@ -148,17 +159,23 @@ def _set_scales(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:
 def neighbouring_values(
     term: Term, field: str, candidates: Sequence[Candidate]
 ) -> tuple[float, float]:
-    """Return the tried values of a scale to either side of a term's value, or the scale's ends."""
+    """Return the next lower and next higher value of a term's scale in the library.
+
+    If there is none, it is the end of the scale.
+
+    Args:
+        field: name of the scale.
+    """
     return _nearest_values(float(getattr(term, field)), _list_tried_values(term, field, candidates))
 
 
 def _list_tried_values(term: Term, field: str, candidates: Sequence[Candidate]) -> list[float]:
-    """Return the values of a scale that were tried, and its ends, sorted."""
+    """Return the values of a scale in the library and its two ends, sorted."""
     tried = {float(getattr(t, field)) for c in candidates if c.name == term.name for t in c.terms}
     return sorted({*tried, *term.scales()[field]})
 
 
 def _nearest_values(value: float, values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """Return the next smaller and next larger of sorted values."""
+    """Return the next smaller and next larger of sorted values; the first or last if none."""
     low = max((v for v in values if v < value), default=values[0])
     return low, min((v for v in values if v > value), default=values[-1])

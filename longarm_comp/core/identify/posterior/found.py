@@ -1,4 +1,4 @@
-"""The result of the posterior: single effects with their credible sets, and functions on offer."""
+"""Found effects with their credible sets of names, their rivals, and proposed functions."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.effects.effect import Bias
 
 CREDIBLE = 0.95
-"""Probability that a credible set holds."""
+"""Probability that a credible set must hold, and that a finding must have."""
 UNNAMED = 1.0 - CREDIBLE
-"""Probability, beforehand, of a cause that the library does not hold: what a set may leave out."""
+"""Prior probability that a cause is not in the library."""
 
 NONE = -math.log(UNNAMED)
-"""Log odds for no further effect, before the data: one finding in twenty may be wrong."""
+"""Prior log odds of no further effect against one: one finding in twenty may be wrong."""
 
 
 @dataclass(frozen=True)
 class ProposedFunction:
-    """A function without a name on offer.
+    """A function without a name that is on offer.
 
     Attributes:
-        terms: its members; the prior standard deviation of each moves the tip by one noise.
+        terms: its terms. One prior standard deviation of each moves the rows by about one standard
+            deviation of the noise.
         log_prior: log prior of the choice among all functions.
     """
 
@@ -44,9 +45,10 @@ class Rival:
         candidate: its best places and form.
         log_bayes_factor: evidence for it there, beside the other effects.
         probability: probability that it is the cause, given that there is one.
-        judged: the name whose evidence it has. Of names that no measurement distinguishes one is
-            judged, and all share its probability.
+        judged: the name whose evidence it has. If no measurement distinguishes some names, one of
+            them is judged, and they share its probability.
         log_prior: its log prior, given that there is an effect; the choice of places is included.
+            None: that of any candidate of its name.
         loose: as in `FoundEffect`.
     """
 
@@ -69,23 +71,23 @@ class Rival:
 
     @property
     def on_measuring_side(self) -> bool:
-        """True for an effect that moves what is seen, not the tip."""
+        """True for a bias: it moves the sighting, not the tip."""
         return isinstance(self.candidate.terms[0], Bias)
 
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """A single effect that is there.
+    """A single effect that was found, with its rivals.
 
     Attributes:
-        terms: the most probable terms, at the values that the posterior gives them.
-        presence: probability that it is there.
+        terms: the most probable terms, with their estimated values.
+        presence: probability that the effect exists.
         log_bayes_factor: evidence for it beside the other effects.
-        chance: probability of its name, given that it is there.
-        rivals: all other names that may stand in its place, the most probable first.
-        where: places that explain it nearly as well; its own first.
+        chance: probability of its name, given that the effect exists.
+        rivals: all other names that may be true instead, the most probable first.
+        where: sets of places that explain the data nearly as well; its own set first.
         log_prior: as in `Rival`; None: that of any candidate of its name.
-        loose: whether it is a function whose prior was widened to fit its amount once it was there.
+        loose: whether it is a function whose prior was widened to its amount (`widen_prior`).
     """
 
     terms: tuple[Term, ...]
@@ -104,8 +106,7 @@ class FoundEffect:
 
     @property
     def names(self) -> dict[str, float]:
-        """Probability of every name, given that the effect is there; the effect's own name
-        first."""
+        """Probability of every name, given that the effect exists; its own name first."""
         return {self.name: self.chance} | {r.name: r.probability for r in self.rivals}
 
     @property
@@ -125,31 +126,31 @@ class FoundEffect:
 
     @property
     def chance_unnamed(self) -> float:
-        """Probability that the cause has no name, given that the effect is there."""
+        """Probability that the cause has no name, given that the effect exists."""
         others = sum(r.probability for r in self.rivals if r.unnamed)
         return others + self.chance if self.unnamed else others
 
     @property
     def chance_seen(self) -> float:
-        """Probability that it moves what is seen, not the tip, given that the effect is there."""
+        """Probability that it is a bias, not an effect on the arm, given that it exists."""
         others = sum(r.probability for r in self.rivals if r.on_measuring_side)
         return others + self.chance if isinstance(self.terms[0], Bias) else others
 
     @property
     def fitted_rivals(self) -> list[Rival]:
-        """Rivals that are judged by a fit in its place: all that measurements distinguish from
-        it."""
+        """The rivals to judge by a fit: one of each group that measurements distinguish from it."""
         return [r for r in self.rivals if r.name == r.judged != self.name]
 
     def compare_with(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
-        """Compare it with its fitted rivals.
+        """Update the probabilities of all names after fits of the rivals.
 
         Args:
-            worth: by name of a fitted rival: log evidence with it in this place, less that now.
+            worth: by name of a fitted rival: log evidence with it in this place, less that of the
+                present effect.
 
         Returns:
-            The effect with the probabilities that follow, led by the best name; and whether that is
-            another effect.
+            The effect with the new probabilities, under the best name; and whether this name is
+            another one.
         """
         if not worth:
             return self, False
@@ -199,7 +200,7 @@ class FoundEffect:
         return replace(self, chance=(1.0 - share) * self.chance, rivals=tuple(rest))
 
     def put_first(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
-        """Return the effect with another name in the first place, and rivals beside it."""
+        """Return the effect under the name of `first`, with the others as its rivals."""
         return replace(
             self,
             terms=first.candidate.terms,
@@ -219,11 +220,13 @@ def keys_of(found: Iterable[FoundEffect]) -> set[tuple[str, str]]:
 def replace_effect(
     found: Sequence[FoundEffect], number: int, rival: FoundEffect
 ) -> tuple[FoundEffect, ...]:
-    """Put a rival in the place of one effect, and of all other effects of the rival's name.
+    """Return an explanation in which a rival replaces one effect.
+
+    A named rival also replaces all other effects of its name.
 
     Args:
         found: the effects of an explanation.
-        number: position of the effect that the rival replaces.
+        number: position of the effect that is replaced.
         rival: it comes first in the new explanation.
     """
     rest = (f for k, f in enumerate(found) if k != number)
@@ -234,6 +237,6 @@ K = TypeVar("K")
 
 
 def smallest_set(chances: Mapping[K, float]) -> tuple[K, ...]:
-    """Return the fewest keys, from the first on, that hold 95 % of the probability of all."""
+    """Return the fewest keys, from the first on, that together hold 95 % of the probability."""
     held = np.cumsum(list(chances.values())) / sum(chances.values())
     return tuple(chances)[: int((held < CREDIBLE).sum()) + 1]

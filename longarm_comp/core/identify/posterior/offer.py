@@ -1,4 +1,4 @@
-"""Offers: what a single effect may be; and the single effect that is chosen among them."""
+"""Offers: the choices for a single effect; and the single effect, with a probability of each."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from functools import cached_property
 import numpy as np
 
 ROUNDING = 1e-6
-"""Difference of probabilities, or of log evidence, that tells nothing: names of the same columns
-differ by it, and on each machine otherwise."""
+"""Difference of probabilities or of log evidence that may be rounding alone. Names with the same
+columns may differ by it, and differently on each machine."""
 
 UNLIKELY = 0.01
-"""Probability, or change of one, that counts for nothing."""
+"""Probability, or change of a probability, that is ignored."""
 
 
 @dataclass(frozen=True)
 class Offer:
-    """One thing that a single effect may be.
+    """One choice for a single effect: a name, its places and its form.
 
     Attributes:
-        name: its name; offers of one name share that name's probability.
-        keys: the places that it would take. Only one form may be at each.
+        name: name of the effect; the offers of one name share that name's probability.
+        keys: the places at which it acts. Each place can hold one form only.
         columns: positions of its columns in the bank, by key.
         log_prior: its log probability, given that there is an effect.
-        sizes: prior standard deviations of its coefficients, in units of the columns.
+        sizes: possible prior standard deviations of its coefficients, in units of the columns.
         chances: log probability of each size.
-        fixed: whether its coefficients are 1, so that it is there as a whole or not at all.
-        site: where a cause without a name acts. All functions at one site are one cause.
+        fixed: whether its coefficients are always 1: it is there as a whole or not at all.
+        site: where a cause without a name acts; "" for a named effect. All functions at one site
+            are one cause.
     """
 
     name: str
@@ -47,9 +48,10 @@ class Offer:
         return tuple(k for own in self.columns for k in own)
 
     def beside(self, held: frozenset[Hashable]) -> Offer | None:
-        """Return the offer without the places that others hold; None where less than two are left.
+        """Return the offer without the places in `held`; None if fewer than two of them are left.
 
-        One place of several is an offer of its own already.
+        An offer that loses no place is returned unchanged. A single place of several is an offer of
+        its own in the bank.
         """
         left = sum(key not in held for key in self.keys)
         if left == len(self.keys):
@@ -57,7 +59,7 @@ class Offer:
         return None if left < 2 else self.without(held)
 
     def without(self, held: Container[Hashable]) -> Offer:
-        """Return the offer at its other places."""
+        """Return the offer without the places in `held`."""
         left = [(k, c) for k, c in zip(self.keys, self.columns, strict=True) if k not in held]
         keys, columns = zip(*left, strict=True)
         return dataclasses.replace(self, keys=keys, columns=columns)
@@ -65,13 +67,13 @@ class Offer:
 
 @dataclass(frozen=True)
 class OtherEffects:
-    """The other effects, as far as they limit what one effect may choose.
+    """The limits that the other effects of an explanation set to one effect.
 
     Attributes:
-        shut: offers that are excluded.
-        held: places that other effects hold.
+        shut: numbers of the offers that are excluded.
+        held: places that other effects take.
         names: names of other effects.
-        sites: sites of the others that are functions without a name.
+        sites: sites of the other effects that are functions without a name.
     """
 
     shut: frozenset[int] = frozenset()
@@ -81,7 +83,12 @@ class OtherEffects:
 
     @classmethod
     def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> OtherEffects:
-        """Summarise some other effects; names and sites are those of the probable ones."""
+        """Summarise other effects; names and sites are those of effects that are probably there.
+
+        Args:
+            effects: the other effects.
+            shut: numbers of the offers that are excluded.
+        """
         there = [e for e in effects if e.presence > 0.5]
         return cls(
             shut,
@@ -93,13 +100,13 @@ class OtherEffects:
 
 @dataclass(frozen=True, eq=False)
 class SingleEffect:
-    """One effect of the sum.
+    """One effect of an explanation, with the probability of every offer.
 
     Attributes:
         offered: the C offers of the bank.
-        q: (C,) probability of every offer; what is missing to 1 is that of no effect.
+        q: (C,) probability of every offer; the rest to 1 is the probability of no effect.
         mean: (K,) mean coefficients of the bank's columns.
-        changed: offers that lost places to other effects, by their number.
+        changed: what is left of offers that lost places to other effects, by offer number.
     """
 
     offered: Sequence[Offer]
@@ -114,12 +121,12 @@ class SingleEffect:
 
     @cached_property
     def best(self) -> int:
-        """The most probable offer: the first of those that only rounding distinguishes."""
+        """The number of the most probable offer; of equals, within rounding, the first."""
         return int(np.argmax(self.q >= (1.0 - ROUNDING) * self.q.max()))
 
     @property
     def offer(self) -> Offer:
-        """The most probable offer, without the places that other effects hold."""
+        """The most probable offer, without the places that other effects take."""
         return self._offer_of(self.best)
 
     @cached_property

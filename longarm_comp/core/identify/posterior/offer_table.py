@@ -1,4 +1,4 @@
-"""A table of offers, all scored at once against what the other effects leave."""
+"""A table of offers, which are all scored at once on the residual of the other effects."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from longarm_comp.core.identify.posterior.offer import Offer
 
 
 class Products(NamedTuple):
-    """Products of K columns, projected off the geometry, and what is known of coefficients.
+    """Products of K columns with the geometry projected out, and limits of their coefficients.
 
     Attributes:
         gram: (K, K) products of the columns with each other.
-        lower, upper: (K,) bounds of the coefficients.
-        like: (K,) group numbers; coefficients of one group are like each other.
+        lower, upper: (K,) bounds of the coefficients, in units of the columns.
+        like: (K,) group numbers; the coefficients of one group are correlated beforehand.
     """
 
     gram: np.ndarray
@@ -28,14 +28,14 @@ class Products(NamedTuple):
 
 
 class OfferTable:
-    """A table of R offers with at most P coefficients each, and A sizes tried side by side.
+    """A table of R offers with at most P coefficients each, which are tried with A sizes.
 
     The coefficients of an offer are rotated so that its Gram matrix is diagonal and they are
     independent.  Missing coefficients are padded with size 0, missing sizes with probability 0.
     Coefficients of a fixed offer are 1.
 
     Attributes:
-        numbers: numbers of the offers in their bank.
+        numbers: the offers' numbers in their bank.
     """
 
     def __init__(self, of: Products, numbered: Mapping[int, Offer]) -> None:
@@ -85,7 +85,11 @@ class OfferTable:
         return [cls(products, part) for part in parts if part]
 
     def _rotate_group(self, group: np.ndarray, count: int, sizes: np.ndarray) -> None:
-        """Prepare a group of offers (numbers) that have `count` coefficients each."""
+        """Prepare the offers whose rows are listed in `group`, with `count` coefficients each.
+
+        Args:
+            sizes: (R, A) sizes of all offers of the table.
+        """
         of = self._of
         places = self._column_numbers[group, :count]
         s = of.gram[places[:, :, None], places[:, None, :]]
@@ -106,7 +110,7 @@ class OfferTable:
         """Score every offer against no effect.
 
         Args:
-            along: (K,) products of the columns with what the other effects leave.
+            along: (K,) products of the columns with the residual of the other effects.
 
         Returns:
             (R,) log posterior odds, and the intermediate results that `mean_coefficients` needs.
@@ -126,15 +130,16 @@ class OfferTable:
         return odds, (z, chance / whole[:, None])
 
     def mean_coefficients(self, found: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
-        """Return the (K,) mean coefficients of the columns, over offers and sizes and within
-        bounds.
+        """Return the (K,) mean coefficients of the columns, averaged over offers and sizes.
+
+        They are within their bounds.
 
         Args:
             found: the second result of `score_offers`.
             q: (R,) probability of each offer.
         """
         z, chance = found
-        on = np.flatnonzero(q > np.finfo(float).eps)  # what adds to the sum of all
+        on = np.flatnonzero(q > np.finfo(float).eps)  # the others do not change the sum
         shrunk = (self._share[on] * chance[on][:, None, :]).sum(axis=-1) * z[on]
         mean = _multiply_rows(shrunk, np.swapaxes(self._turn[on], 1, 2))
         mean = np.clip(mean, self._lower[on], self._upper[on]) + self._fixed[on]
@@ -144,5 +149,5 @@ class OfferTable:
 
 
 def _multiply_rows(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """Multiply each of R rows (R, P) by its own matrix (R, P, Q); (R, Q)."""
+    """Multiply each row of (R, P) by its own matrix of (R, P, Q); return (R, Q)."""
     return np.asarray(np.matmul(rows[:, None, :], matrices)[:, 0])

@@ -1,5 +1,4 @@
-"""The offers at a fit: what they tell of the effects that are there, and of possible
-replacements."""
+"""The offers at a fit: finds the best explanation by them, and the rivals of each effect in it."""
 
 from __future__ import annotations
 
@@ -31,12 +30,12 @@ from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
 LOOKED_AT = 1e-4
-"""Probability from which on another name is fitted in the place of an effect: columns are those of
-small changes, so a fit may be worth ten log units more."""
+"""Probability above which another name is fitted in the place of an effect. Columns are linearised,
+so a fit may raise the log evidence by ten."""
 
 IMPOSSIBLE = 1e-20
-"""Probability below which a name, or a tolerance, is none: a fit, or another explanation by that
-tolerance, may be worth forty log units (the touches of an iiwa 14 need more than thirty)."""
+"""Probability below which a name or a tolerance is dropped. A fit, or another explanation with that
+tolerance, may raise the log evidence by forty (the touches of an iiwa 14 need more than thirty)."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +43,10 @@ class PosteriorResult:
     """The posterior over the offers of one bank: the best explanation, split by probability.
 
     Attributes:
-        found: single effects that are there with a probability of at least 95 %.
-        doubtful: others that are more likely there than not.
+        found: its effects with a presence of at least 95 %.
+        doubtful: its other effects.
         evidence: log evidence of the best explanation.
-        effects: its single effects.
+        effects: all of its single effects, as the search found them.
     """
 
     found: tuple[FoundEffect, ...]
@@ -62,12 +61,12 @@ class OfferedEffects:
 
     Attributes:
         fitted: the fit.
-        candidates: candidates, in the order of the bank's offers.
+        candidates: the candidates, in the order of the bank's offers.
         bank: the offers.
         widths: (K,) units of the bank's columns.
         known: numbers of the offers that were found before.
         base: log evidence without any effect.
-        tolerance: what may move the rows besides.
+        tolerance: the model tolerance.
     """
 
     fitted: ModelFit
@@ -79,13 +78,11 @@ class OfferedEffects:
     tolerance: ModelTolerance
 
     def find_best(self, begun: Sequence[SingleEffect] | None = None) -> PosteriorResult:
-        """Compute the posterior over the offers.
+        """Find the explanation of highest evidence.
 
         Args:
-            begun: effects that explain the same offers, as the start of the search.
-
-        Returns:
-            The explanation of highest evidence: its effects that are credible, and the others.
+            begun: the effects of an earlier explanation by the same offers, from which the search
+                also starts.
         """
         best = find_explanation(self.bank, self.known, begun)
         offers = self._drop_idle_places(best.offers)
@@ -104,10 +101,10 @@ class OfferedEffects:
         return PosteriorResult(found, doubtful, self.base + evidence, best.effects)
 
     def single_effects(self) -> tuple[FoundEffect, ...]:
-        """Return the effects of the best explanation, each with the names that share its
-        probability.
+        """Return the effects of the best explanation, each with all names that it may have.
 
-        Nothing is sought again in the place of an effect: the search starts from what was found so.
+        This is faster than `find_best`: the search also starts from the known effects, but not
+        again without each of them.
         """
         made = []
         for effect in find_explanation(
@@ -134,7 +131,7 @@ class OfferedEffects:
         return tuple(made)
 
     def evidence_of(self, explained: PosteriorResult) -> float:
-        """Return the log evidence of the effects of an explanation by another tolerance."""
+        """Return the log evidence, at this tolerance, of an explanation by another tolerance."""
         offers = []
         for effect in explained.effects:
             whole, kept = self.bank.offers[effect.best], effect.offer.keys
@@ -143,13 +140,12 @@ class OfferedEffects:
 
     @cached_property
     def evidence_of_known(self) -> float:
-        """Log evidence of the effects that were found before, as they are in the model."""
+        """Log evidence of the effects that were found before, in their present form."""
         return self.base + self.bank.evidence([self.bank.offers[n] for n in self.known])
 
     @cached_property
     def evidence_pruned(self) -> float:
-        """Log evidence of the same effects, without those, and those places, that are not worth
-        their price."""
+        """Log evidence of these without the effects and places that do not raise it enough."""
         offers = [self.bank.offers[n] for n in self.known]
         offers = [offers[k] for k in self.bank.worth_their_price(offers)]
         return self.base + max(map(self.bank.evidence, (offers, self._drop_idle_places(offers))))
@@ -157,15 +153,16 @@ class OfferedEffects:
     def judge_found(
         self, found: Sequence[FoundEffect], banks: Sequence[OfferedEffects]
     ) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
-        """Judge the effects that are in the model.
+        """Judge the presence and the rivals of the effects in the model.
 
         Args:
-            found: the effects, in the order of the fit's explanation.
-            banks: offers by tolerance, this one among them. What one effect explains, a larger
-                error of another effect's form may explain too.
+            found: the effects in the model.
+            banks: the offers by every tolerance, this one included. An effect is compared with its
+                absence at the best tolerance, because a larger error of another effect's form may
+                explain as much.
 
         Returns:
-            The effects with their credible sets, and those that may be there besides.
+            The effects with their credible sets, and doubtful effects that may be there besides.
         """
         offers = [self.bank.offers[n] for n in self.known]
         number = {list_variants(self.candidates[n].terms): k for k, n in enumerate(self.known)}
@@ -189,11 +186,15 @@ class OfferedEffects:
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
     def _add_rivals(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
-        """Give an effect all names that may stand in its place, each judged at the places that it
-        needs.
+        """Return an effect with its rivals: all names that may be true instead, at their best
+        places.
 
-        Of names that no measurement distinguishes the likeliest is judged; all share its
+        If no measurement distinguishes some names, the likeliest is judged and they share its
         probability.
+
+        Args:
+            offers: the offers of all known effects.
+            k: position of the effect's own offer among them.
         """
         here, own = self.bank.evidence(offers), self._bayes_factor(offers, k)
         likeliest: dict[str, tuple[float, int, Offer, list[Offer]]] = {}
@@ -238,11 +239,10 @@ class OfferedEffects:
     def _list_substitutes(
         self, offers: list[Offer], k: int, least: float
     ) -> Iterator[tuple[int, Offer, list[Offer]]]:
-        """Yield the offers that may stand in the place of offer k, with at least a certain log
-        evidence.
+        """Yield the offers that may replace offer k, with a log evidence of at least about `least`.
 
-        Each comes with its number and with the offers that are beside it then. A name that is there
-        at other places already takes these as well.
+        Each comes with its number and with the offers that stay beside it. If another of the
+        offers has the same name as a named replacement, this is replaced too.
         """
         others = [*offers[:k], *offers[k + 1 :]]
         may, most = [], []
@@ -262,13 +262,13 @@ class OfferedEffects:
         yield from (may[k] for k in np.flatnonzero(worth >= least).tolist())
 
     def _bayes_factor(self, offers: list[Offer], k: int) -> float:
-        """Return the log Bayes factor of offer k on top of the others."""
+        """Return the log Bayes factor of offer k beside the others, its own prior taken out."""
         rest = [*offers[:k], *offers[k + 1 :]]
         odds = self.bank.evidence(offers) - self.bank.evidence(rest)
         return odds - offers[k].log_prior + NONE
 
     def _drop_idle_places(self, chosen: Sequence[Offer]) -> list[Offer]:
-        """Return the offers without the places that contribute too little."""
+        """Return the offers, each without the places that contribute too little."""
         offers = list(chosen)
         for k in range(len(offers)):
             offers[k] = self._drop_idle_places_of(offers, k)
@@ -277,8 +277,8 @@ class OfferedEffects:
     def _drop_idle_places_of(self, offers: list[Offer], k: int) -> Offer:
         """Return offer k without the places that contribute too little.
 
-        Each place costs as much as the choice among all places.  The rest pays for the choice of
-        its places.
+        A place must raise the log evidence by the log of the number of all places.  The log prior
+        of the result includes the choice of its places.
         """
         offers, whole = list(offers), offers[k]
         price = math.log(max(len(offers[k].keys), 1))
@@ -299,7 +299,13 @@ class OfferedEffects:
     def _terms_of(
         self, number: int, offer: Offer, values: np.ndarray | None = None
     ) -> tuple[Term, ...]:
-        """Return the terms of an offer, or of what is left of it, with some coefficients."""
+        """Return the terms of an offer.
+
+        Args:
+            number: number of the offer.
+            offer: this offer, or what is left of it.
+            values: coefficients of its columns; None: the terms keep their values.
+        """
         held = {t.key: t for t in self.candidates[number].terms}
         if values is None:
             return tuple(held[key] for key in offer.keys)  # type: ignore[index]
@@ -314,10 +320,10 @@ class OfferedEffects:
         return tuple(terms)
 
     def _list_aliases(self, terms: Sequence[Term]) -> tuple[str, ...]:
-        """Return the names that no measurement distinguishes from that of some terms.
+        """Return the other names that no measurement distinguishes from that of some terms.
 
-        Among them are functions of a joint that stood at few positions, where each takes any
-        values.
+        If a joint stood at few positions, they include all free functions of it: each of them can
+        take any values there.
         """
         name = terms[0].name
         levels = max(map(self._count_stands, terms))
@@ -330,8 +336,10 @@ class OfferedEffects:
         return tuple(sorted((self._aliases.get(name, set()) | few) - {name}))
 
     def _count_stands(self, term: Term) -> int:
-        """Return at how many positions the joints of a term stood; 0 unless it is a free function
-        of one."""
+        """Return the number of positions at which a term's joints stood, the most of any joint.
+
+        It is 0 unless the term is a free function of a joint.
+        """
         if not term.free_levels:
             return 0
         commanded = self.fitted.model.arm.commanded
@@ -339,9 +347,9 @@ class OfferedEffects:
         return max((count_levels(q) for q in stood), default=0)
 
     def _candidate_of_name(self, name: str, at: Sequence[Term]) -> Candidate:
-        """Return an effect of another name at the places of terms, in their forms.
+        """Return the effect `name` at the places of some terms, in their forms.
 
-        Where it is not on offer there, its first offer is returned.
+        If it is not on offer at these places, its first candidate is returned.
         """
         there = self._first_term[name]
         if not all(t.where in there for t in at):
@@ -355,7 +363,7 @@ class OfferedEffects:
 
     @cached_property
     def _first_term(self) -> dict[str, dict[str, Term]]:
-        """The first term on offer of every name at each place."""
+        """The first term on offer, by name and place."""
         made: dict[str, dict[str, Term]] = {}
         for offer in self.candidates:
             for term in offer.terms:
@@ -364,14 +372,14 @@ class OfferedEffects:
 
     @cached_property
     def _first_number(self) -> dict[str, int]:
-        """The number of the first candidate of every name."""
+        """The number of the first candidate, by name."""
         return {c.name: n for n, c in reversed(list(enumerate(self.candidates)))}
 
     @cached_property
     def _aliases(self) -> dict[str, set[str]]:
-        """Names on offer that mean the same physics, as their effects declare.
+        """The other names on offer, by name, that mean the same physics as their effects declare.
 
-        Names that readings of joints tell apart are not among them.
+        Names that readings of the joints tell apart are left out.
         """
         made: dict[str, set[str]] = {}
         arm = self.fitted.model.arm

@@ -1,8 +1,8 @@
 """Makes the bank of offers of a session: the library, and functions without a name.
 
-Every name is as likely as any other beforehand.  Its probability is divided among its places and
-forms.  Functions without a name have a twentieth together.  Beside each effect in the model stand
-columns of what its form may leave: no effect's form is right to better than a tenth (`FORMS`).
+Every name has the same prior probability, which is divided among its places and forms.  All
+functions without a name have a twentieth together.  For each effect in the model there are further
+columns, because the form of no effect is exact (`FORMS`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ from longarm_comp.core.identify.structure import smooth_functions
 from longarm_comp.core.model.model import slots_of
 
 AMPLITUDES = (3.0, 30.0, 300.0)
-"""Of a function without a name: prior standard deviations of its shift, in units of the noise."""
+"""Possible prior standard deviations of the shift by a function without a name, in units of the
+noise."""
 
 
 def make_offers(
@@ -56,11 +57,11 @@ def make_offers(
         fitted: the fit of geometry and of what was found so far.
         library: the named effects.
         functions: functions without a name.
-        found: what was found so far; it stays on offer in its present form.
-        tolerances: what may move the rows besides.
-        others: whether more than `found` is on offer.
-        near: a similar fit of the same rows and noise; columns of what every arm has are taken
-            there.
+        found: the effects found so far; they stay on offer in their present form.
+        tolerances: the model tolerances.
+        others: whether to offer more than `found`.
+        near: a similar fit with the same rows and noise, at which the background columns are
+            computed. Default: `fitted`.
         counts: (N,) how often each row counts; None: once.
     """
     listed = _list_with_prices(fitted.model.arm, library, functions, found)
@@ -96,7 +97,7 @@ def make_offers(
 
 
 _Listed = tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]
-"""A candidate with the log prior, sizes and chances of its offer."""
+"""A candidate, and the log prior, sizes and chances of its offer (see `Offer`)."""
 
 
 def _list_with_prices(
@@ -105,7 +106,7 @@ def _list_with_prices(
     functions: Sequence[ProposedFunction],
     found: Sequence[FoundEffect],
 ) -> list[_Listed]:
-    """List the candidates on offer, with their prices."""
+    """List the candidates on offer: the library, the functions, and what was found so far."""
     forms = Counter(c.name for c in library)
     share = math.log((1.0 - UNNAMED) / max(len(forms), 1))
     listed: list[_Listed] = []
@@ -128,13 +129,13 @@ def _list_with_prices(
 
 
 def _find_site(candidate: Candidate) -> str:
-    """Return where a cause without a name acts; "" for a named one, or one at several places."""
+    """Return where a function without a name acts; "" for a named effect or several places."""
     sites = {"" if t.searched else t.where.partition(",")[0] for t in candidate.terms}
     return sites.pop() if len(sites) == 1 else ""
 
 
 def _scale_to_stiffness(offer: Offer, candidate: Candidate, tolerance: ModelTolerance) -> Offer:
-    """Scale the sizes of an elastic offer to what an arm as stiff as this may have."""
+    """Return the offer with the sizes of an elastic effect scaled to the stiffness of the arm."""
     if offer.fixed or not candidate.terms[0].elastic:
         return offer
     return dataclasses.replace(offer, sizes=tuple(tolerance.elastic_share * s for s in offer.sizes))
@@ -143,10 +144,11 @@ def _scale_to_stiffness(offer: Offer, candidate: Candidate, tolerance: ModelTole
 def _make_offers_that_move(
     arm: Arm, squares: np.ndarray, raw: _StackedColumns, listed: Sequence[_Listed]
 ) -> tuple[list[int], list[Offer]]:
-    """Return the numbers of the candidates that move a row, and their offers.
+    """Return the candidates that move a row, by their positions in `listed`, and their offers.
 
     Args:
-        squares: (k,) squares of all columns.
+        squares: (k,) squared lengths of all columns, with the geometry projected out.
+        raw: the columns.
     """
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
@@ -166,13 +168,13 @@ def _make_offers_that_move(
 
 
 def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candidate]) -> np.ndarray:
-    """Return the (C,) log Bayes factor of each candidate alone on top of a marginal.
+    """Return the (C,) log Bayes factor of each candidate alone against none.
 
-    Its price is included. A candidate that moves no row has 0.
+    Its price (`Effect.price`) is subtracted. A candidate that moves no row has 0.
 
     Args:
         fitted: the fit, with its rows, noise and weights.
-        marginal: the columns that are there already.
+        marginal: the columns that are in the model already.
         each: the candidates.
     """
     listed = [
@@ -192,8 +194,10 @@ def tolerance_columns(
     found: Sequence[FoundEffect],
     tolerance: ModelTolerance,
 ) -> np.ndarray:
-    """Return (m, k) whitened columns of what moves the rows besides the findings, each in its
-    size."""
+    """Return (m, k) whitened columns of a model tolerance, each multiplied by its size.
+
+    They are what may move the rows besides the findings.
+    """
     made, (sizes,) = _besides_findings(fitted, library, found, [tolerance])
     return (made * sizes)[:, sizes > 0]
 
@@ -205,12 +209,12 @@ def _besides_findings(
     tolerances: Sequence[ModelTolerance],
     near: ModelFit | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the columns of what tolerances allow besides the findings.
+    """Compute the columns that model tolerances allow besides the findings.
 
-    They are what every arm has (`model_tolerance.py`), and by how much the shift of each effect in
-    the model may differ from its form.  The latter may vary with every joint by any of its smooth
-    functions, each as much.  A row may be so near to a threshold that the threshold's own tolerance
-    decides its side; it then tells nothing of that side.
+    They are what every arm has a little of (`model_tolerance.py`), and errors of the forms of the
+    found effects.  The error of a form varies with every joint by any of its smooth functions, each
+    as much.  A row so near to a threshold that the tolerance decides its side gets a column of its
+    own, so it tells nothing of its side.
 
     Returns:
         (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
@@ -248,8 +252,13 @@ def _besides_findings(
 
 
 def _undecided_row_columns(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
-    """Return (N, d, k) columns of single rows that a form's tolerance changes by more than its
-    share."""
+    """Return (N, d, k) columns of single rows whose shift a form's tolerance changes too much.
+
+    These are rows near a threshold: their change is more than this share of the largest shift.
+
+    Args:
+        tolerance: the relative error of the form's scales.
+    """
     columns = FitColumns(fitted)
     largest = np.abs(columns.shift_by([term])).max()
     made = []
@@ -263,9 +272,10 @@ def _undecided_row_columns(fitted: ModelFit, term: Term, tolerance: float) -> np
 
 
 def _scale_ends(term: Term, tolerance: float) -> list[tuple[Term, Term]]:
-    """Return a term with each of its scales larger, and smaller, by a relative tolerance.
+    """Return for each scale of a term two terms: with it larger and smaller by a tolerance.
 
-    Scales stay within their limits.
+    Args:
+        tolerance: relative change; scales stay within their limits.
     """
     made = []
     for field, (low, high) in term.scales().items():
@@ -282,9 +292,9 @@ class _StackedColumns(NamedTuple):
     Attributes:
         b: (m, k) columns in units of the noise.
         where: positions of a term's columns, by its variant.
-        lower, upper: (k,) bounds in units of the columns.
-        widths: (k,) these units.
-        like: (k,) group numbers; coefficients of one group are like each other.
+        lower, upper: (k,) bounds of the coefficients, in units of the columns.
+        widths: (k,) these units: a parameter's value is its coefficient times this.
+        like: (k,) group numbers; the coefficients of one group are correlated beforehand.
     """
 
     b: np.ndarray
@@ -298,7 +308,8 @@ class _StackedColumns(NamedTuple):
 def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColumns:
     """Stack the columns of the listed candidates' terms, each variant once.
 
-    First come the columns of parameters, then one column, the shift, of each term without any.
+    First come the columns of parameters. Then comes, for each term without parameters, one column
+    with its shift.
     """
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     slots = slots_of(fitted.model.arm, terms)

@@ -1,5 +1,4 @@
-"""Chooses the functions without a name that are offered beside the library: the best of a large
-bank."""
+"""Chooses the functions without a name to offer beside the library: the best of a large bank."""
 
 from __future__ import annotations
 
@@ -33,8 +32,8 @@ from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunc
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
 
 REFINED = 4
-"""Candidates of a bank that are tried with other thresholds and frequencies; each of these pays for
-the choice among as many."""
+"""Number of candidates of a bank that are refined: tried with other thresholds and frequencies. The
+log prior of a refined candidate includes the choice among these."""
 
 
 def propose_functions(
@@ -43,17 +42,16 @@ def propose_functions(
     library: Sequence[Candidate] = (),
     tolerance: ModelTolerance = RIGID,
 ) -> tuple[ProposedFunction, ...]:
-    """Return the functions that explain most, beside everything found and in the place of each
-    effect.
+    """Return the functions that explain most: beside all found effects, and instead of each one.
 
-    The best of every kind is among them, because flexible functions can be the same curve under
-    more than one name.  None is proposed in the place of an elastic effect: every arm yields, and a
-    function does not know by how much under another load.
+    The best of every kind is among them, because one curve may be described by functions of
+    several kinds.  No function is proposed instead of an elastic effect: every arm yields, and a
+    function does not tell how much under another load.
 
     Args:
-        fit: the fit of geometry and of what was found so far.
-        found: what was found so far.
-        library, tolerance: what may move the rows besides.
+        fit: the fit of the geometry and the found effects.
+        found: the effects found so far.
+        library, tolerance: give the columns that may move the rows besides (`tolerance_columns`).
     """
     gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found if not f.terms[0].elastic)]
     marginals = [_marginalise_without(fit, found, some, library, tolerance) for some in gone]
@@ -70,12 +68,12 @@ def propose_functions(
         better = sorted((one for one in mine if one.worth > 0), key=lambda one: -one.worth)
         offered |= {one.candidate: one.bank for one in better[:few]}
         offered |= {one.candidate: one.bank for one in better if one.first}
-        few = SHORTLIST // (2 * max(len(gone) - 1, 1))  # of what may take the place of each
+        few = SHORTLIST // (2 * max(len(gone) - 1, 1))  # functions instead of each effect
     return tuple(_make_proposed(bank, h) for h, bank in offered.items())
 
 
 def _remembering_joints(fit: ModelFit, found: Sequence[FoundEffect]) -> set[int]:
-    """Return the commanded joints, 0-based, whose history something found depends on."""
+    """Return the commanded joints, 0-based, whose history a found effect reads."""
     return {
         joint
         for f in found
@@ -92,7 +90,11 @@ def _marginalise_without(
     library: Sequence[Candidate],
     tolerance: ModelTolerance,
 ) -> tuple[Marginal, np.ndarray]:
-    """Marginalise the columns of a fit without some effects, and what may move the rows besides.
+    """Marginalise the columns of a fit without those of some effects, and those of the tolerance.
+
+    Args:
+        gone: the effects whose columns are left out.
+        library, tolerance: as in `propose_functions`.
 
     Returns:
         As `marginalise_columns`.
@@ -114,8 +116,13 @@ class _Ranked(NamedTuple):
 def _rank_bank(
     bank: FunctionBank, marginal: Marginal, kinds: Sequence[Sequence[FunctionCandidate]]
 ) -> list[_Ranked]:
-    """Return the best candidates of a bank on top of a marginal, also with other thresholds."""
-    made, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
+    """Return the best candidates of a bank, also in refined form.
+
+    Args:
+        marginal: the columns that are in the model already.
+        kinds: the shortlisted candidates of each kind.
+    """
+    made, each = [], SHORTLIST // len(kinds)  # so that similar functions leave room for others
     for some in kinds:
         weighed = _rank_by_odds(bank, marginal, [h for h in some if not _is_constant_shift(h)])[
             :each
@@ -128,7 +135,7 @@ def _rank_bank(
 
 
 def _mask_other_columns(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
-    """Return a mask (p,) of the columns of a fit that do not belong to some effects."""
+    """Return (p,) True for each column of a fit that does not belong to the effects `found`."""
     of = keys_of(found)
     return np.array([s.owner.key not in of for s in fit.slots], dtype=bool)
 
@@ -136,13 +143,13 @@ def _mask_other_columns(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarr
 def _rank_by_odds(
     bank: FunctionBank, marginal: Marginal, few: Sequence[FunctionCandidate]
 ) -> list[tuple[float, FunctionCandidate]]:
-    """Return the log odds of each candidate with it, the best first."""
+    """Return (log odds, candidate) of each candidate, the best first."""
     worth = bank.log_odds_of(marginal, few).tolist()
     return sorted(zip(worth, few, strict=True), key=lambda each: -each[0])
 
 
 def _is_constant_shift(candidate: FunctionCandidate) -> bool:
-    """Tell whether it is a constant displacement, which is an error of geometry or placement."""
+    """Tell whether a candidate is a constant displacement, which geometry can explain."""
     still = all(not function.factors for _, function in candidate.members)
     rigid = (isinstance(COMPONENTS.get(p.component), (Move, Turn)) for p, _ in candidate.members)
     seen = (p.at == CAMERA and p.component in AXES for p, _ in candidate.members)
@@ -165,8 +172,12 @@ def _make_proposed(bank: FunctionBank, candidate: FunctionCandidate) -> Proposed
 def _refine_shapes(
     bank: FunctionBank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
 ) -> Iterator[tuple[float, FunctionCandidate]]:
-    """Yield each candidate with better thresholds or frequencies, sought closer and closer to the
-    best."""
+    """Yield each candidate with its best thresholds or frequencies, by a coarse and a fine search.
+
+    Args:
+        marginal: the columns that are in the model already.
+        first: log odds and candidate, of each to refine.
+    """
     for best in first:
         prior = best[1].log_prior - math.log(REFINED)
         for width in (1.0, 2.0 / (DENSE - 1)):  # then between the neighbours of the best
@@ -183,7 +194,11 @@ def _refine_shapes(
 def _vary_candidate(
     bank: FunctionBank, candidate: FunctionCandidate, width: float
 ) -> Iterator[FunctionCandidate]:
-    """Yield the candidate with thresholds or frequencies near its own."""
+    """Yield the candidate with other thresholds or frequencies near its own.
+
+    Args:
+        width: as in `vary_shape`.
+    """
     factors = dict.fromkeys(f for _, function in candidate.members for f in function.factors)
     bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
     if len(bent) == 1 or all(isinstance(f, Wave) for f in bent):

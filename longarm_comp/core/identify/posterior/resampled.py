@@ -26,10 +26,10 @@ from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunc
 from longarm_comp.core.identify.posterior.offers import make_offers
 
 SAMPLES = 12
-"""Samples of the rows; a probability is then known to 0.15 at worst, and to less near 0 and 1."""
+"""Number of samples of the rows. The standard error of a probability is then at most 0.15."""
 SAME_ROLE = 0.5
-"""Share of an effect's shift (squared correlation, geometry taken off) from which another effect
-stands in its place."""
+"""Squared correlation of the shifts of two effects (geometry projected out) from which on the one
+counts as a replacement of the other."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class Resampling:
     """A finished search, whose linear stage may be repeated on other rows.
 
     Attributes:
-        fit: the fit of geometry and of what was found, without what every arm has besides.
-        candidates, functions: what is on offer.
-        found: what was found.
-        tolerance: what moves the rows besides.
-        of_halves: what a search on either half of the rows found.
+        fit: the fit of the geometry and the found effects, without the background compliance.
+        candidates, functions: the library and the functions without a name on offer.
+        found: the found effects.
+        tolerance: the model tolerance.
+        of_halves: the effects found by a search on each half of the rows.
     """
 
     fit: ModelFit
@@ -54,7 +54,7 @@ class Resampling:
     def explain_sample(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
         """Find the effects that explain the rows if each row counts `counts` (N,) times.
 
-        The search starts from nothing and from what was found; the better explanation stays.
+        The search starts without effects and from the found ones; the better explanation is kept.
         """
         (bank,) = make_offers(
             self.fit, self.candidates, self.functions, self.found, [self.tolerance], counts=counts
@@ -62,8 +62,10 @@ class Resampling:
         return bank.single_effects()
 
     def average_samples(self, seed: int) -> tuple[FoundEffect, ...]:
-        """Return the found effects; the probability of each, and of its names, is a mean over
-        samples of the rows."""
+        """Return the found effects with probabilities averaged over samples of the rows.
+
+        Averaged are the presence of each effect and the probabilities of its names.
+        """
         if not self.found:
             return ()
         whole = self.explain_sample(np.ones(len(self.fit.session)))
@@ -77,11 +79,15 @@ class Resampling:
         whole: Sequence[FoundEffect],
         samples: Sequence[Sequence[FoundEffect]],
     ) -> FoundEffect:
-        """Return an effect with the names of what stands in its place in each sample.
+        """Return an effect with its presence and names averaged over the samples.
 
-        The columns are those of small changes. If fits of all rows made a name likelier than its
-        columns did, the same factor is applied in each sample.  A half of the rows names only one
-        effect; it therefore agrees with every name of the set that holds this one.
+        The columns are linearised. If fits of all rows made a name likelier than its columns did,
+        the same factor is applied in each sample.  The search on a half of the rows gives one name
+        only. If this name is in the effect's credible set, the names of all rows are taken instead.
+
+        Args:
+            whole: the effects that explain all rows by columns.
+            samples: the effects of each sample, then of each half.
         """
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
         linear = self._in_its_place(found, whole)
@@ -121,10 +127,10 @@ class Resampling:
     def _in_its_place(
         self, found: FoundEffect, effects: Sequence[FoundEffect]
     ) -> FoundEffect | None:
-        """Find the effect that moves the rows as `found` does, first among those of its name.
+        """Return the one of `effects` that moves the rows as `found` does, or None.
 
-        Those of its name are taken together, because a sample may find at single joints what
-        another finds at all.
+        Effects that may have its name come first, and are taken together: one sample may find them
+        joint by joint, and another one at all joints.
         """
         mine = self._shift_rows(found.terms)
         shares = {e: _correlate_shifts(mine, self._shift_rows(e.terms)) ** 2 for e in effects}
@@ -141,13 +147,16 @@ class Resampling:
         return FitColumns(self.fit).marginal_without(keys_of(self.found))
 
     def _shift_rows(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the (m,) shift of the rows by terms beyond the geometry, in units of the noise."""
+        """Return the (m,) shift of the rows by some terms, in units of the noise.
+
+        The part that the geometry can explain is projected out.
+        """
         shift = FitColumns(self.fit).shift_by(terms)
         return self._geometry.project(self.fit.whiten_columns(shift[..., None]))[:, 0]
 
 
 def _explained_share(y: np.ndarray, columns: np.ndarray) -> float:
-    """Return the share of the square of y (m,) that columns (m, k) explain."""
+    """Return the share of the sum of squares of y (m,) that columns (m, k) explain."""
     left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
     return 1.0 - float(left @ left / max(y @ y, 1e-300))
 

@@ -1,10 +1,10 @@
-"""The search, from explanation to explanation, each better than the one before.
+"""The search for the best explanation: from one explanation to the next better one.
 
 Each round linearises the session's equations at the present model, offers every effect of the
 library and functions without a name (`offers.py`), computes the posterior over them (`ascent.py`),
 puts the most probable explanation into the model, and fits that.  Noise and outliers are judged
-again, and forms on a scale move to where the evidence is highest.  The search ends when the
-explanation repeats.
+again, and the scales of forms move to where the evidence is highest.  The search ends when no
+explanation is better.
 """
 
 from __future__ import annotations
@@ -42,24 +42,24 @@ from longarm_comp.core.identify.step_scan import scan_steps
 from longarm_comp.core.model.model import Model
 
 ROUNDS = 8
-"""Most rounds of posterior and fit of one kind; three are usual."""
+"""Largest number of rounds of each loop of the search; three are usual."""
 
 
 @dataclass
 class ExplanationSearch:
-    """A search, which goes from explanation to explanation, each better than the one before.
+    """A search for the best explanation, from one to the next better one.
 
     An explanation is the set of effects that are in the model besides the geometry.
 
     Attributes:
-        base: the declared model with its geometry terms, into which found effects are put.
+        base: the declared model with its geometry terms, to which found effects are added.
         session: the rows that are explained.
-        candidates: the library; steps that the residual shows are added and taken out.
-        known: the noise by repeats; None where there are too few.
-        stepped: effects whose steps are scanned (`step_scan.py`).
-        say: called with what was found, in words.
+        candidates: the library, and the servo steps that the residual shows now.
+        known: the noise by repeats; None if there are too few.
+        stepped: effect classes whose steps are scanned (`step_scan.py`).
+        say: called with the name of each effect found.
         functions: functions without a name that are on offer.
-        nameless: whether an arm of which every part is soft may be an explanation.
+        nameless: whether an arm with only soft parts (`ModelTolerance.is_soft`) is tried.
     """
 
     base: Model
@@ -74,14 +74,14 @@ class ExplanationSearch:
     def repeat_until_best(
         self, state: ExplainedSession, functions: bool = False
     ) -> ExplainedSession:
-        """Explain and fit in turn, as long as the fitted explanation is better than before.
+        """Explain and fit in turn, as long as the explanation gets better.
 
         Args:
             state: the explained session to begin with.
             functions: whether functions without a name are proposed anew in each round.
 
         Returns:
-            The best explained session, which is `state` itself where none is better.
+            The best explained session: `state` itself if none is better.
         """
         for _ in range(ROUNDS):
             self._scan_steps(state)
@@ -107,14 +107,14 @@ class ExplanationSearch:
     def fit_with(
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
-        """Fit the base model with some effects in the place of those of a state.
+        """Fit the base model with other effects than those of a state.
 
         Args:
             state: gives the values to begin with, and the columns by which noise is judged.
-            found: the effects.
+            found: the effects to fit.
 
         Returns:
-            The explained session; None where the fit diverges.
+            The explained session; None if the fit diverges.
         """
         model = put_found(self.base, state.fit.model, found)
         try:
@@ -125,8 +125,10 @@ class ExplanationSearch:
             return None
 
     def compare_odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
-        """Return the log odds of `other` against `one`: the mean of those at the noise of
-        either."""
+        """Return the log odds of `other` against `one`.
+
+        They are computed with the noise of each of the two, and averaged.
+        """
         made = []
         for judged in (one.fit.noise_arguments, other.fit.noise_arguments):
             fits = (
@@ -143,14 +145,14 @@ class ExplanationSearch:
     ) -> tuple[float, ModelTolerance]:
         """Find the model tolerance at which an explanation has the highest evidence.
 
-        Effects, and places of them, that are not worth their price do not count.
+        Effects and places that do not raise the evidence, priors included, are dropped first.
 
         Args:
             fitted: the fit that holds the effects.
             found: the effects.
 
         Returns:
-            That log evidence, and the tolerance.
+            The highest log evidence, and its tolerance.
         """
         every = self.offer_by_tolerance(fitted, found, others=False)
         return max((bank.evidence_pruned, bank.tolerance) for bank in every)
@@ -158,19 +160,24 @@ class ExplanationSearch:
     def evidence_of_all(
         self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit
     ) -> float:
-        """Return the log evidence of all effects of an explanation in the model.
+        """Return the log evidence of an explanation with all of its effects.
 
-        None of them is dropped: the columns tell little about the arm without an effect that is
-        large.
+        None is dropped, because the columns, which are linearised, tell little about the arm
+        without a large effect.
+
+        Args:
+            fitted: the fit that holds the effects.
+            found: the effects.
+            near: as in `make_offers`.
         """
         every = self.offer_by_tolerance(fitted, found, others=False, **near)
         return max(bank.evidence_of_known for bank in every)
 
     def other_compliance(self, state: ExplainedSession) -> float:
-        """Return how much every other part yields (`ModelTolerance.compliance`), once the names are
-        decided.
+        """Return the best background compliance (`ModelTolerance.compliance`) of a final state.
 
-        Where one part has a name for being soft, equally soft others are no cause of their own.
+        If an elastic effect was found, other parts may be equally soft without a penalty of the
+        prior.
         """
         soft = any(t.elastic for f in state.found for t in f.terms)
         every = self.offer_by_tolerance(state.fit, state.found, others=False)
@@ -180,13 +187,14 @@ class ExplanationSearch:
     def evidence_refitted(
         self, state: ExplainedSession, found: tuple[FoundEffect, ...], best_places: bool = False
     ) -> float:
-        """Return the log evidence of other effects in the place of a state's, fitted with the same
-        noise.
+        """Return the log evidence of other effects than a state's, fitted with the same noise.
 
-        It is -inf where two of them share a place or the fit fails.
+        It is -inf if one effect occurs twice at a place, or if the fit fails.
 
         Args:
-            best_places: whether places that are not worth their price do not count.
+            state: gives the noise and the values to begin with.
+            found: the effects to fit.
+            best_places: whether effects and places that do not raise the evidence are dropped.
         """
         places = [t.key for f in found for t in f.terms]
         if len(set(places)) < len(places):
@@ -209,9 +217,12 @@ class ExplanationSearch:
         others: bool = True,
         near: ModelFit | None = None,
     ) -> list[OfferedEffects]:
-        """Offer effects on top of a fit, once for each model tolerance that applies.
+        """Make the offers at a fit, one bank for each model tolerance that applies.
 
-        Tolerances with another form than the first are tried only if something was found.
+        Tolerances with another error of forms than the first are tried only if something was found.
+
+        Args:
+            fitted, found, others, near: as in `make_offers`.
         """
         tried = [
             tolerance
@@ -223,10 +234,10 @@ class ExplanationSearch:
         )
 
     def _explain_better(self, state: ExplainedSession) -> PosteriorResult | None:
-        """Return the best explanation by any tolerance, or None if the present one is as good.
+        """Return the best explanation at any tolerance, or None if the present one is as good.
 
-        The likeliest tolerance is tried first.  Those by which the best explanation is impossible
-        are not tried.
+        The likeliest tolerance is tried first.  A tolerance is not tried if the best explanation so
+        far is practically impossible at it (`IMPOSSIBLE`).
         """
         left = self.offer_by_tolerance(state.fit, state.found)
         first = max(left, key=lambda bank: bank.evidence_of_known)
@@ -241,12 +252,12 @@ class ExplanationSearch:
         return best if best.evidence >= first.evidence_of_known + BETTER else None
 
     def _is_better(self, before: ExplainedSession, now: ExplainedSession) -> bool:
-        """Tell whether the explanation in the model, once fitted, is better than the one before.
+        """Tell whether the fitted explanation `now` is better than the one before.
 
-        The columns are those of small changes. Where two effects need each other, as a load needs a
-        part that yields, one alone seems to do what only both can.  So each explanation counts with
-        all of its effects, also those that are not worth their price: else it could not replace the
-        same one with more effects.
+        The columns are linearised. If two effects need each other, as a load needs a part that
+        yields, one alone seems to explain what only both can.  So each explanation counts with all
+        of its effects, even if some do not raise the evidence. Otherwise an explanation could not
+        replace the same one with more effects.
         """
         was = before.fit
         again = fit_model(was.model, self.session, close=NEAR, begun=was, **now.fit.noise_arguments)
@@ -254,15 +265,15 @@ class ExplanationSearch:
         return self.evidence_of_all(now.fit, now.found) > least
 
     def _scan_steps(self, state: ExplainedSession) -> None:
-        """Replace the scanned candidates by the steps that the residual shows now."""
+        """Replace the scanned servo steps in `candidates` by those that the residual shows now."""
         need = NONE + math.log(max(len(self.candidates), 1))
         shown = [c for kind in self.stepped for c in scan_steps(state.fit, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
 
     def _move_forms(self, state: ExplainedSession) -> ExplainedSession:
-        """Move forms on a scale to where the evidence is highest, while more rows agree.
+        """Move the scales of forms to where the evidence is highest, while more rows agree.
 
-        A form that stays is not looked at again.
+        A form that does not move is not tried again.
         """
         terms = [t for f in state.found for t in f.terms]
         while moved := find_better_forms(state.fit, terms, self.candidates):

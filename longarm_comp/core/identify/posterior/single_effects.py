@@ -6,8 +6,9 @@ regression", J. R. Statist. Soc. B 82.  The whitened data are
     y = A u + sum over l of X_c(l) b_l + e,    u, b, e unit normal
 
 with the geometry A marginalised.  Each single effect l is one `Offer` c of a bank, or none.  Its
-distribution q_l over the offers is computed given what the other effects explain on average, in
-turn, until none moves.  Offers that explain the same share a q: that is the credible set.
+distribution q_l over the offers is computed from the residual that the other effects leave on
+average. This is done for one effect after the other until none changes.  Offers that explain the
+data equally well share the probability of q_l: they are the credible set.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from longarm_comp.core.identify.posterior.offer_table import OfferTable, Product
 
 
 class _Beside(NamedTuple):
-    """The offers that lose places to others: their numbers, and what is left of them."""
+    """The offers that lose places to other effects."""
 
-    taken: list[int]
-    left: dict[int, Offer]
-    tables: list[OfferTable]
+    taken: list[int]  # their numbers
+    left: dict[int, Offer]  # what is left of them, by number, if at least two places are
+    tables: list[OfferTable]  # of `left`
 
 
 class OfferBank:
@@ -42,17 +43,18 @@ class OfferBank:
         gram: (K, K) products of the columns, projected off the geometry.
         along: (K,) products of the projected columns with the data.
         lower, upper: (K,) bounds of the coefficients.
-        like: (K,) group numbers; coefficients of one group are like each other. None: all differ.
+        like: (K,) group numbers; the coefficients of one group are correlated beforehand. None: all
+            are independent.
         sites: number of places at which a cause without a name may act.
         names: number of names that an effect may have, on offer or not; None: those on offer.
 
     Attributes:
-        again: prior log odds of a further place of a name that is there already against a new name.
-            A fault of one joint is likely at others, so each of the two has half of the
-            probability.
-        together: prior log odds of a further function of a cause without a name that is there
-            already, against another cause. A hose, say, is no function of the library and seldom
-            only one of the bank. So a further one pays for no effect, cause or place of its own.
+        again: prior log odds that the next effect has a name that is there already, against those
+            of a new name. A fault of one joint is likely at others too, so both cases have half of
+            the probability.
+        together: prior log odds that a cause without a name has a further function at its site,
+            against those of another cause. A cause such as a hose often needs several functions. So
+            a further one does not pay again for an effect, a cause without a name and its site.
     """
 
     def __init__(
@@ -77,8 +79,8 @@ class OfferBank:
             site: np.array([offer.site == site for offer in offers])
             for site in {offer.site for offer in offers if offer.site}
         }
-        # What is left of the offers where others hold some places: which they take from, and how.
-        # Few of these places change what is left, so that most share their tables.
+        # By the places that other effects take: what is left of the offers. Many sets of places
+        # leave the same, so most of them share their tables.
         self._beside: dict[frozenset[Hashable], _Beside] = {}
         self._tables_of_left: dict[Hashable, list[OfferTable]] = {}
 
@@ -91,10 +93,10 @@ class OfferBank:
         return OfferTable.of(self._products, dict(enumerate(self.offers)))
 
     def has_a_name(self, offer: Offer) -> bool:
-        """Tell whether a function without a name moves the rows as a named effect does.
+        """Tell whether an offer is a function without a name that moves the rows as a named effect.
 
-        Then it is that effect, described in another way. Two are the same within the middle one of
-        `FORMS`, because no form of a real joint is known better.
+        Then it is only another description of that effect. Two columns count as the same within
+        ``FORMS[1]``, because the form of no real joint is known better.
         """
         if not offer.site or len(offer.column_numbers) > 1:
             return False
@@ -105,16 +107,16 @@ class OfferBank:
 
     @cached_property
     def _named_columns(self) -> np.ndarray:
-        """Columns of named effects that have a single column."""
+        """The numbers of the columns of named effects that have a single column."""
         alone = (o.column_numbers for o in self.offers if not o.site and len(o.column_numbers) == 1)
         return np.array([k for (k,) in alone], dtype=int)
 
     def compute_single_effect(self, along: np.ndarray, others: OtherEffects) -> SingleEffect:
-        """Compute the effect that explains what the others leave.
+        """Compute the distribution of one effect from the residual of the others.
 
         Args:
-            along: (K,) products of the columns with what the others leave.
-            others: which offers and places the others leave to it.
+            along: (K,) products of the columns with this residual.
+            others: the limits that the other effects set.
         """
         beside = self._beside_places(others.held)
         scores, found = np.full(len(self.offers), -np.inf), []
@@ -142,7 +144,7 @@ class OfferBank:
 
     @cached_property
     def _numbers_at(self) -> dict[Hashable, list[int]]:
-        """Numbers of the offers at every place."""
+        """Numbers of the offers at each place."""
         made: dict[Hashable, list[int]] = {}
         for n, offer in enumerate(self.offers):
             for key in offer.keys:
@@ -150,7 +152,7 @@ class OfferBank:
         return made
 
     def _beside_places(self, held: frozenset[Hashable]) -> _Beside:
-        """Return what is left of the offers where others hold some places."""
+        """Return what is left of the offers if other effects take the places `held`."""
         if held not in self._beside:
             taken = sorted({n for key in held for n in self._numbers_at.get(key, ())})
             rest = {n: self.offers[n].beside(held) for n in taken}
@@ -175,14 +177,14 @@ class OfferBank:
         return float(self.evidence_of_sets([chosen])[0])
 
     def evidence_of_sets(self, sets: Sequence[Sequence[Offer]]) -> np.ndarray:
-        """Return the (C,) `evidence` of many sets of offers at once, which is much faster."""
+        """Return the `evidence` of each of many sets of offers, (number of sets,), much faster."""
         return self._solve_sets(sets)[0]
 
     def worth_their_price(self, chosen: Sequence[Offer]) -> list[int]:
-        """Return the numbers of the offers that are worth their price.
+        """Return the positions in `chosen` of the offers that raise the evidence, priors included.
 
-        The offer that contributes least is dropped as long as the evidence of the others is no
-        lower.
+        The offer that contributes least is dropped, again and again, until the evidence would
+        fall.
         """
         kept, best = list(range(len(chosen))), self.evidence(chosen)
         while kept:
@@ -204,15 +206,17 @@ class OfferBank:
         ]
 
     def _odds_of_likes(self, chosen: Sequence[Offer]) -> float:
-        """Return the log odds that offers gain beside others of their name or of their cause."""
+        """Return the prior log odds that offers gain from others of their name or cause."""
         sites = [offer.site for offer in chosen if offer.site]
         together = len(sites) - len(set(sites))
         again = len(chosen) - len({offer.name for offer in chosen}) - together
         return self.again * again + self.together * together
 
     def _solve_sets(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return the (C,) evidence of sets of offers, and the free coefficients of each, offer by
-        offer."""
+        """Return the log evidence of each set of offers, and the coefficients of each set.
+
+        The coefficients are at the posterior mode, offer by offer, without those of fixed offers.
+        """
         totals, means = np.zeros(len(sets)), [np.zeros(0) for _ in sets]
         alike: dict[tuple[int, int], list[int]] = {}
         free = [[offer for offer in chosen if not offer.fixed] for chosen in sets]
@@ -236,8 +240,9 @@ class OfferBank:
             t = np.take_along_axis(along[ns], places, axis=1)
             lower, upper, like = self.lower[places], self.upper[places], self.like[places]
             root = prior_root(like)
-            # Sizes are chosen at the coefficients that the smallest, or the largest, would give:
-            # where the data hardly tell two apart, the largest lets them grow against each other.
+            # Sizes are chosen from the coefficients by the smallest and by the largest size, and
+            # the better choice is kept: with the largest, two coefficients that the data hardly
+            # tell apart may grow against each other.
             begun = np.stack([sizes.min(-1), sizes.max(-1)])
             first = _find_mode(s, t, begun[..., None] * root)
             scale, chance = choose_sizes(first, sizes[None], chances[None], like)
@@ -253,7 +258,13 @@ class OfferBank:
 
 
 def _find_mode(s: np.ndarray, t: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """Return the mean of coefficients ``root w``, w unit normal."""
+    """Return the posterior mean (..., K) of coefficients ``root w``, w unit normal.
+
+    Args:
+        s: (..., K, K) products of the columns with each other.
+        t: (..., K) products of the columns with the data.
+        root: (..., K, K).
+    """
     turned = np.swapaxes(root, -1, -2)
     precision = np.eye(t.shape[-1]) + turned @ s @ root
     return np.asarray((root @ np.linalg.solve(precision, turned @ t[..., None]))[..., 0])
@@ -262,8 +273,10 @@ def _find_mode(s: np.ndarray, t: np.ndarray, root: np.ndarray) -> np.ndarray:
 def _solve_coefficients(
     s: np.ndarray, t: np.ndarray, root: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mean, standard deviation and log evidence of coefficients ``root w``, w unit
-    normal."""
+    """Return mean (..., K), standard deviation (..., K) and log evidence (...) of coefficients.
+
+    Arguments and prior are those of `_find_mode`.
+    """
     turned = np.swapaxes(root, -1, -2)
     precision = np.eye(t.shape[-1]) + turned @ s @ root
     inverse = root @ np.linalg.inv(precision) @ turned
