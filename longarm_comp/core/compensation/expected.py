@@ -57,10 +57,11 @@ class ExpectedMiss:
         return sizes(self.covariance, self.mean)
 
     def plus(self, variance: np.ndarray) -> ExpectedMiss:
-        """Return the miss with a further independent error of variance (..., 3), m^2, per axis."""
-        further = (variance != 0.0).any(axis=-1, keepdims=True)[..., None]
-        whole = np.nan_to_num(self.covariance) + variance[..., None] * np.eye(3)
-        return ExpectedMiss(self.mean, np.where(further, whole, self.covariance))
+        """Return the miss with a further independent error of variance (..., 3), m^2, per axis.
+
+        A covariance that nothing tells stays so: a part of an error is no bound of the whole.
+        """
+        return ExpectedMiss(self.mean, self.covariance + variance[..., None] * np.eye(3))
 
 
 def expected_miss(

@@ -119,7 +119,8 @@ def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Fou
             yield f"q{j}", _commonest_text(texts, spoilt, rows)
         yield f"q{j}", _densest_stretch(values, spoilt, rows)
     for j, sides in enumerate(session.approach[first].T, 1):
-        yield f"approach of q{j}", _commonest_text(np.where(sides < 0, "-1", "+1"), spoilt, rows)
+        texts = np.array(["unknown", "+1", "-1"])[np.sign(sides).astype(int)]
+        yield f"approach of q{j}", _commonest_text(texts, spoilt, rows)
     yield "order", _densest_stretch(first + 1.0, spoilt, rows)
     for name, values in session.columns.items():
         yield name, _densest_stretch(values[first], spoilt, rows)

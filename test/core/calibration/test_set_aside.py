@@ -107,6 +107,19 @@ def test_what_rows_share_is_named(bad: np.ndarray, shared: str) -> None:
     assert found.shared_by[0].p_value < 1e-3
 
 
+@pytest.mark.parametrize(("side", "said"), [(0, "unknown"), (1, "+1"), (-1, "-1")])
+def test_the_side_that_rows_share_is_the_one_they_have(side: int, said: str) -> None:
+    """Where no row told its side, all had arrived from below."""
+    rng = np.random.default_rng(2)
+    sides = rng.choice([s for s in (-1, 0, 1) if s != side], (80, SMALL.n))
+    bad = np.zeros(80, bool)
+    bad[rng.permutation(80)[:12]] = True
+    sides[bad, 1] = side
+    rows = dataclasses.replace(measured(80, rng), approach=sides)
+    shared = SetAside.of(rows, bad).shared_by
+    assert [(s.input, s.value) for s in shared] == [("approach of q2", said)]
+
+
 def test_a_region_is_shared() -> None:
     n = 120
     warmth = np.random.default_rng(5).uniform(10, 30, n)

@@ -16,6 +16,7 @@ from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
 from longarm_comp.core.compensation.beyond import KNOWN_TO, beyond_session
 from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.compensation.expected import ExpectedMiss
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
@@ -50,6 +51,14 @@ SOFT = JointCompliance(2, compliance=1e-3)
 
 def at(payload_kg: float) -> Context:
     return Context(columns={"payload_kg": payload_kg})
+
+
+def test_a_part_of_an_unknown_miss_is_no_promise() -> None:
+    """What a payload adds was promised alone, where nothing told the rest."""
+    unknown = ExpectedMiss(np.zeros(3), np.full((3, 3), np.nan))
+    assert np.isnan(unknown.plus(np.full(3, 1e-6)).sizes).all()
+    known = ExpectedMiss(np.zeros(3), 1e-6 * np.eye(3)).plus(np.full(3, 3e-6))
+    np.testing.assert_allclose(known.sigma, 2e-3)
 
 
 def test_within_the_session_nothing_is_added() -> None:
