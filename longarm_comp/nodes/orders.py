@@ -63,6 +63,10 @@ def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
     return f"is {age:.1f} s old" if age > 0 else f"lies {-age:.1f} s in the future"
 
 
+_UNTOLD_S = 1.0
+"""A request waited for so long at most, s, where nothing tells how long."""
+
+
 class Freshness:
     """A limit on the age of the orders that a node takes.
 
@@ -95,6 +99,11 @@ class Freshness:
         late = self._away_s if now - self._back < self._away_s else 0.0
         return max(now - self._turned, late)
 
+    def waited_s(self, sent_ns: int) -> float:
+        """Return how long a request waited; at most, where its sender's clock does not tell."""
+        late_s = 1e-9 * (time.time_ns() - sent_ns)
+        return late_s if sent_ns and late_s >= 0.0 else max(self.away_s, _UNTOLD_S)
+
     def too_old(self, stamp: Time) -> str:
         """Say why an order is too old to be carried out; empty if it is not."""
         ns = stamp_ns(stamp)
@@ -105,7 +114,7 @@ class Freshness:
 
 
 PARAMS = (
-    Param("order_max_age_s", 2.0, "trajectories and goals older than this are refused", 0.01, 60.0),
+    Param("order_max_age_s", 2.0, "older trajectories, goals, resets are refused", 0.01, 60.0),
     Param("unstamped", False, "also accept trajectories with the stamp 0 (docs/ros.md)"),
 )
 
@@ -128,9 +137,8 @@ class Driver(Protocol):
 class Intake:
     """Receives `joint_trajectory` and `withdrawn`."""
 
-    def __init__(self, node: Node, site: Driver, max_age_s: float, *, unstamped: bool) -> None:
-        self._site, self._unstamped = site, unstamped
-        self._fresh = Freshness(node, max_age_s)
+    def __init__(self, node: Node, site: Driver, fresh: Freshness, *, unstamped: bool) -> None:
+        self._site, self._unstamped, self._fresh = site, unstamped, fresh
         # Withdrawn ids that are remembered: more than can wait
         self._withdrawn: deque[str] = deque(maxlen=100)
         graph.WITHDRAWN.subscription(node, self._on_withdrawn)

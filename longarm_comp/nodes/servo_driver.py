@@ -45,7 +45,7 @@ from longarm_comp.nodes.health import ERROR, OK, PERIOD, THIS_INSTANCE, WARN, Re
 from longarm_comp.nodes.messages import points_message, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
-from longarm_comp.nodes.orders import FollowServer, Intake
+from longarm_comp.nodes.orders import FollowServer, Freshness, Intake
 from longarm_comp.nodes.params import Param, declare_sections, where
 from longarm_comp.nodes.stops import Stops
 from longarm_interfaces.msg import DriverState, Motion
@@ -137,9 +137,10 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._motions = graph.MOTION.publisher(self)
         self._states = graph.DRIVER_STATE.publisher(self)
         self._max_age_s, self._cycled = p["order_max_age_s"], time.monotonic()
-        self._intake = Intake(self, self, self._max_age_s, unstamped=p["unstamped"])
+        fresh = Freshness(self, self._max_age_s)
+        self._intake = Intake(self, self, fresh, unstamped=p["unstamped"])
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
-        self._stops = Stops(self, self, p["state"], p["arm"], self._config)
+        self._stops = Stops(self, self, p["state"], p["arm"], self._config, fresh)
         self._timer = steady_timer(self, self._period_s, self._run_cycle)
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from rclpy.node import Node
 
@@ -19,7 +20,9 @@ from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.messages import driver_words
+from longarm_comp.nodes.orders import Freshness
 from longarm_comp.nodes.params import Param, where
+from longarm_comp.nodes.worker import Asked, Together
 from longarm_interfaces.msg import DriverState
 
 PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
@@ -43,7 +46,13 @@ class Stops:
     """
 
     def __init__(
-        self, node: Node, site: Stoppable, folder: str, arm: str, servos: ServoConfig
+        self,
+        node: Node,
+        site: Stoppable,
+        folder: str,
+        arm: str,
+        servos: ServoConfig,
+        fresh: Freshness,
     ) -> None:
         kept = Path(folder) if folder else state_folder()
         if not kept.is_absolute():  # another working folder would not know of a stop
@@ -53,15 +62,43 @@ class Stops:
         if self.standing:
             node.get_logger().warning(self._latch.words)
         steady_timer(node, 0.5, self._latch.keep)  # again where it could not be written
-        _offer_service(
-            node,
-            graph.ESTOP,
-            lambda asked: self._stop_now() if asked.data else self._end_stops(Stop.ESTOP),
-        )
-        _offer_service(
-            node, graph.HOLD, lambda asked: self._hold_now() if asked.data else self._go_on()
-        )
-        _offer_service(node, graph.RESET, lambda asked: self._reset_all())
+        self._fresh, self._stopped = fresh, -math.inf  # when a stop was last answered
+        Together(node, (graph.ESTOP, graph.HOLD, graph.RESET), self.serve)
+
+    def serve(self, waiting: Sequence[Asked]) -> None:
+        """Answer requests that waited together: stops first.
+
+        A stop that came after an end was asked stands: who asked did not know of it.
+        """
+        with ExitStack() as answers:  # whatever one of them raises; the last that is put first
+            for asked in sorted(waiting, key=_is_end, reverse=True):
+                answers.callback(self._answer, asked)
+
+    def _answer(self, asked: Asked) -> None:
+        response = asked.service.type.Response()
+        try:
+            response.message = self._end(asked) if _is_end(asked) else self._stop(asked)
+            response.success = True
+        except LongarmError as error:
+            response.message = str(error)
+        asked.reply(response)
+
+    def _stop(self, asked: Asked) -> str:
+        try:
+            return self._stop_now() if asked.service is graph.ESTOP else self._hold_now()
+        finally:
+            self._stopped = time.monotonic()
+
+    def _end(self, asked: Asked) -> str:
+        waited_s = self._fresh.waited_s(asked.sent_ns)
+        if time.monotonic() - waited_s <= self._stopped:
+            raise JobError("a stop came after this was asked: ask again")
+        if waited_s > self._fresh.max_age_s:
+            allowed = f"allowed {self._fresh.max_age_s:g} s"
+            raise JobError(f"this was asked {waited_s:.1f} s ago, {allowed}: ask again")
+        if asked.service is graph.RESET:
+            return self._reset_all()
+        return self._go_on() if asked.service is graph.HOLD else self._end_stops(Stop.ESTOP)
 
     @property
     def standing(self) -> str:
@@ -155,14 +192,6 @@ class Stops:
         return why or driver_words(state)
 
 
-def _offer_service(node: Node, service: graph.Service, action: Callable[[Any], str]) -> None:
-    """Offer a service that answers with the text of an action, or with why it failed."""
-
-    def serve(request: Any, response: Any) -> Any:
-        try:
-            response.success, response.message = True, action(request)
-        except LongarmError as error:
-            response.success, response.message = False, str(error)
-        return response
-
-    service.server(node, serve)
+def _is_end(asked: Asked) -> bool:
+    """Return whether a request ends a stop; else it is one."""
+    return asked.service is graph.RESET or not asked.request.data
