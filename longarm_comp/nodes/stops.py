@@ -28,6 +28,14 @@ from longarm_interfaces.msg import DriverState
 PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
 
 
+_ENDS: dict[graph.Service, tuple[frozenset[Stop], frozenset[FollowerState]]] = {
+    graph.ESTOP: (frozenset({Stop.ESTOP}), frozenset({FollowerState.ESTOP})),
+    graph.HOLD: (frozenset({Stop.HOLD}), frozenset()),
+    graph.RESET: (frozenset(Stop), frozenset({FollowerState.ESTOP, FollowerState.FAULT})),
+}
+"""Which stops, and which states of the arm, an end by each service ends."""
+
+
 class Stoppable(Protocol):
     """The part of `servo_driver` that `Stops` uses."""
 
@@ -58,6 +66,7 @@ class Stops:
         if not kept.is_absolute():  # another working folder would not know of a stop
             raise InputError(where(node), "state", folder, "an absolute path")
         self._site, self._servos, self._freed = site, servos, False
+        self._was_on = False  # the torque, when the emergency stop was asked for
         self._latch = StopLatch(kept, node.get_namespace(), arm, servos.bus.port)
         if self.standing:
             node.get_logger().warning(self._latch.words)
@@ -96,9 +105,9 @@ class Stops:
         if waited_s > self._fresh.max_age_s:
             allowed = f"allowed {self._fresh.max_age_s:g} s"
             raise JobError(f"this was asked {waited_s:.1f} s ago, {allowed}: ask again")
-        if asked.service is graph.RESET:
-            return self._reset_all()
-        return self._go_on() if asked.service is graph.HOLD else self._end_stops(Stop.ESTOP)
+        self._end_stops(*_ENDS[asked.service])
+        state, why = self._site.state
+        return why or driver_words(state)
 
     @property
     def standing(self) -> str:
@@ -136,6 +145,8 @@ class Stops:
                 self._freed = True
 
     def _stop_now(self) -> str:
+        if not self.estop:
+            self._was_on = self._site.arm is not None and self._site.arm.powered
         self._latch.ask(Stop.ESTOP)
         self.let_go()
         said = self._write_down(Stop.ESTOP, "torque off, commands refused")
@@ -162,34 +173,23 @@ class Stops:
             return "" if off else "torque off: not every servo confirms it"
         return "" if arm is not None and arm.powered else "the driver has switched no torque on"
 
-    def _go_on(self) -> str:
-        """End a hold."""
-        with self._latch.lift_stops(Stop.HOLD):
-            arm = self._site.arm
-            if arm is not None and self._site.active and not (self.standing or arm.powered):
-                arm.power(True)
-        return self._describe_now()
+    def _end_stops(self, ends: frozenset[Stop], states: frozenset[FollowerState]) -> None:
+        """End those stops that stand, and the arm's state where it is one of some.
 
-    def _reset_all(self) -> str:
-        """End everything that stops the arm. If it is only held, the hold ends as in `_go_on`."""
-        arm = self._site.arm
-        well = arm is None or arm.follower.state not in (FollowerState.FAULT, FollowerState.ESTOP)
-        only_held = set(self._latch.standing) == {Stop.HOLD}
-        return self._go_on() if well and only_held else self._end_stops(*Stop)
-
-    def _end_stops(self, *ends: Stop) -> str:
-        """End stops, and a fault; torque goes on where the driver is active."""
-        arm = self._site.arm
-        if arm is None and not self._latch.standing.keys() & set(ends):
-            raise LongarmError("the driver is not configured")
+        Torque goes on where the driver is active and nothing stops the arm any more. Held on, it
+        goes on only if it was on when an emergency stop switched it off.
+        """
+        arm, active = self._site.arm, self._site.active
+        stopped = arm is not None and arm.follower.state in states
+        if not (stopped or self._latch.standing.keys() & ends):
+            return
         with self._latch.lift_stops(*ends):
-            if arm is not None:
-                arm.release(time.monotonic(), on=self._site.active)
-        return self._describe_now()
-
-    def _describe_now(self) -> str:
-        state, why = self._site.state
-        return why or driver_words(state)
+            if arm is None:
+                return
+            if stopped:
+                arm.release(time.monotonic(), on=active and (self._was_on or not self.standing))
+            elif active and not (self.standing or arm.powered):
+                arm.power(True)
 
 
 def _is_end(asked: Asked) -> bool:

@@ -16,8 +16,10 @@ from nodes_bench import Bench
 from std_srvs.srv import SetBool, Trigger
 from stops_bench import MAX_AGE_S, StoppedArm, stopped_arm
 
+from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.worker import Asked
+from longarm_interfaces.msg import DriverState
 
 ENDS = {"reset": (graph.RESET, None), "estop": (graph.ESTOP, False), "hold": (graph.HOLD, False)}
 
@@ -55,6 +57,15 @@ def test_an_end_that_was_asked_before_a_stop_does_not_end_it(
     assert driver.on == {True}
 
 
+def test_an_end_that_was_asked_while_the_stop_was_carried_out_does_not_end_it(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[int] = []
+    monkeypatch.setattr(driver.stops, "let_go", lambda: sent.append(time.time_ns()))
+    serve(driver, graph.ESTOP, True, 0)
+    assert "a stop came after" in serve(driver, *ENDS["reset"], sent[0]).message
+
+
 def test_an_end_that_is_served_long_after_it_was_sent_ends_nothing(driver: StoppedArm) -> None:
     second = 1_000_000_000
     assert driver.ask(graph.ESTOP, True).success
@@ -74,6 +85,7 @@ def test_an_end_whose_time_is_not_told_may_have_waited_while_the_driver_was_away
     """Nor does a clock that is ahead tell it."""
     sent_ns = 0 if ahead_s is None else time.time_ns() + 1_000_000_000 * ahead_s
     assert driver.ask(graph.ESTOP, True).success
+    assert driver.fresh.waited_s(sent_ns) >= 1.0
     assert "a stop came after" in serve(driver, *ENDS["reset"], sent_ns).message
     driver.stops._stopped -= 100.0
     driver.fresh._away_s, driver.fresh._back = MAX_AGE_S + 1.0, time.monotonic()
@@ -81,6 +93,79 @@ def test_an_end_whose_time_is_not_told_may_have_waited_while_the_driver_was_away
     driver.fresh._away_s = 0.0
     assert serve(driver, *ENDS["reset"], sent_ns).success
     assert driver.on == {True}
+
+
+@pytest.mark.parametrize("end", ["estop", "hold"])
+def test_an_end_of_one_stop_leaves_a_fault_and_the_other_stop_in_force(
+    driver: StoppedArm, end: str
+) -> None:
+    driver.in_fault()
+    assert driver.arm is not None
+    assert driver.ask(*ENDS[end]).success
+    assert driver.arm.follower.state is FollowerState.FAULT
+    assert driver.ask(graph.HOLD, True).success
+    assert driver.ask(graph.ESTOP, False).success
+    assert driver.arm.follower.state is FollowerState.FAULT and "held" in driver.stops.standing
+    assert driver.ask(graph.RESET).success and not driver.stops.standing
+    assert driver.arm.follower.state is FollowerState.IDLE and driver.on == {True}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_an_end_of_nothing_leaves_a_motion_as_it_is(driver: StoppedArm, end: str) -> None:
+    driver.moves()
+    assert driver.ask(*ENDS[end]).message == "ready"
+    cycle = driver.cycles()[-1]
+    assert cycle.step.state is FollowerState.TRACKING and cycle.step.goals
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_an_end_of_nothing_switches_no_torque_on(driver: StoppedArm, end: str) -> None:
+    """It is off though the driver is active: a servo was silent when it was to go on."""
+    assert driver.arm is not None
+    driver.arm.power(False)
+    assert driver.ask(*ENDS[end]).success
+    assert driver.on == {False}
+
+
+@pytest.mark.parametrize("was_on", [True, False])
+def test_a_hold_that_outlasts_an_emergency_stop_has_the_torque_that_it_had(
+    driver: StoppedArm, was_on: bool
+) -> None:
+    assert driver.ask(graph.HOLD, True).success
+    if not was_on:  # the next driver finds the hold
+        assert driver.arm is not None
+        driver.arm.close()
+        driver.configure()
+    for _ in range(2):
+        assert driver.ask(graph.ESTOP, True).success and driver.on == {False}
+    assert driver.ask(graph.ESTOP, False).success and driver.on == {was_on}
+    assert driver.stops.standing
+    assert driver.ask(graph.HOLD, False).success and driver.on == {True}
+
+
+def test_after_an_emergency_stop_of_an_arm_whose_torque_was_off_it_goes_on(
+    driver: StoppedArm,
+) -> None:
+    """The next driver finds the stop; nothing else stops the arm."""
+    assert driver.arm is not None
+    assert driver.ask(graph.ESTOP, True).success
+    driver.arm.close()
+    driver.stops._was_on = False
+    driver.configure()
+    assert driver.on == {False}
+    assert driver.ask(graph.ESTOP, False).success and driver.on == {True}
+
+
+def test_ends_while_no_arm_is_configured_answer_with_the_state(driver: StoppedArm) -> None:
+    assert driver.arm is not None
+    driver.arm.close()
+    driver.arm, driver.state = None, (DriverState.UNCONFIGURED, "not configured")
+    for stop in (None, graph.ESTOP, graph.HOLD):
+        assert stop is None or driver.ask(stop, True)
+        for end in ENDS.values():
+            answer = driver.ask(*end)
+            assert answer.success and answer.message == "not configured"
+        assert not driver.stops.standing and driver.on == {False}
 
 
 def test_every_request_is_answered_whatever_another_raises(driver: StoppedArm) -> None:

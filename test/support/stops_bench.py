@@ -19,6 +19,7 @@ from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.orders import Freshness
 from longarm_comp.nodes.stops import Stops
+from longarm_interfaces.msg import DriverState
 
 JOINT = {
     "model": "sts3215", "type": "revolute", "zero_ticks": 2048.0, "gear_ratio": 10.0,
@@ -32,7 +33,7 @@ class StoppedArm:
 
     def __init__(self, stage: Bench, folder: Path, emulator: FaultyBus) -> None:
         self.stage, self.emulator, self.active = stage, emulator, True
-        self.state = (0, "")
+        self.state = (DriverState.READY, "")
         line = {"protocol": "feetech", "port": emulator.port, "reply_timeout_s": 0.25, "retries": 1}
         joints = {"a": {"servo_id": 1, **JOINT}, "b": {"servo_id": 2, **JOINT}}
         follower = {"silence_s": 5.0, "stall_time_s": 5.0}
@@ -75,10 +76,11 @@ class StoppedArm:
     def in_fault(self) -> None:
         """Servo 1 was too hot for a moment."""
         assert self.arm is not None
-        for celsius, state in ((68.0, FollowerState.FAULT), (30.0, FollowerState.FAULT)):
+        follower = self.arm.follower
+        for celsius in (68.0, 30.0):
             with self.emulator.motor(1) as motor:
                 motor.temperature_c = celsius
-            self.cycles(lambda state=state: self.arm.follower.state is state)
+            self.cycles(lambda: follower.state is FollowerState.FAULT)
         self.cycles()
 
     def send(self, service: graph.Service, data: bool | None = None) -> Any:
