@@ -143,6 +143,18 @@ def test_a_hold_that_outlasts_an_emergency_stop_has_the_torque_that_it_had(
     assert driver.ask(graph.HOLD, False).success and driver.on == {True}
 
 
+def test_the_end_of_a_hold_switches_the_torque_neither_under_another_stop_nor_where_it_is_on(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    switched: list[bool] = []
+    for stop in (graph.HOLD, graph.ESTOP):
+        assert driver.ask(graph.HOLD, True).success and driver.ask(stop, True).success
+        with monkeypatch.context() as patch:
+            patch.setattr(driver.arm, "power", switched.append)
+            assert driver.ask(graph.HOLD, False).success
+    assert not switched and driver.stops.estop and "held" not in driver.stops.standing
+
+
 def test_after_an_emergency_stop_of_an_arm_whose_torque_was_off_it_goes_on(
     driver: StoppedArm,
 ) -> None:
