@@ -65,12 +65,13 @@ class Stops:
         kept = Path(folder) if folder else state_folder()
         if not kept.is_absolute():  # another working folder would not know of a stop
             raise InputError(where(node), "state", folder, "an absolute path")
-        self._site, self._servos, self._freed = site, servos, False
+        self._site, self._servos = site, servos
         self._was_on = False  # the torque, when the emergency stop was asked for
         self._latch = StopLatch(kept, node.get_namespace(), arm, servos.bus.port)
         if self.standing:
             node.get_logger().warning(self._latch.words)
-        steady_timer(node, 0.5, self._latch.keep)  # again where it could not be written
+        self._owed = self.estop  # torque off, while there is no `ServoArm` that owes it
+        steady_timer(node, 0.5, self._try_again)
         self._fresh, self._stopped = fresh, -math.inf  # when a stop was last answered
         Together(node, (graph.ESTOP, graph.HOLD, graph.RESET), self.serve)
 
@@ -127,8 +128,7 @@ class Stops:
     @property
     def state(self) -> tuple[int, str]:
         """The state as in `DriverState` while a stop stands, and the reason."""
-        torque = self._torque_yet(Stop.ESTOP if self.estop else Stop.HOLD)
-        torque = torque or ("torque is off" if self.estop else "")
+        torque = self.owed or ("torque is off" if self.estop else self._torque_yet(Stop.HOLD))
         why = "; ".join(filter(None, (self.standing, torque)))
         return (DriverState.ESTOP if self.estop else DriverState.HOLDING), why
 
@@ -136,13 +136,33 @@ class Stops:
         """Switch torque off under an emergency stop, also where the driver is not configured."""
         if not self.estop:
             return
-        self._freed = False
+        if self._site.arm is None:
+            self.owe_off(True)
+            return
         with suppress(LongarmError):
-            if self._site.arm is not None:
-                self._site.arm.estop()  # sent again until every servo confirms it
-            else:
+            self._site.arm.estop()  # sent again until every servo confirms it
+
+    @property
+    def owed(self) -> str:
+        """That not every servo has confirmed torque off, in words; empty where none is to."""
+        arm = self._site.arm
+        owed = self._owed if arm is None else arm.owing_off
+        return "torque off: not every servo confirms it" if owed else ""
+
+    def owe_off(self, owed: bool) -> None:
+        """Send torque off until every servo has confirmed it, while no arm is configured."""
+        self._owed = owed
+        self._pay()
+
+    def _try_again(self) -> None:
+        self._latch.keep()  # where it could not be written
+        self._pay()
+
+    def _pay(self) -> None:
+        if self._owed and self._site.arm is None:
+            with suppress(LongarmError):
                 free_servos(self._servos)
-                self._freed = True
+                self._owed = False
 
     def _stop_now(self) -> str:
         if not self.estop:
@@ -167,10 +187,9 @@ class Stops:
 
     def _torque_yet(self, stop: Stop) -> str:
         """Say how the torque still differs from what a stop wants; empty where it does not."""
-        arm = self._site.arm
         if stop is Stop.ESTOP:
-            off = self._freed if arm is None else not arm.owing_off
-            return "" if off else "torque off: not every servo confirms it"
+            return self.owed
+        arm = self._site.arm
         return "" if arm is not None and arm.powered else "the driver has switched no torque on"
 
     def _end_stops(self, ends: frozenset[Stop], states: frozenset[FollowerState]) -> None:

@@ -49,7 +49,8 @@ class StoppedArm:
 
     def configure(self) -> None:
         """As the driver does, and activates."""
-        self.arm = ServoArm(self.config, stopped=self.stops.estop)
+        self.arm = ServoArm(self.config, stopped=self.stops.estop or bool(self.stops.owed))
+        self.stops.owe_off(False)
         self.stops.let_go()
         if not self.stops.standing:
             self.arm.power(True)
