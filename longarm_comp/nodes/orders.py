@@ -25,7 +25,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import Ticks, stamp_ns, stamp_of, steady_timer
+from longarm_comp.nodes.clock import Ticks, sleepless_s, stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.messages import duration, seconds
 from longarm_comp.nodes.params import Param
 from longarm_interfaces.msg import Motion
@@ -65,6 +65,7 @@ def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
 
 _UNTOLD_S = 1.0
 """A request waited for so long at most, s, where nothing tells how long."""
+_DELIVERED_S = 60.0
 
 
 class Freshness:
@@ -77,13 +78,13 @@ class Freshness:
 
     def __init__(self, node: Node, max_age_s: float) -> None:
         self._clock, self.max_age_s = node.get_clock(), max_age_s
-        self._turned = time.monotonic()
+        self._turned = sleepless_s()
         self._away_s = self._back = 0.0
         # Period of the watch, as a share of the age allowed
         steady_timer(node, 0.1 * max_age_s, self._note_turn)
 
     def _note_turn(self) -> None:
-        late = time.monotonic() - self._turned
+        late = sleepless_s() - self._turned
         self._turned += late
         if late > self.max_age_s:
             self._away_s, self._back = late, self._turned
@@ -92,11 +93,11 @@ class Freshness:
     def away_s(self) -> float:
         """The longest time that an order taken now may have waited, s.
 
-        It stays so for as long after an absence as the absence lasted: by then all has been
-        delivered.
+        It stays so for as long after an absence as the absence lasted, a minute at most: by then
+        all has been delivered.
         """
-        now = time.monotonic()
-        late = self._away_s if now - self._back < self._away_s else 0.0
+        now = sleepless_s()
+        late = self._away_s if now - self._back < min(self._away_s, _DELIVERED_S) else 0.0
         return max(now - self._turned, late)
 
     def waited_s(self, sent_ns: int) -> float:

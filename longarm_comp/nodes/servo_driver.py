@@ -40,7 +40,7 @@ from longarm_comp.devices.servo_follower import (
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders, stops
-from longarm_comp.nodes.clock import steady_timer
+from longarm_comp.nodes.clock import sleepless_s, steady_timer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, THIS_INSTANCE, WARN, Report
 from longarm_comp.nodes.messages import points_message, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
@@ -136,7 +136,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._joint_states = graph.JOINT_STATES.publisher(self)
         self._motions = graph.MOTION.publisher(self)
         self._states = graph.DRIVER_STATE.publisher(self)
-        self._max_age_s, self._cycled = p["order_max_age_s"], time.monotonic()
+        self._max_age_s, self._cycled = p["order_max_age_s"], sleepless_s()
         fresh = Freshness(self, self._max_age_s)
         self._intake = Intake(self, self, fresh, unstamped=p["unstamped"])
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
@@ -271,8 +271,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def _drive_arm(self, arm: ServoArm) -> None:
-        now = time.monotonic()
-        away, self._cycled = now - self._cycled, now
+        now, awake = time.monotonic(), sleepless_s()
+        away, self._cycled = awake - self._cycled, awake
         if self.following and away > self._max_age_s:
             arm.follower.break_off(EventKind.SHORT, f"the driver was away for {away:.1f} s")
         cycle = self._last = arm.cycle(now)

@@ -18,7 +18,7 @@ from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import steady_timer
+from longarm_comp.nodes.clock import sleepless_s, steady_timer
 from longarm_comp.nodes.messages import driver_words
 from longarm_comp.nodes.orders import Freshness
 from longarm_comp.nodes.params import Param, where
@@ -97,11 +97,11 @@ class Stops:
         try:
             return self._stop_now() if asked.service is graph.ESTOP else self._hold_now()
         finally:
-            self._stopped = time.monotonic()
+            self._stopped = sleepless_s()
 
     def _end(self, asked: Asked) -> str:
         waited_s = self._fresh.waited_s(asked.sent_ns)
-        if time.monotonic() - waited_s <= self._stopped:
+        if sleepless_s() - waited_s <= self._stopped:
             raise JobError("a stop came after this was asked: ask again")
         if waited_s > self._fresh.max_age_s:
             allowed = f"allowed {self._fresh.max_age_s:g} s"

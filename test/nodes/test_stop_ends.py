@@ -18,6 +18,7 @@ from stops_bench import MAX_AGE_S, StoppedArm, stopped_arm
 
 from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import sleepless_s
 from longarm_comp.nodes.worker import Asked
 from longarm_interfaces.msg import DriverState
 
@@ -88,7 +89,7 @@ def test_an_end_whose_time_is_not_told_may_have_waited_while_the_driver_was_away
     assert driver.fresh.waited_s(sent_ns) >= 1.0
     assert "a stop came after" in serve(driver, *ENDS["reset"], sent_ns).message
     driver.stops._stopped -= 100.0
-    driver.fresh._away_s, driver.fresh._back = MAX_AGE_S + 1.0, time.monotonic()
+    driver.fresh._away_s, driver.fresh._back = MAX_AGE_S + 1.0, sleepless_s()
     assert "ago, allowed" in serve(driver, *ENDS["reset"], sent_ns).message
     driver.fresh._away_s = 0.0
     assert serve(driver, *ENDS["reset"], sent_ns).success
