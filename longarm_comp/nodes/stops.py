@@ -159,7 +159,7 @@ class Stops:
         self._pay()
 
     def _pay(self) -> None:
-        if self._owed and self._site.arm is None:
+        if self._owed:
             with suppress(LongarmError):
                 free_servos(self._servos)
                 self._owed = False

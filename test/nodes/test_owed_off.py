@@ -17,6 +17,7 @@ from std_srvs.srv import SetBool
 from stops_bench import StoppedArm, stopped_arm
 
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.stops import Stops
 from longarm_interfaces.msg import DriverState
 
 UNCONFIRMED = "torque off: not every servo confirms it"
@@ -66,6 +67,23 @@ def test_an_emergency_stop_without_an_arm_is_sent_until_it_is_confirmed(
     driver.stage.spin(lambda: driver.on == {False})
     driver.stage.spin(lambda: not driver.stops.owed)
     assert driver.stops.state[1].endswith("torque is off")
+    with driver.emulator.motor(1) as motor:
+        motor.switch(True)
+    assert driver.ask(graph.ESTOP, True).success and driver.on == {False}
+
+
+def test_a_driver_that_finds_an_emergency_stop_lets_go_before_it_is_configured(
+    driver: StoppedArm, tmp_path: Path
+) -> None:
+    assert driver.arm is not None
+    assert driver.ask(graph.ESTOP, True).success
+    driver.arm.leave()
+    driver.arm = None
+    with driver.emulator.motor(1) as motor:
+        motor.switch(True)
+    folder = str(tmp_path / "stops")
+    Stops(driver.stage.node, driver, folder, "", driver.config, driver.fresh)
+    driver.stage.spin(lambda: driver.on == {False})
 
 
 def test_a_held_arm_tells_that_it_is_still_to_let_go(driver: StoppedArm) -> None:
