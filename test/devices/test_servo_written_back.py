@@ -108,6 +108,7 @@ def test_a_stop_that_comes_during_a_setup_is_heeded_before_the_next_motion(
         if before == "the torque":
             stops.append("stopped meanwhile")
         made.hold()
+        assert before != "the torque"
         if before == "the nudge":
             stops.append("stopped meanwhile")
         with made.nudge("joint2"):

@@ -50,8 +50,8 @@ def test_what_a_closed_arm_owes_is_sent_until_it_is_confirmed(driver: StoppedArm
 
 def test_a_closed_arm_that_all_servos_heard_owes_nothing(driver: StoppedArm) -> None:
     assert driver.arm is not None
-    lost = [True]
-    driver.emulator.loses = lambda: bool(lost) and lost.pop()  # sent again
+    lost = [True] * (1 + driver.config.bus.retries)  # the first of three attempts
+    driver.emulator.loses = lambda: bool(lost) and lost.pop()
     assert not driver.arm.close() and driver.on == {False}
 
 
