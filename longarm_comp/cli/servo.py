@@ -253,7 +253,8 @@ def setup(
     known = {joint.servo_id for joint in config.joints.values()}
     found = _find_servos(_COMMAND, port, known=bus.port, expected=known, **line)
     stops = Path(read_parameters(file).get("state") or state_folder())
-    refuse_under_stop(stops, {found.port, bus.port}, folder / "arm.yaml")
+    check = partial(refuse_under_stop, stops, {found.port, bus.port}, folder / "arm.yaml")
+    check()
     _show_servos(found)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
@@ -265,7 +266,7 @@ def setup(
         bus.reply_timeout_s,
         bus.retries,
     )
-    with closing(servo_bus), ServoSetup(servo_bus, blind).safely() as bench:
+    with closing(servo_bus), ServoSetup(servo_bus, blind, check).safely() as bench:
         for text in bench.said:
             note(text)
         said = ", ".join(f"{name} {show_value(blind[name], v)}" for name, v in held.items())

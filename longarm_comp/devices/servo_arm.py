@@ -300,13 +300,22 @@ class ServoArm:
                 trouble = self._lose_port(error)
         return Cycle(step, self._convert_states(states), states, trouble)
 
-    def close(self) -> None:
-        """Switch the torque off if possible and release the port. Must not raise."""
+    def close(self) -> str:
+        """Switch the torque off if possible and release the port. Must not raise.
+
+        Returns:
+            Why not every servo has confirmed it; empty where they have.
+        """
+        why = ""
         for _ in range(3):
-            with contextlib.suppress(ServoBusError):
+            try:
                 self.power(False)
+                why = ""
                 break
+            except ServoBusError as error:
+                why = str(error)
         self.leave()
+        return why
 
     def leave(self) -> None:
         """Release the port; the torque stays as it is."""

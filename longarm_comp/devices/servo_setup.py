@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from statistics import median
@@ -49,10 +49,18 @@ class ServoSetup:
 
     Attributes:
         memory: what each joint's servo has stored. said: what was changed there, to be told.
+
+    Args:
+        check: called before anything is held or moved; raises where it must not be.
     """
 
-    def __init__(self, bus: SerialServoBus, joints: Mapping[str, JointConfig]) -> None:
-        self._bus, self._joints = bus, joints
+    def __init__(
+        self,
+        bus: SerialServoBus,
+        joints: Mapping[str, JointConfig],
+        check: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._bus, self._joints, self._check = bus, joints, check
         self._ids = [joint.servo_id for joint in joints.values()]
         self._journal = SetupJournal(bus.port)
         self.memory: dict[str, ServoMemory] = {}
@@ -117,6 +125,7 @@ class ServoSetup:
 
     def hold(self) -> None:
         """Switch the torque on; every servo stays where it is."""
+        self._check()
         self._bus.torque(self._ids, on=True)
 
     def rest(self) -> dict[str, float]:
@@ -166,6 +175,7 @@ class ServoSetup:
         The goals creep, so that a servo that takes no notice of the speed is slow too. One that is
         not on the way that was led so far is let go.
         """
+        self._check()
         joint = self._joints[name]
         # Speed of a nudge, deg/s or mm/s: to be seen, and to be stepped away from
         speed = min(5.0 * hand_unit(joint)[0], joint.max_velocity) / joint.si_per_tick

@@ -160,15 +160,15 @@ class Attendant:
     def _halt_arm(self, service: Service) -> str:
         """Ask for a stop. Where no driver says that it stopped, what to do is said."""
         try:
-            return self._ask_service(service, SetBool.Request(data=True))
+            return self._ask_service(service, SetBool.Request(data=True), again=True)
         except Interrupted:
             raise
         except JobError as error:
             cure = "if the arm moves or holds somebody, cut its power"
             raise JobError(f"{error}; {cure}") from error
 
-    def _ask_service(self, service: Service, request: Any) -> str:
-        answer = self._client.ask(DRIVER, service, request, FOUND_S)
+    def _ask_service(self, service: Service, request: Any, *, again: bool = False) -> str:
+        answer = self._client.ask(DRIVER, service, request, FOUND_S, again=again)
         if not answer.success:
             raise JobError(f"the driver refuses: {answer.message}")
         return str(answer.message)

@@ -144,7 +144,7 @@ class GraphClient:
 
         Args:
             again: repeat the request while no answer comes; only for requests that may be served
-                twice.
+                twice, and later: no end of a stop, which would end one that came meanwhile.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
         asked = Call(client, request, again=again)
@@ -153,11 +153,19 @@ class GraphClient:
         finally:
             asked.close()
 
-    def ask(self, node: str, service: Service, request: Any, within_s: float = _ANSWER_S) -> Any:
-        """Return the response of a node's own service to a request that may be served twice."""
+    def ask(
+        self,
+        node: str,
+        service: Service,
+        request: Any,
+        within_s: float = _ANSWER_S,
+        *,
+        again: bool = True,
+    ) -> Any:
+        """Return the response of a node's own service; ``again`` as of `call`."""
         made = service.client(self.node, of=node)
         try:
-            return self.call(made, request, within_s, again=True)
+            return self.call(made, request, within_s, again=again)
         finally:
             self.node.destroy_client(made)
 

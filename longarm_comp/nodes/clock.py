@@ -24,6 +24,14 @@ def told_ns(stamp: Time, now_ns: int) -> int:
     return min(stamp_ns(stamp) or now_ns, now_ns)
 
 
+_SLEEPLESS = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+
+
+def sleepless_s() -> float:
+    """Return monotonic seconds, also of the time for which the machine was suspended."""
+    return time.clock_gettime(_SLEEPLESS)
+
+
 def sent_s(source_ns: int) -> float:
     """Return the monotonic time (s) at which the middleware sent a message."""
     return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)

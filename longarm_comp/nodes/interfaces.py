@@ -127,7 +127,7 @@ class Service:
     """One service. Names with ``~/`` are private to the node that offers them."""
 
     name: str
-    type: type
+    type: Any  # with Request and Response
 
     def server(
         self, node: Node, callback: Callable[..., Any], group: CallbackGroup | None = None

@@ -49,6 +49,7 @@ class ArmNode(Node):
         p: values of the parameters, by name.
         health: its ``parts`` are reported on /diagnostics.
         abandoned: whether it ends because its terminal or its supervisor is gone.
+        exit_code: of its process, where nothing else ends it.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class ArmNode(Node):
         self.health = Health(self, self.p[PERIOD.name])
         self._made_for = executor
         self._workers: list[Worker] = []
-        self.abandoned = False
+        self.abandoned, self.exit_code = False, 0
 
     def worker(self, capacity: int) -> Worker:
         """Make a worker thread, which ends with the node."""
@@ -133,7 +134,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
             No parameter names such a file, because parameters come from files of data.
 
     Returns:
-        The exit code: 0, or 2 for bad parameters or files.
+        The exit code: 0, 2 for bad parameters or files, or the node's.
     """
     # Interval in which the threads of a node are switched, s. Python's default is 5 ms
     sys.setswitchinterval(2e-4)
@@ -162,6 +163,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
         code = error.exit_code
     finally:
         ended = node is None or node.close()
+        code = code or (0 if node is None else node.exit_code)
         executor.shutdown(timeout_sec=1.0)
         if not ended:
             # Python ends a thread inside the middleware by aborting the process

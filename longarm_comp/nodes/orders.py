@@ -25,7 +25,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import Ticks, stamp_ns, stamp_of, steady_timer
+from longarm_comp.nodes.clock import Ticks, sleepless_s, stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.messages import duration, seconds
 from longarm_comp.nodes.params import Param
 from longarm_interfaces.msg import Motion
@@ -63,6 +63,11 @@ def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
     return f"is {age:.1f} s old" if age > 0 else f"lies {-age:.1f} s in the future"
 
 
+_UNTOLD_S = 1.0
+"""A request waited for so long at most, s, where nothing tells how long."""
+_DELIVERED_S = 60.0
+
+
 class Freshness:
     """A limit on the age of the orders that a node takes.
 
@@ -73,13 +78,13 @@ class Freshness:
 
     def __init__(self, node: Node, max_age_s: float) -> None:
         self._clock, self.max_age_s = node.get_clock(), max_age_s
-        self._turned = time.monotonic()
+        self._turned = sleepless_s()
         self._away_s = self._back = 0.0
         # Period of the watch, as a share of the age allowed
         steady_timer(node, 0.1 * max_age_s, self._note_turn)
 
     def _note_turn(self) -> None:
-        late = time.monotonic() - self._turned
+        late = sleepless_s() - self._turned
         self._turned += late
         if late > self.max_age_s:
             self._away_s, self._back = late, self._turned
@@ -88,12 +93,17 @@ class Freshness:
     def away_s(self) -> float:
         """The longest time that an order taken now may have waited, s.
 
-        It stays so for as long after an absence as the absence lasted: by then all has been
-        delivered.
+        It stays so for as long after an absence as the absence lasted, a minute at most: by then
+        all has been delivered.
         """
-        now = time.monotonic()
-        late = self._away_s if now - self._back < self._away_s else 0.0
+        now = sleepless_s()
+        late = self._away_s if now - self._back < min(self._away_s, _DELIVERED_S) else 0.0
         return max(now - self._turned, late)
+
+    def waited_s(self, sent_ns: int) -> float:
+        """Return how long a request waited; at most, where its sender's clock does not tell."""
+        late_s = 1e-9 * (time.time_ns() - sent_ns)
+        return late_s if sent_ns and late_s >= 0.0 else max(self.away_s, _UNTOLD_S)
 
     def too_old(self, stamp: Time) -> str:
         """Say why an order is too old to be carried out; empty if it is not."""
@@ -105,7 +115,7 @@ class Freshness:
 
 
 PARAMS = (
-    Param("order_max_age_s", 2.0, "trajectories and goals older than this are refused", 0.01, 60.0),
+    Param("order_max_age_s", 2.0, "older trajectories, goals, resets are refused", 0.01, 60.0),
     Param("unstamped", False, "also accept trajectories with the stamp 0 (docs/ros.md)"),
 )
 
@@ -128,9 +138,8 @@ class Driver(Protocol):
 class Intake:
     """Receives `joint_trajectory` and `withdrawn`."""
 
-    def __init__(self, node: Node, site: Driver, max_age_s: float, *, unstamped: bool) -> None:
-        self._site, self._unstamped = site, unstamped
-        self._fresh = Freshness(node, max_age_s)
+    def __init__(self, node: Node, site: Driver, fresh: Freshness, *, unstamped: bool) -> None:
+        self._site, self._unstamped, self._fresh = site, unstamped, fresh
         # Withdrawn ids that are remembered: more than can wait
         self._withdrawn: deque[str] = deque(maxlen=100)
         graph.WITHDRAWN.subscription(node, self._on_withdrawn)

@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.arm_folder.servos import find_contradictions
-from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import keeper
 from longarm_comp.core.vibration.shaper import shaping
@@ -40,12 +40,12 @@ from longarm_comp.devices.servo_follower import (
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders, stops
-from longarm_comp.nodes.clock import steady_timer
+from longarm_comp.nodes.clock import sleepless_s, steady_timer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, THIS_INSTANCE, WARN, Report
 from longarm_comp.nodes.messages import points_message, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
-from longarm_comp.nodes.orders import FollowServer, Intake
+from longarm_comp.nodes.orders import FollowServer, Freshness, Intake
 from longarm_comp.nodes.params import Param, declare_sections, where
 from longarm_comp.nodes.stops import Stops
 from longarm_interfaces.msg import DriverState, Motion
@@ -136,10 +136,11 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._joint_states = graph.JOINT_STATES.publisher(self)
         self._motions = graph.MOTION.publisher(self)
         self._states = graph.DRIVER_STATE.publisher(self)
-        self._max_age_s, self._cycled = p["order_max_age_s"], time.monotonic()
-        self._intake = Intake(self, self, self._max_age_s, unstamped=p["unstamped"])
+        self._max_age_s, self._cycled = p["order_max_age_s"], sleepless_s()
+        fresh = Freshness(self, self._max_age_s)
+        self._intake = Intake(self, self, fresh, unstamped=p["unstamped"])
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
-        self._stops = Stops(self, self, p["state"], p["arm"], self._config)
+        self._stops = Stops(self, self, p["state"], p["arm"], self._config, fresh)
         self._timer = steady_timer(self, self._period_s, self._run_cycle)
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)
@@ -149,7 +150,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def close(self) -> bool:
-        if self.abandoned and (arm := self.arm) is not None:
+        if self.abandoned and (arm := self.arm) is not None and not arm.owing_off:
             # The torque stays as it is: a heavy arm must not fall by itself
             arm.follower.break_off(EventKind.HELD, "its supervisor is gone: it stays where it is")
             end = time.monotonic() + 2.0 * self._config.follower.blend_s + 1.0
@@ -161,6 +162,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._release_arm()
         self._ended = True
         self._tell_state()
+        if self._stops.owed:
+            self.exit_code = JobError.exit_code
         return super().close()
 
     def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
@@ -190,12 +193,14 @@ class _ServoDriver(ArmNode, LifecycleNode):
         try:
             rules = self._keeps_out, self._shapes, self.p["trim"]
             follower = TrajectoryFollower(self._config, *rules)
-            self.arm = ServoArm(self._config, follower, stopped=self._stops.estop)
+            stopped = self._stops.estop or bool(self._stops.owed)
+            self.arm = ServoArm(self._config, follower, stopped=stopped)
         except LongarmError as error:
             return self._note_failure(error)
         for said in self.arm.said:
             self.get_logger().info(said)
         self.fault = ""
+        self._stops.owe_off(False)  # the arm owes it now
         self._stops.let_go()
         return super().on_configure(state)
 
@@ -253,10 +258,12 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def _release_arm(self) -> None:
         self.active = False
-        if self.arm is not None:
-            self.arm.close()
-        self.arm = self._last = None
+        arm, self.arm, self._last = self.arm, None, None
+        if arm is not None:
+            self._stops.owe_off(bool(arm.close()))
         self._stops.let_go()
+        if owed := self._stops.owed:
+            self.get_logger().error(f"{owed}; cut the power of the servos")
 
     def _run_cycle(self) -> None:
         if self.arm is not None:
@@ -264,8 +271,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def _drive_arm(self, arm: ServoArm) -> None:
-        now = time.monotonic()
-        away, self._cycled = now - self._cycled, now
+        now, awake = time.monotonic(), sleepless_s()
+        away, self._cycled = awake - self._cycled, awake
         if self.following and away > self._max_age_s:
             arm.follower.break_off(EventKind.SHORT, f"the driver was away for {away:.1f} s")
         cycle = self._last = arm.cycle(now)
@@ -370,16 +377,16 @@ class _ServoDriver(ArmNode, LifecycleNode):
         """The state as in `DriverState`, and the reason."""
         unready = "" if self.arm else self.fault or self._waiting or "not configured"
         follower = self.arm.follower.state if self.arm else None
-        held, (stopped, why) = self._stops.standing, self._stops.state
+        held, owed, (stopped, why) = self._stops.standing, self._stops.owed, self._stops.state
         if self._ended:
-            return DriverState.UNCONFIGURED, "the driver has ended"
+            return DriverState.UNCONFIGURED, "; ".join(filter(None, ("the driver has ended", owed)))
         if self.active and follower is FollowerState.FAULT:
             cure = f"{self._trouble}; call ~/reset once cured"
             return DriverState.FAULT, f"{cure}; {held}" if held else cure
         if held:
             return stopped, f"{why}; {unready}" if unready else why
         if unready:
-            return DriverState.UNCONFIGURED, unready
+            return DriverState.UNCONFIGURED, "; ".join(filter(None, (unready, owed)))
         if not self.active:
             return DriverState.INACTIVE, self.fault or "not active: torque is off"
         moving = follower is FollowerState.TRACKING

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from rclpy.node import Node
 
@@ -17,12 +18,22 @@ from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import steady_timer
+from longarm_comp.nodes.clock import sleepless_s, steady_timer
 from longarm_comp.nodes.messages import driver_words
+from longarm_comp.nodes.orders import Freshness
 from longarm_comp.nodes.params import Param, where
+from longarm_comp.nodes.worker import Asked, Together
 from longarm_interfaces.msg import DriverState
 
 PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
+
+
+_ENDS: dict[graph.Service, tuple[frozenset[Stop], frozenset[FollowerState]]] = {
+    graph.ESTOP: (frozenset({Stop.ESTOP}), frozenset({FollowerState.ESTOP})),
+    graph.HOLD: (frozenset({Stop.HOLD}), frozenset()),
+    graph.RESET: (frozenset(Stop), frozenset({FollowerState.ESTOP, FollowerState.FAULT})),
+}
+"""Which stops, and which states of the arm, an end by each service ends."""
 
 
 class Stoppable(Protocol):
@@ -43,25 +54,61 @@ class Stops:
     """
 
     def __init__(
-        self, node: Node, site: Stoppable, folder: str, arm: str, servos: ServoConfig
+        self,
+        node: Node,
+        site: Stoppable,
+        folder: str,
+        arm: str,
+        servos: ServoConfig,
+        fresh: Freshness,
     ) -> None:
         kept = Path(folder) if folder else state_folder()
         if not kept.is_absolute():  # another working folder would not know of a stop
             raise InputError(where(node), "state", folder, "an absolute path")
-        self._site, self._servos, self._freed = site, servos, False
+        self._site, self._servos = site, servos
+        self._was_on = False  # the torque, when the emergency stop was asked for
         self._latch = StopLatch(kept, node.get_namespace(), arm, servos.bus.port)
         if self.standing:
             node.get_logger().warning(self._latch.words)
-        steady_timer(node, 0.5, self._latch.keep)  # again where it could not be written
-        _offer_service(
-            node,
-            graph.ESTOP,
-            lambda asked: self._stop_now() if asked.data else self._end_stops(Stop.ESTOP),
-        )
-        _offer_service(
-            node, graph.HOLD, lambda asked: self._hold_now() if asked.data else self._go_on()
-        )
-        _offer_service(node, graph.RESET, lambda asked: self._reset_all())
+        self._owed = self.estop  # torque off, while there is no `ServoArm` that owes it
+        steady_timer(node, 0.5, self._try_again)
+        self._fresh, self._stopped = fresh, -math.inf  # when a stop was last answered
+        Together(node, (graph.ESTOP, graph.HOLD, graph.RESET), self.serve)
+
+    def serve(self, waiting: Sequence[Asked]) -> None:
+        """Answer requests that waited together: stops first.
+
+        A stop that came after an end was asked stands: who asked did not know of it.
+        """
+        with ExitStack() as answers:  # whatever one of them raises; the last that is put first
+            for asked in sorted(waiting, key=_is_end, reverse=True):
+                answers.callback(self._answer, asked)
+
+    def _answer(self, asked: Asked) -> None:
+        response = asked.service.type.Response()
+        try:
+            response.message = self._end(asked) if _is_end(asked) else self._stop(asked)
+            response.success = True
+        except LongarmError as error:
+            response.message = str(error)
+        asked.reply(response)
+
+    def _stop(self, asked: Asked) -> str:
+        try:
+            return self._stop_now() if asked.service is graph.ESTOP else self._hold_now()
+        finally:
+            self._stopped = sleepless_s()
+
+    def _end(self, asked: Asked) -> str:
+        waited_s = self._fresh.waited_s(asked.sent_ns)
+        if sleepless_s() - waited_s <= self._stopped:
+            raise JobError("a stop came after this was asked: ask again")
+        if waited_s > self._fresh.max_age_s:
+            allowed = f"allowed {self._fresh.max_age_s:g} s"
+            raise JobError(f"this was asked {waited_s:.1f} s ago, {allowed}: ask again")
+        self._end_stops(*_ENDS[asked.service])
+        state, why = self._site.state
+        return why or driver_words(state)
 
     @property
     def standing(self) -> str:
@@ -81,8 +128,7 @@ class Stops:
     @property
     def state(self) -> tuple[int, str]:
         """The state as in `DriverState` while a stop stands, and the reason."""
-        torque = self._torque_yet(Stop.ESTOP if self.estop else Stop.HOLD)
-        torque = torque or ("torque is off" if self.estop else "")
+        torque = self.owed or ("torque is off" if self.estop else self._torque_yet(Stop.HOLD))
         why = "; ".join(filter(None, (self.standing, torque)))
         return (DriverState.ESTOP if self.estop else DriverState.HOLDING), why
 
@@ -90,15 +136,37 @@ class Stops:
         """Switch torque off under an emergency stop, also where the driver is not configured."""
         if not self.estop:
             return
-        self._freed = False
+        if self._site.arm is None:
+            self.owe_off(True)
+            return
         with suppress(LongarmError):
-            if self._site.arm is not None:
-                self._site.arm.estop()  # sent again until every servo confirms it
-            else:
+            self._site.arm.estop()  # sent again until every servo confirms it
+
+    @property
+    def owed(self) -> str:
+        """That not every servo has confirmed torque off, in words; empty where none is to."""
+        arm = self._site.arm
+        owed = self._owed if arm is None else arm.owing_off
+        return "torque off: not every servo confirms it" if owed else ""
+
+    def owe_off(self, owed: bool) -> None:
+        """Send torque off until every servo has confirmed it, while no arm is configured."""
+        self._owed = owed
+        self._pay()
+
+    def _try_again(self) -> None:
+        self._latch.keep()  # where it could not be written
+        self._pay()
+
+    def _pay(self) -> None:
+        if self._owed:
+            with suppress(LongarmError):
                 free_servos(self._servos)
-                self._freed = True
+                self._owed = False
 
     def _stop_now(self) -> str:
+        if not self.estop:
+            self._was_on = self._site.arm is not None and self._site.arm.powered
         self._latch.ask(Stop.ESTOP)
         self.let_go()
         said = self._write_down(Stop.ESTOP, "torque off, commands refused")
@@ -119,50 +187,30 @@ class Stops:
 
     def _torque_yet(self, stop: Stop) -> str:
         """Say how the torque still differs from what a stop wants; empty where it does not."""
-        arm = self._site.arm
         if stop is Stop.ESTOP:
-            off = self._freed if arm is None else not arm.owing_off
-            return "" if off else "torque off: not every servo confirms it"
+            return self.owed
+        arm = self._site.arm
         return "" if arm is not None and arm.powered else "the driver has switched no torque on"
 
-    def _go_on(self) -> str:
-        """End a hold."""
-        with self._latch.lift_stops(Stop.HOLD):
-            arm = self._site.arm
-            if arm is not None and self._site.active and not (self.standing or arm.powered):
-                arm.power(True)
-        return self._describe_now()
+    def _end_stops(self, ends: frozenset[Stop], states: frozenset[FollowerState]) -> None:
+        """End those stops that stand, and the arm's state where it is one of some.
 
-    def _reset_all(self) -> str:
-        """End everything that stops the arm. If it is only held, the hold ends as in `_go_on`."""
-        arm = self._site.arm
-        well = arm is None or arm.follower.state not in (FollowerState.FAULT, FollowerState.ESTOP)
-        only_held = set(self._latch.standing) == {Stop.HOLD}
-        return self._go_on() if well and only_held else self._end_stops(*Stop)
-
-    def _end_stops(self, *ends: Stop) -> str:
-        """End stops, and a fault; torque goes on where the driver is active."""
-        arm = self._site.arm
-        if arm is None and not self._latch.standing.keys() & set(ends):
-            raise LongarmError("the driver is not configured")
+        Torque goes on where the driver is active and nothing stops the arm any more. Held on, it
+        goes on only if it was on when an emergency stop switched it off.
+        """
+        arm, active = self._site.arm, self._site.active
+        stopped = arm is not None and arm.follower.state in states
+        if not (stopped or self._latch.standing.keys() & ends):
+            return
         with self._latch.lift_stops(*ends):
-            if arm is not None:
-                arm.release(time.monotonic(), on=self._site.active)
-        return self._describe_now()
+            if arm is None:
+                return
+            if stopped:
+                arm.release(time.monotonic(), on=active and (self._was_on or not self.standing))
+            elif active and not (self.standing or arm.powered):
+                arm.power(True)
 
-    def _describe_now(self) -> str:
-        state, why = self._site.state
-        return why or driver_words(state)
 
-
-def _offer_service(node: Node, service: graph.Service, action: Callable[[Any], str]) -> None:
-    """Offer a service that answers with the text of an action, or with why it failed."""
-
-    def serve(request: Any, response: Any) -> Any:
-        try:
-            response.success, response.message = True, action(request)
-        except LongarmError as error:
-            response.success, response.message = False, str(error)
-        return response
-
-    service.server(node, serve)
+def _is_end(asked: Asked) -> bool:
+    """Return whether a request ends a stop; else it is one."""
+    return asked.service is graph.RESET or not asked.request.data

@@ -11,7 +11,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -24,6 +25,7 @@ from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.waitable import NumberOfEntities, Waitable
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.nodes.clock import sent_s
@@ -36,7 +38,7 @@ CHECKED = "7.1"
 _USED: dict[str, tuple[str, ...]] = {
     "WaitSet": (
         *("add_client", "add_guard_condition", "add_service", "add_subscription"),
-        *("clear_entities", "wait"),
+        *("clear_entities", "is_ready", "wait"),
     ),
     "Subscription": ("take_message",),
     "Service": ("service_take_request", "service_send_response"),
@@ -104,6 +106,65 @@ class _NotOfTheExecutor(CallbackGroup):
         return False
 
     beginning_execution = ending_execution = can_execute
+
+
+def _take_requests(service: Service, most: int) -> Iterator[tuple[Any, Reply, int]]:
+    """Take the requests that wait; each with its reply, and when it was sent (ns; 0: not told)."""
+    for _ in range(most):
+        with service.handle:
+            request, header = service.handle.service_take_request(service.srv_type.Request)
+        if header is None:
+            return
+        yield request, partial(service.send_response, header=header), int(header.source_timestamp)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A request to one of the services of `Together`."""
+
+    service: ServiceName
+    request: Any
+    reply: Reply
+    sent_ns: int  # by its sender's clock; 0: not told
+
+
+class Together(Waitable):
+    """Offers services whose waiting requests are served together, in the executor's thread.
+
+    The executor by itself takes one request of each service in turn, in the order in which the
+    services were made, whichever was sent first.
+
+    Args:
+        serve: gets all requests that wait, and replies to each.
+    """
+
+    def __init__(
+        self, node: Node, services: tuple[ServiceName, ...], serve: Callable[[list[Asked]], None]
+    ) -> None:
+        super().__init__(node.default_callback_group)
+        group, self._serve = _NotOfTheExecutor(), serve
+        self._made = {name: name.server(node, lambda *_: None, group) for name in services}
+        self._places: list[int] = []
+        node.add_waitable(self)
+
+    def get_num_entities(self) -> NumberOfEntities:
+        return NumberOfEntities(num_services=len(self._made))
+
+    def add_to_wait_set(self, wait_set: Any) -> None:
+        self._places = [wait_set.add_service(made.handle) for made in self._made.values()]
+
+    def is_ready(self, wait_set: Any) -> bool:
+        return any(wait_set.is_ready("service", place) for place in self._places)
+
+    def take_data(self) -> list[Asked]:
+        return [
+            Asked(name, *taken)
+            for name, made in self._made.items()
+            for taken in _take_requests(made, made.qos_profile.depth)
+        ]
+
+    async def execute(self, taken_data: list[Asked]) -> None:
+        self._serve(taken_data)
 
 
 class Worker:
@@ -259,13 +320,8 @@ class Worker:
     def _take_all(self) -> None:
         """Run the callbacks of everything received, so that no middleware queue overflows."""
         for service in self._services:
-            for _ in range(self._capacity):
-                with service.handle:
-                    request, header = service.handle.service_take_request(service.srv_type.Request)
-                if header is None:
-                    break
-                reply = partial(service.send_response, header=header)
-                service.callback(request, reply, sent_s(header.source_timestamp))
+            for request, reply, sent_ns in _take_requests(service, self._capacity):
+                service.callback(request, reply, sent_s(sent_ns))
         for topic, watch, callback in self._topics:
             depth = topic.qos_profile.depth
             numbers: list[int] = []

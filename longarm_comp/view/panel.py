@@ -74,7 +74,8 @@ class Buttons:
             client = self._clients[button.service]
             if client.service_is_ready():
                 self._note_said(button, "asked", well=True)
-                self._calls.append((button, Call(client, button.request(), again=True), now))
+                asked = Call(client, button.request(), again=button in STOPS)
+                self._calls.append((button, asked, now))
             else:
                 name = self._node.resolve_service_name(client.srv_name)
                 self._note_said(button, f"not done, nobody offers {name}")

@@ -36,6 +36,8 @@ from longarm_comp.devices.servo_bus.registry import models, open_bus
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_setup import ServoSetup
 from longarm_comp.devices.setup_journal import SetupJournal
+from longarm_comp.devices.state_folder import state_folder
+from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.motor import Motor
 from longarm_comp.sim.servo_emulator.wire import Device
@@ -85,6 +87,60 @@ def test_a_nudge_is_slow_also_where_the_speed_is_taken_for_something_else(
     assert (sent[0] - 2048, max(sent)) == (0, 2048 + 57)
     assert max(abs(b - a) for a, b in itertools.pairwise(sent)) <= 7
     assert emulator.positions()[2] == pytest.approx(2048, abs=6.5)
+
+
+@pytest.mark.parametrize("before", ["the torque", "the nudge", "the way back"])
+def test_a_stop_that_comes_during_a_setup_is_heeded_before_the_next_motion(
+    shell: Shell, emulator: ServoEmulator, before: str
+) -> None:
+    config = configured(direct(shell, MODELS[emulator.protocol]), emulator)
+    stops: list[str] = []
+
+    def check() -> None:
+        if stops:
+            raise JobError(stops[0])
+
+    with (
+        closing(config.open_bus()) as bus,
+        ServoSetup(bus, config.joints, check).safely() as made,
+        pytest.raises(JobError, match="stopped meanwhile"),
+    ):
+        if before == "the torque":
+            stops.append("stopped meanwhile")
+        made.hold()
+        assert before != "the torque"
+        if before == "the nudge":
+            stops.append("stopped meanwhile")
+        with made.nudge("joint2"):
+            assert before == "the way back"
+            stops.append("stopped meanwhile")
+    assert not any(emulator.torques_on().values())
+    moved = 57 if before == "the way back" else 0
+    assert emulator.positions()[2] == pytest.approx(2048 + moved, abs=6.5)
+
+
+def test_the_command_looks_for_stops_again_before_it_holds_the_arm(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Terminals(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    mine, rest = folder(shell, "sts3215"), ServoSetup.rest
+    with geared_bus("feetech") as emulator:
+
+        def stopped(setup: ServoSetup) -> dict[str, float]:
+            latch = StopLatch(state_folder(), "/", "", emulator.port)
+            latch.ask(Stop.HOLD)
+            latch.keep()
+            return rest(setup)
+
+        monkeypatch.setattr(ServoSetup, "rest", stopped)
+        monkeypatch.setattr(sys, "stdin", Terminals())
+        words = ("--port", emulator.port, "--yes", "--ids", "1-3", *POSE_FLAGS)
+        said = shell.refused("servo", "setup", mine, *words, code=3)
+        assert "nothing is moved: held since" in said
+        assert not any(emulator.torques_on().values())
 
 
 @pytest.mark.parametrize("goes", ["away", "on"])

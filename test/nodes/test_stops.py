@@ -119,8 +119,9 @@ def killed(rig: Rig) -> None:
 
 
 def restarted(rig: Rig) -> None:
+    owing = rig.said and "not every servo confirms it" in rig.said[-1].message
     rig.process.send_signal(signal.SIGINT)
-    assert rig.process.wait(timeout=300) == 0
+    assert rig.process.wait(timeout=300) == (3 if owing else 0)
     rig.start()
 
 
@@ -234,13 +235,13 @@ def test_reset_switches_no_torque_on_unless_the_driver_is_active(fresh: Rig) -> 
         assert "emergency stop" in rig.call(graph.HOLD, SetBool.Request(data=on)).message
         assert rig.free()
     assert "held" in rig.call(graph.ESTOP, SetBool.Request(data=False)).message
-    assert rig.driving()  # it holds the arm, as asked before
+    assert rig.free()  # as it was when it was stopped
     is_refused(rig, "~/hold")
     assert rig.call(graph.HOLD, SetBool.Request(data=False)).message == "ready"
     rig.goes(shoulder=0.25)
     unconfigured(rig)
     answer = rig.call(graph.RESET, Trigger.Request())
-    assert not answer.success and "not configured" in answer.message
+    assert answer.success and "not configured" in answer.message
     for joint in rig.arm.joints:
         with rig.emulator.motor(joint.servo_id) as motor:
             motor.switch(True)

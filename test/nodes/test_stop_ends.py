@@ -1,0 +1,238 @@
+"""Ends of stops: none ends a stop that came after it was asked, nor what it does not name."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from nodes_bench import Bench
+from std_srvs.srv import SetBool, Trigger
+from stops_bench import MAX_AGE_S, StoppedArm, stopped_arm
+
+from longarm_comp.devices.servo_follower import FollowerState
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import sleepless_s
+from longarm_comp.nodes.worker import Asked
+from longarm_interfaces.msg import DriverState
+
+ENDS = {"reset": (graph.RESET, None), "estop": (graph.ESTOP, False), "hold": (graph.HOLD, False)}
+
+
+@pytest.fixture
+def driver(stage: Bench, tmp_path: Path) -> Iterator[StoppedArm]:
+    with stopped_arm(stage, tmp_path / "stops") as made:
+        made.configure()
+        yield made
+
+
+def serve(driver: StoppedArm, service: graph.Service, data: bool | None, sent_ns: int) -> Any:
+    """Its answer to a request that was sent then, by its sender's clock."""
+    got: list[Any] = []
+    request = Trigger.Request() if data is None else SetBool.Request(data=data)
+    driver.stops.serve([Asked(service, request, got.append, sent_ns)])
+    return got[0]
+
+
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("stop", [graph.ESTOP, graph.HOLD])
+def test_an_end_that_was_asked_before_a_stop_does_not_end_it(
+    driver: StoppedArm, end: str, stop: graph.Service
+) -> None:
+    """Both wait: the executor alone would serve them in the order in which they were made."""
+    assert driver.ask(graph.HOLD, True).success
+    before = [driver.send(*ENDS[end]), driver.send(*ENDS[end])]
+    stopped = driver.send(stop, True)
+    refused = driver.answers(*before, stopped)[:-1]
+    assert not any(answer.success for answer in refused)
+    assert all("a stop came after this was asked" in answer.message for answer in refused)
+    assert stopped.result().success and driver.stops.standing
+    assert driver.on == {stop is graph.HOLD}
+    assert driver.ask(graph.RESET).success and not driver.stops.standing
+    assert driver.on == {True}
+
+
+def test_an_end_that_was_asked_while_the_stop_was_carried_out_does_not_end_it(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[int] = []
+    monkeypatch.setattr(driver.stops, "let_go", lambda: sent.append(time.time_ns()))
+    serve(driver, graph.ESTOP, True, 0)
+    assert "a stop came after" in serve(driver, *ENDS["reset"], sent[0]).message
+
+
+def test_an_end_that_is_served_long_after_it_was_sent_ends_nothing(driver: StoppedArm) -> None:
+    second = 1_000_000_000
+    assert driver.ask(graph.ESTOP, True).success
+    driver.stops._stopped -= 3600.0
+    for name, end in ENDS.items():
+        old = serve(driver, *end, time.time_ns() - int((MAX_AGE_S + 1.0) * second))
+        assert not old.success and "ago, allowed 5 s" in old.message, name
+    assert driver.stops.estop and driver.on == {False}
+    assert serve(driver, *ENDS["reset"], time.time_ns() - int((MAX_AGE_S - 2.0) * second)).success
+    assert driver.on == {True}
+
+
+@pytest.mark.parametrize("ahead_s", [None, 3600])
+def test_an_end_whose_time_is_not_told_may_have_waited_while_the_driver_was_away(
+    driver: StoppedArm, ahead_s: int | None
+) -> None:
+    """Nor does a clock that is ahead tell it."""
+    sent_ns = 0 if ahead_s is None else time.time_ns() + 1_000_000_000 * ahead_s
+    assert driver.ask(graph.ESTOP, True).success
+    assert driver.fresh.waited_s(sent_ns) >= 1.0
+    assert "a stop came after" in serve(driver, *ENDS["reset"], sent_ns).message
+    driver.stops._stopped -= 100.0
+    driver.fresh._away_s, driver.fresh._back = MAX_AGE_S + 1.0, sleepless_s()
+    assert "ago, allowed" in serve(driver, *ENDS["reset"], sent_ns).message
+    driver.fresh._away_s = 0.0
+    assert serve(driver, *ENDS["reset"], sent_ns).success
+    assert driver.on == {True}
+
+
+@pytest.mark.parametrize("end", ["estop", "hold"])
+def test_an_end_of_one_stop_leaves_a_fault_and_the_other_stop_in_force(
+    driver: StoppedArm, end: str
+) -> None:
+    driver.in_fault()
+    assert driver.arm is not None
+    assert driver.ask(*ENDS[end]).success
+    assert driver.arm.follower.state is FollowerState.FAULT
+    assert driver.ask(graph.HOLD, True).success
+    assert driver.ask(graph.ESTOP, False).success
+    assert driver.arm.follower.state is FollowerState.FAULT and "held" in driver.stops.standing
+    assert driver.ask(graph.RESET).success and not driver.stops.standing
+    assert driver.arm.follower.state is FollowerState.IDLE and driver.on == {True}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_an_end_of_nothing_leaves_a_motion_as_it_is(driver: StoppedArm, end: str) -> None:
+    driver.moves()
+    assert driver.ask(*ENDS[end]).message == "ready"
+    cycle = driver.cycles()[-1]
+    assert cycle.step.state is FollowerState.TRACKING and cycle.step.goals
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_an_end_of_nothing_switches_no_torque_on(driver: StoppedArm, end: str) -> None:
+    """It is off though the driver is active: a servo was silent when it was to go on."""
+    assert driver.arm is not None
+    driver.arm.power(False)
+    assert driver.ask(*ENDS[end]).success
+    assert driver.on == {False}
+
+
+@pytest.mark.parametrize("was_on", [True, False])
+def test_a_hold_that_outlasts_an_emergency_stop_has_the_torque_that_it_had(
+    driver: StoppedArm, was_on: bool
+) -> None:
+    assert driver.ask(graph.HOLD, True).success
+    if not was_on:  # the next driver finds the hold
+        assert driver.arm is not None
+        driver.arm.close()
+        driver.configure()
+    for _ in range(2):
+        assert driver.ask(graph.ESTOP, True).success and driver.on == {False}
+    assert driver.ask(graph.ESTOP, False).success and driver.on == {was_on}
+    assert driver.stops.standing
+    assert driver.ask(graph.HOLD, False).success and driver.on == {True}
+
+
+def test_the_end_of_a_hold_switches_the_torque_neither_under_another_stop_nor_where_it_is_on(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    switched: list[bool] = []
+    for stop in (graph.HOLD, graph.ESTOP):
+        assert driver.ask(graph.HOLD, True).success and driver.ask(stop, True).success
+        with monkeypatch.context() as patch:
+            patch.setattr(driver.arm, "power", switched.append)
+            assert driver.ask(graph.HOLD, False).success
+    assert not switched and driver.stops.estop and "held" not in driver.stops.standing
+
+
+def test_after_an_emergency_stop_of_an_arm_whose_torque_was_off_it_goes_on(
+    driver: StoppedArm,
+) -> None:
+    """The next driver finds the stop; nothing else stops the arm."""
+    assert driver.arm is not None
+    assert driver.ask(graph.ESTOP, True).success
+    driver.arm.close()
+    driver.stops._was_on = False
+    driver.configure()
+    assert driver.on == {False}
+    assert driver.ask(graph.ESTOP, False).success and driver.on == {True}
+
+
+def test_ends_while_no_arm_is_configured_answer_with_the_state(driver: StoppedArm) -> None:
+    assert driver.arm is not None
+    driver.arm.close()
+    driver.arm, driver.state = None, (DriverState.UNCONFIGURED, "not configured")
+    for stop in (None, graph.ESTOP, graph.HOLD):
+        assert stop is None or driver.ask(stop, True)
+        for end in ENDS.values():
+            answer = driver.ask(*end)
+            assert answer.success and answer.message == "not configured"
+        assert not driver.stops.standing and driver.on == {False}
+
+
+def test_every_request_is_answered_whatever_another_raises(driver: StoppedArm) -> None:
+    def lost(response: Any) -> None:
+        raise RuntimeError("its client is gone")
+
+    held: list[Any] = []
+    data = SetBool.Request(data=True)
+    waiting = [Asked(graph.ESTOP, data, lost, 0), Asked(graph.HOLD, data, held.append, 0)]
+    with pytest.raises(RuntimeError, match="is gone"):
+        driver.stops.serve(waiting)
+    assert held and driver.stops.estop and "held" in driver.stops.standing
+
+
+def test_ends_are_sent_once_and_stops_until_they_are_answered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A copy of an end would end a stop that came after it was asked for."""
+    pytest.importorskip("viser")
+    from longarm_comp.jobs import attend
+    from longarm_comp.view import panel
+
+    sent: dict[str, bool] = {}
+
+    def asked(
+        node: str, service: graph.Service, request: Any, within_s: float, *, again: bool
+    ) -> Any:
+        sent[f"{service.name} {getattr(request, 'data', '')}"] = again
+        return SimpleNamespace(success=True, message="")
+
+    made = attend.Attendant.__new__(attend.Attendant)
+    made._client = SimpleNamespace(ask=asked, spin=lambda seconds: None)
+    monkeypatch.setattr(made, "hear_stop", lambda: "own", raising=False)
+    monkeypatch.setattr(
+        made, "_hear_driver", lambda: SimpleNamespace(state=attend.STOPPED[0]), raising=False
+    )
+    made.hold(), made.stop(), made.reset(), made.take_back("own")
+    assert sent == {"~/hold True": True, "~/estop True": True, "~/reset ": False,
+                    "~/estop False": False}  # fmt: skip
+
+    pressed: list[tuple[Any, bool]] = []
+
+    class Noted:
+        def __init__(self, client: Any, request: Any, *, again: bool) -> None:
+            pressed.append((request, again))
+
+        def answer(self) -> None: ...
+
+    client = SimpleNamespace(service_is_ready=lambda: True)
+    monkeypatch.setattr(panel, "Call", Noted)
+    node = SimpleNamespace(create_client=lambda *_, **__: client)
+    buttons = panel.Buttons(node)
+    for button in (*panel.STOPS, *panel.RELEASES):
+        buttons.press(button)
+    buttons.step(time.monotonic())
+    assert [again for _, again in pressed] == [True, True, False, False, False]
+    assert all(getattr(request, "data", False) is again for request, again in pressed)

@@ -1,0 +1,64 @@
+"""A machine that is suspended: its monotonic clock stands still meanwhile."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from builtin_interfaces.msg import Time
+from driver_rig import Rig
+from nodes_bench import Bench
+
+from longarm_comp.nodes.orders import Freshness
+from longarm_interfaces.msg import DriverState, Motion
+
+NIGHT_S = 30_000.0
+DRIVER = f"""
+import signal, time
+slept, gettime = [0.0], time.clock_gettime
+time.clock_gettime = lambda c: gettime(c) + (slept[0] if c == time.CLOCK_BOOTTIME else 0.0)
+signal.signal(signal.SIGUSR1, lambda *_: slept.__setitem__(0, {NIGHT_S}))
+from longarm_comp.nodes.servo_driver import main
+main()
+"""
+
+
+def test_a_motion_is_not_continued_after_a_night(rig: Rig) -> None:
+    rig.ends()
+    del rig.states[:], rig.said[:], rig.diagnostics[:]
+    words = ["-c", DRIVER, "--ros-args", "--params-file", str(rig.file)]
+    rig.process = rig.stage.python(words)
+    rig.is_in(DriverState.READY)
+    rig.is_idle()
+    rig.goes(shoulder=0.0)
+    way = rig.send("way", None, 20, shoulder=0.9)
+    rig.stage.spin(lambda: rig.joints()["shoulder"] > 0.05)
+    rig.process.send_signal(signal.SIGUSR1)
+    told = rig.becomes(way, Motion.ACCEPTED, Motion.BROKEN_OFF)
+    assert "was away" in told.message
+    assert rig.joints()["shoulder"] < 0.85
+    rig.ends()
+    rig.start()
+
+
+def test_what_came_before_a_night_is_too_old_and_what_comes_a_minute_after_is_not(
+    stage: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept, gettime = [0.0], time.clock_gettime
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: gettime(clock) + slept[0])
+    fresh = Freshness(stage.node, 45.0)
+    assert not fresh.too_old(Time())
+    slept[0] = NIGHT_S
+    assert fresh.away_s >= NIGHT_S and "away for so long" in fresh.too_old(Time())
+    fresh._note_turn()
+    assert fresh.away_s >= NIGHT_S
+    slept[0] += 40.0
+    fresh._note_turn()
+    assert "away for so long" in fresh.too_old(Time())
+    slept[0] += 30.0
+    fresh._note_turn()
+    assert not fresh.too_old(Time())
