@@ -54,6 +54,9 @@ class Pace:
             raise InputError("collect", "--sightings", self.sightings, "at least 1")
 
 
+TOLD_S = 3.0
+"""Rest, s, after which the driver's word that an accepted move has ended is not waited for any
+more: it has none for a servo that trembles."""
 GIVES_WAY = 0.05
 """Largest distance of a joint from its command that a yielding servo explains, as a share of the
 joint's range."""
@@ -104,6 +107,7 @@ class ArmClient(GraphClient):
         self._stamps = Stamps(self.node.get_clock())
         self._sent, self._refused, self._reached, self._replaced = "", "", False, False
         self._patience_s = 0.0  # how long the last command takes
+        self._under_way = False  # accepted, and the driver has not said that it ended
         self._way: tuple[str, dict[str, float]] = "", {}
         self._at: dict[str, float] = {}
         graph.MOTION.subscription(self.node, self._on_motion)
@@ -157,6 +161,7 @@ class ArmClient(GraphClient):
         elif message.event == Motion.REACHED and message.id == self._way[0]:
             self._at = self._way[1]
         if message.id == self._sent:
+            self._under_way = message.event == Motion.ACCEPTED
             self._reached |= message.event == Motion.REACHED
             self._replaced |= message.event == Motion.REPLACED
             self._refused = message.message if message.event == Motion.REFUSED else ""
@@ -203,14 +208,16 @@ class ArmClient(GraphClient):
         stamp = self._stamps.next()
         sent = trajectory_message(self.arm, path, times, stamp, np.zeros_like(path))
         self._sent, self._refused, self._reached = order_id(sent), "", False
-        self._replaced = False
+        self._replaced = self._under_way = False
         self._trajectory.publish(sent)
         return stamp_ns(sent.header.stamp)
 
     def arrive(self, path: np.ndarray, pace: Pace, start: np.ndarray | None = None) -> int:
         """Wait until the joints have rested at a path's end for `dwell_s`; return the time (ns).
 
-        The end is reached if the joints are within the tolerance of it, or if the driver says that
+        While the driver has not said that the move has ended, it may still trim the joints, and
+        they must rest for `TOLD_S`.  The end is reached if the joints are within the tolerance of
+        it, or if the driver says that
         the arm has reached it: servos that yield may stay farther off. If the arm stood there
         before, and the path leads away and back, it must have left first.
 
@@ -245,7 +252,8 @@ class ArmClient(GraphClient):
                 inside_since.clear()
             elif not inside_since or (np.abs(q_now - inside_since[0][1]) > JOINT_REST).any():
                 inside_since[:] = [(time.monotonic(), q_now)]  # it may move within a wide tolerance
-            return bool(inside_since) and time.monotonic() - inside_since[0][0] >= pace.dwell_s
+            rest_s = max(pace.dwell_s, TOLD_S) if self._under_way else pace.dwell_s
+            return bool(inside_since) and time.monotonic() - inside_since[0][0] >= rest_s
 
         self.until(there, pace.arrive_s + self._patience_s, lambda: self._short_of(q, pace))
         return int(self.node.get_clock().now().nanoseconds)

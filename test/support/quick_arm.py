@@ -27,6 +27,8 @@ from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
 
 _PERIOD_S = 0.015
+_TRIMS_AFTER = 60
+"""Cycles that it stands at the end of a way before it trims its joints."""
 
 
 class QuickArm:
@@ -40,6 +42,7 @@ class QuickArm:
 
     Attributes:
         ahead_s: by how much the clock of the cameras is ahead.
+        trim: (n,) rad, m by which it moves on some time after it came to the end of a way.
     """
 
     def __init__(
@@ -52,7 +55,7 @@ class QuickArm:
     ) -> None:
         self.arm, self.sees = arm, sees
         self._frame, self._stands = frame, np.eye(4) if stands is None else stands
-        self.ahead_s = 0.0
+        self.ahead_s, self.trim = 0.0, np.zeros(arm.n)
         self.visited: list[np.ndarray] = []
         self.heard: list[Any] = []
         model = declared_model(arm)
@@ -107,7 +110,9 @@ class QuickArm:
             told.event, told.message = Motion.REFUSED, "held"
         else:
             self._id = told.id
-            self._walk.go(np.array(point.positions) for point in message.points)
+            way = [np.array(point.positions) for point in message.points]
+            trimmed = [way[-1]] * _TRIMS_AFTER + [way[-1] + self.trim] if self.trim.any() else []
+            self._walk.go(way + trimmed)
             told.start = joints_message(self.arm, self._walk.q)
             told.points = message.points
             self.visited.append(self._walk.ahead[-1])
