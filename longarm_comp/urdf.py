@@ -1,8 +1,9 @@
 """An arm declared from a URDF: limits, masses, centres of mass, mimic joints.
 
-A joint between the base link and the tip link becomes a row with all lengths along its own a and d,
-where beams can be; a fixed row precedes it if a rotation is needed.  A joint beside the chain that
-a joint of the chain mimics becomes a row that does not move.  A URDF has no beams.
+A moving joint between the base link and the tip link becomes a row that holds the whole distance
+from the joint before it as its a and d, along which beams can be declared; a fixed row precedes it
+if a rotation is needed.  A joint beside the chain that a joint of the chain mimics becomes a
+commanded row that does not move the chain itself.  A URDF has no beams.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ _LONGEST_VALUE = 120
 
 
 class LongarmError(Exception):
-    """Base class of all errors that this package raises."""
+    """Base class of the errors that this package reports to its user."""
 
     exit_code: ClassVar[int] = 1
 

@@ -162,7 +162,7 @@ class Journal:
 
 
 class Loop:
-    """A loop on a running graph.
+    """Rounds of collecting, diagnosing, applying and driving targets again, on a running graph.
 
     Args:
         agree: shows a diagnosis and tells whether to apply it.

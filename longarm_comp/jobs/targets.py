@@ -146,7 +146,10 @@ class TargetRunner:
         return why
 
     def run(self, name: str, targets: np.ndarray, method: Method, progress: Say) -> Trial:
-        """Send every target (N, 3), m, and measure the tip at rest; NaN where one is refused."""
+        """Send every target (N, 3), m, and measure the tip at rest.
+
+        The tip is NaN where a target is refused or the marker is not seen.
+        """
         rows = []
         with self.method(method):
             for k, target in enumerate(targets):

@@ -54,9 +54,10 @@ class _RecordedRing:
 def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
     """Read the free vibration after a move from a CSV or a bag.
 
-    A CSV has t_s, and x, y, z of the tip or read_q1..qn; rows with a blank are left out. From a
-    bag, the time after the last command is read, beginning when the joints stand still. The joints
-    are returned if there are fewer than `LEAST` sightings of the tip.
+    A CSV has t_s and the joint readings read_q1..qn (rad or m) or, without these, x, y, z of the
+    tip (m); rows with a blank are left out. A bag is read from when the joints stand still after
+    its last command. If it has fewer than `LEAST` sightings of the tip from then on, the joint
+    readings are returned instead.
     """
     path = Path(path)
     if not _is_bag(path):

@@ -71,7 +71,7 @@ class Walk:
         self.base = base
 
     def rigid(self) -> Array:
-        """Return gravity in the last frame's axes if the arm had no weight, (3, N), m/s^2."""
+        """Return gravity in the last frame's axes, (3, N), m/s^2, as if the arm had no weight."""
         small = 1e-9  # m/s^2 along each axis: it bends nothing
         gamma = np.broadcast_to(small * np.eye(3)[..., None], (3, 3, len(self._state.q)))
         return np.tensordot(self.gravity, self._walk_back(gamma)[0].gravity / small, 1)

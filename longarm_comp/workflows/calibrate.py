@@ -123,7 +123,10 @@ class Calibration:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Parts of the placement that the rows do not determine; they were left as declared."""
+        """What the rows do not determine of the placements and of the size of the arm.
+
+        It stays at the value from which the fit began.
+        """
         return list_undetermined(self.fit)
 
     @property

@@ -191,7 +191,8 @@ class Arm(Declared):
         """Readable names of joints, rows and frames, by the default name that they replace.
 
         ``joint 4`` becomes ``luff (q2)`` and ``frame 4`` becomes ``frame luff`` if arm.yaml calls
-        the joint of row 4 ``luff``. Rows that keep their default names are left out.
+        the joint of row 4 ``luff``. If the joint has no name of its own, only ``joint 4`` changes,
+        to ``joint q2``. Names that stay the same are left out.
         """
         names: dict[str, str] = {}
         numbers = {row: f"q{k}" for k, row in enumerate(self.commanded, 1)}

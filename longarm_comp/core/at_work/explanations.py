@@ -213,7 +213,8 @@ class Explanations:
 
         Args:
             columns: (3, q) derivatives of a sighting by the parameters, m per unit.
-            least: shift of this sighting above which a certain change counts, m.
+            least: m; changes that an explanation already contains count as a knock if they shift
+                this sighting by more than this.
         """
         made, space = 0.0, self.space
         for b in self.branches:

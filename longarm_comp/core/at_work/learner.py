@@ -291,7 +291,8 @@ class Learner:
         """Return the pose where the likeliest explanation and a rival disagree most, or None.
 
         Poses are drawn evenly over the ranges of the joints, in the given circumstances.  None is
-        returned if there is no rival, or if a single sighting would not decide between them.
+        returned if there is no rival, if a single sighting would not decide between them, before
+        the first sighting, and while the learner is frozen.
         """
         if self.known is None or self.frozen:
             return None

@@ -127,10 +127,11 @@ class RecursivePosterior:
         )
 
     def at_new_place(self, place: int, structure: np.ndarray) -> RecursivePosterior:
-        """Return the posterior in which the error of one pose has its prior again.
+        """Return the posterior with the error of one pose reset to its prior.
 
         Args:
-            place: number of the pose, at most k: a new pose, or one that replaces an older pose.
+            place: number that the pose gets: the next free one, or that of an older pose, which it
+                replaces.
             structure: (3, 3) m^2, prior covariance of the error.
         """
         p, known = len(self.active), len(self.covariance)

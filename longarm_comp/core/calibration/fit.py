@@ -1,13 +1,13 @@
-"""Robust joint fit of a model to a session: geometry and effects together.
+"""Robust fit of a model to a session: geometry and effects are fitted at the same time.
 
-Gauss-Newton iteration to the posterior mode. A step that would raise the cost is shortened along a
-parabola that follows the curvature of the model (geodesic acceleration; Transtrum and Sethna 2012,
-arXiv 1201.5885). Such a curvature is common, because the rows determine hardly more than the
-product of a load and the compliance under it. If this does not help, the step is damped (Levenberg
-1944, Marquardt 1963). Every parameter has a prior (a tolerance), which makes the fit of a redundant
-geometry unique. The prior of an unknown placement is centred on its start, so parameters that the
-rows do not determine stay there. Bounds are kept exactly. Outliers get weight 0, decided anew
-at every step but the first, in which all rows count.
+Gauss-Newton iteration to the posterior mode. If a step would raise the cost by more than `AMISS`,
+points of a parabola that follows the curvature of the model are tried instead (geodesic
+acceleration; Transtrum and Sethna 2012, arXiv 1201.5885). Strong curvature is common, because often
+the rows determine only the product of a load and the compliance under it. If this does not help,
+the step is damped (Levenberg 1944, Marquardt 1963). Every parameter has a prior (a tolerance),
+which makes the fit of a redundant geometry unique. The prior of an unknown placement is centred on
+its start, so parameters that the rows do not determine stay there. Bounds are kept exactly.
+Outliers get weight 0, decided anew at every step but the first, in which all rows count.
 """
 
 from __future__ import annotations

@@ -29,11 +29,12 @@ _TABLE = ("type", "a_m", "alpha_deg", "d_m", "theta_offset_deg", "pose")
 
 @dataclass(frozen=True)
 class KindOfArm:
-    """The prior of a further arm of a kind.
+    """The prior of the errors of one more arm of a kind, from arms that are already calibrated.
 
     Attributes:
         directions: directions (combinations of errors) that the arms have in common.
-        rest: prior of every single error in addition, as a fraction of its tolerance.
+        rest: prior standard deviation of what the directions leave of each single error, as a
+            fraction of its tolerance.
         noise: usual noise of the arms' measurements, by kind of measurement, m or rad.
     """
 

@@ -94,11 +94,10 @@ class LeftOut:
     def find_least_errors(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
         """Find the smallest stated errors that contain 90 % of the rows that were left out.
 
-        The errors can be enlarged in two ways.  One is a further covariance, the same everywhere,
-        for errors that no parameter explains.  But if it would exceed the errors of nearly all rows
-        that were left out at random, these contradict it.  Then the covariance of the
-        parameters is enlarged, because similar rows have similar errors, so that many of them
-        count as one.
+        They are enlarged in two ways.  One is a further covariance, the same everywhere, for errors
+        that no parameter explains.  It is too large if more than `AMID` of the rows that were left
+        out at random lie inside the stated errors.  Then the covariance of the parameters is
+        multiplied by the number of rows that count as one, as similar rows have similar errors.
 
         Args:
             noise: (3, 3) covariance of the measurement, m^2.

@@ -58,7 +58,7 @@ class ModelFit:
 
     @cached_property
     def standard_errors(self) -> np.ndarray:
-        """The (p,) Laplace standard errors."""
+        """Standard errors (p,) of the parameters, in their units (Laplace approximation)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property

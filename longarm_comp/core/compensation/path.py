@@ -141,13 +141,14 @@ def compensate_path(
     Args:
         predictor: the learned residual of the model that the method uses.
         start: (n,) where the joints stand; None: not known. A plan that has begun begins there.
-        history: of the joints at ``start``.
+        history: past motion of the joints, up to ``start``.
         context_at: returns the circumstances at all way-points for the histories there.
         seed: (n,) start of the first search if no joints were planned; ``start`` by default.
 
     Raises:
-        PathRefused: a way-point cannot be reached, needs too large a correction, or turns a joint
-            by more than half a turn; a limit or a box is in the way.
+        PathRefused: a way-point is no valid target, cannot be reached, needs too large a
+            correction, or turns a joint by more than half a turn; a joint stands too far from where
+            the plan begins; a limit or a keep-out box is in the way.
         InputError: the plan's shapes or times are not allowed.
     """
     plan.check(model.arm.n)

@@ -32,9 +32,9 @@ class PlannedPath:
 
     Attributes:
         targets: (k, 3) m or (k, 4, 4).
-        times: (k,) s, increasing; None: as fast as the limits allow.
-        joints: (k, n) planned joints, from which each search starts; None: not planned.
-        velocities: (k, n) planned joint velocities; None: not planned.
+        times: (k,) s, increasing, 0 or later; None: as fast as the limits allow.
+        joints: (k, n) planned joints, rad and m, from which each search starts; None: not planned.
+        velocities: (k, n) planned joint velocities, rad/s and m/s; None: not planned.
         begun: whether the first way-point is where the planner believes the arm to stand.
         base: (4, 4) pose of the declared arm's base in the frame of the targets.
     """
@@ -129,14 +129,15 @@ class PathLimits:
     """The limits of a path.
 
     Attributes:
-        motion: of the joints; None: the controller keeps them itself.
-        max_correction_m: most that the declared arm's tip may be moved, m.
+        motion: limits of velocity and acceleration; None: the controller keeps them itself.
+        max_correction_m: largest distance, at the commands, of the declared arm's tip from its
+            target, m.
         max_turn_rad: most that the orientation may be off where the joints cannot hold it.
         max_start: most that a joint may stand away from where the plan begins, rad or m.
         turn_m: how far the tip may leave the path where a joint reverses, so that its play is
             taken up smoothly, m.
-        max_longer: share of the planned duration by which the path may take longer to take up
-            play; 0: planned times stay if the limits allow.
+        max_longer: largest delay for taking up play, as a share of the planned duration; 0: planned
+            times stay if the limits allow.
         position_only: leave the orientation free.
     """
 

@@ -128,7 +128,7 @@ def unknown_history(
 def uncertain_payload(
     model: Model, q: np.ndarray, context: Context
 ) -> tuple[np.ndarray, list[str]]:
-    """Estimate how far off the tip may be, because the payload is only known to its column `SD`.
+    """Estimate how far off the tip may be because of the payload's uncertainty, the column `SD`.
 
     Returns:
         Standard deviations (M, 3) in m, and M sentences; zeros and "" for a certain payload.

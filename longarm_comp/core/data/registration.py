@@ -57,7 +57,8 @@ class Sightings:
         Args:
             model: a model without base or marker placements, which the registration finds.
             groups: names of the base placements; by default one per frame of the session.
-            markers: names of the markers, empty for the tip; all of the arm's by default.
+            markers: names of the markers, empty for the tip; by default all of the arm's if the
+                session has a column ``marker``, else the tip.
         """
         seen, arm = session.take(session.has_position), model.arm
         marked = "marker" in seen.labels and arm.markers

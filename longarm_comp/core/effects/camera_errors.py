@@ -59,8 +59,8 @@ class CameraRadial(Bias):
 class CameraDrift(Bias):
     """The measured points drift with time: at a constant rate, or ever slower, as in a warm-up.
 
-    If the drift is certain, targets are in the frame of the session's first row, because a
-    surveyor marks the points before the session.
+    If a diagnosis is almost certain of the drift, its model takes targets in the measuring frame as
+    it was at the session's first row, because a surveyor marks the points before the session.
     """
 
     name = "camera_drift"

@@ -254,9 +254,10 @@ class _Term:
         return 0.0
 
     def price(self, arm: Arm) -> float:
-        """Return the log of the number of choices of this instance beyond those of `candidates`.
+        """Return the log of the number of alternatives from which this instance was chosen.
 
-        It is subtracted from the log prior of the instance.
+        Alternatives that `candidates` lists one by one do not count. The result is subtracted from
+        the log prior of the instance.
         """
         return 0.0
 

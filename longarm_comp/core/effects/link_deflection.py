@@ -31,7 +31,7 @@ class LinkDeflection(Effect):
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Return no place: a model of declared beams holds this effect without a search."""
+        """Return no place: no diagnosis searches for this effect, `declared_model` adds it."""
         return []
 
     def twists(self, posture: Posture) -> Twists:
@@ -58,15 +58,16 @@ def elements(posture: Posture) -> Iterator[Element]:
 
 
 def cantilever(posture: Posture, element: Element) -> Twist:
-    """Compute the twist at the end of a beam element under end force, end moment, dead weight.
+    """Compute the twist at the end of a beam element under end force, end moment and dead weight.
 
     The twists of all elements are computed once per posture, because several effects use them.
 
     With u the beam axis, l the length, F, M the end loads and w = density x gravity over
-    the last h of the beam, the bending moment is ``M(s) = M + (l-s) u x F + u x w (...)``,
-    the slope its integral over EI and the deflection ``int theta x u ds`` (Euler-Bernoulli;
-    a uniformly loaded beam has h = l: ``w l^3/6EI`` and ``w l^4/8EI``).  Loads are taken in
-    the axes halfway along the bend, which makes one element second-order accurate.
+    the last h of the beam, the bending moment is ``M(s) = M + (l-s) u x F + m(s) u x w``, where
+    ``m(s)`` is ``(l-s)^2/2`` over the last h and ``h (l-s-h/2)`` before it.  The slope is its
+    integral over EI and the deflection ``int theta x u ds`` (Euler-Bernoulli; a uniformly loaded
+    beam has h = l: ``w l^3/6EI`` and ``w l^4/8EI``).  Loads are taken in the axes halfway along
+    the bend, which makes one element second-order accurate.
     Along the beam, `exp` of the twist pulls the end back by ``theta x d / 2``.  The true
     foreshortening, half the integral of the slope squared, is 0.4 ``theta d`` under an end force
     (a third under an end moment, 0.43 under dead weight), so a tenth is added back.

@@ -120,8 +120,8 @@ def fit_with_background(
     """Return a fit with background effects, to the same rows and with the same noise.
 
     Every effect on the arm that reads no recorded column is added, in its first form, if it moves
-    the rows by at least `OF_NOISE`. An elastic effect is added if its prior size would move them so
-    much: under another load it may, and the model's `sigma` includes this.
+    the rows by at least `OF_NOISE`. For an elastic effect its prior size decides, not the fitted
+    one, because under another load it may move the tip more; the model's `sigma` includes this.
 
     Args:
         compliance: as in `ModelTolerance`.

@@ -109,7 +109,7 @@ def prove_written(
     test: Session | None,
     seed: int,
 ) -> ProvedModels:
-    """Fit the models that may be written, prove them on rows held out, and choose one.
+    """Fit the models that may become the model file, test them on held-out rows, and choose one.
 
     Args:
         nominal: the declared model.
@@ -119,7 +119,7 @@ def prove_written(
         seed: seed of the folds.
 
     Raises:
-        JobError: a fit without some rows did not stay finite.
+        JobError: a fit to a part of the rows diverged.
     """
     fits = _fit_written_models(staged["geometry"].model, search)
     frames_only = staged["frames_only"].model

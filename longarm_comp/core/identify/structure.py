@@ -69,7 +69,7 @@ class Structure:
     def add_test(
         self, p_value: float, size_m: float, least_m: float, by: str, sign: str
     ) -> Structure:
-        """Return the structure, also flagged if another test than the F test shows some.
+        """Return the structure with the result of a test other than the F test, which may flag it.
 
         Args:
             p_value: probability of that test's result if there is no structure.

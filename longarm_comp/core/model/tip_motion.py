@@ -181,9 +181,11 @@ class TipMotion:
 def move_tip(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
     """Return the tip's motion under each change of twists, by Eq. (5).
 
-    Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
-    The derivative is taken at the twist that the station already has, so it is exact also at a
-    large twist, such as that of a displaced base. The frames behind a station are kept.
+    Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``: R_i
+    are the axes of station i, d_i and delta_i the changes of its translation and rotation, and p_i
+    is the tip in these axes. The derivative is taken at the twist that the station already has, so
+    it is exact also at a large twist, such as that of a displaced base. The arm beyond a station
+    moves with it as one rigid body.
 
     Args:
         tip: position of the tip, base frame, m.

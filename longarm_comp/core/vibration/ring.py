@@ -163,7 +163,7 @@ REST_S = 0.3
 def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None) -> float:
     """Return how long to rest before a sighting, s, so that the ring of 90 % of the moves is over.
 
-    It is `REST_S` if arm.yaml declares no `damping`, and never less.
+    Unless `given`, it is at least `REST_S`, and `REST_S` if arm.yaml declares no `damping`.
 
     Args:
         joints: (N, n) postures, one after the other.

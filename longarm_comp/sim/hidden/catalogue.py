@@ -141,7 +141,12 @@ def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> Hidde
 def moved_tip(
     effect: HiddenEffect, arm: Arm, poses: Array, context: TrueContext, sound: Array
 ) -> Array:
-    """Return the tip (N, 3) with one effect; `sound` is the tip without it."""
+    """Return the tip (N, 3), m, with one effect.
+
+    Args:
+        sound: (N, 3) m, the tip without it; not used here, but by others in the place of this
+            function (``seen`` of `scale_to_size`).
+    """
     return TrueArm(arm, [effect], steps=QUICK_STEPS).tip(poses, context)
 
 

@@ -135,7 +135,7 @@ class _Resting(HiddenEffect):
 
 @dataclass(frozen=True)
 class Backlash(_Resting):
-    """Play of `half` to either side, as `_Resting`."""
+    """Play of `half` to either side: the load, or else the approach, decides on which it rests."""
 
 
 @dataclass(frozen=True)

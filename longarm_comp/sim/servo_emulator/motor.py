@@ -39,7 +39,7 @@ class MotorSpec:
 
 
 class Motor:
-    """One servo's mechanics. Advance it in time; read and set its fields between.
+    """One servo's mechanics. `advance` moves it on in time; between calls, read and set its fields.
 
     Attributes:
         follows: share of a motion that the encoder sees: 0 is frozen, less than 1 slips.
