@@ -90,7 +90,7 @@ class ServoArm:
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
         self.owing_off = stopped  # torque off was not confirmed yet
-        self._hold: dict[int, int] = {}  # goals of a fault that servos have not confirmed
+        self._unheld: set[int] = set()  # servos that have not confirmed the goal of a fault
         self._cycles = 0
         self._missed = False  # whether a servo did not answer: it may have lost its power
         self._next_try = 0.0
@@ -288,17 +288,27 @@ class ServoArm:
         if driving and self.follower.is_fresh(now):
             self._stood = {i: state.position_ticks for i, state in states.items()}
         stopped = step.state is FollowerState.FAULT
-        self._hold = (step.goals or self._hold) if stopped and self.powered else {}
+        self._unheld = set(step.goals or self._unheld) if stopped else set()
         if self.bus is not None and self.powered:
             try:
-                if self._hold:  # sent again until it is confirmed: a lost one drives on
-                    self.bus.hold(self._hold)
-                    self._hold = {}
+                if stopped:  # until it is confirmed: a servo that lost a goal drives on
+                    self._hold_unheld(self.bus)
                 elif step.goals:
                     self.bus.write_goal(step.goals, self._speeds)
             except ServoBusError as error:
                 trouble = self._lose_port(error)
         return Cycle(step, self._convert_states(states), states, trouble)
+
+    def _hold_unheld(self, bus: SerialServoBus) -> None:
+        """Hold servos where they were read just now, if they are driven: a goal wakes others."""
+        goals = self.follower.find_holding_goals()
+        asked = self._unheld & goals.keys()
+        driven = bus.driven(sorted(asked))
+        held = {i: goals[i] for i in asked if driven[i]}
+        missing = bus.hold(held)
+        self._unheld = (self._unheld - asked) | missing
+        if missing:
+            raise IncompleteReply("servos have not confirmed where they hold", ids=sorted(missing))
 
     def close(self) -> None:
         """Switch the torque off if possible and release the port. Must not raise."""

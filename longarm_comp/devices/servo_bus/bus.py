@@ -134,20 +134,15 @@ class SerialServoBus:
         values = {i: self._dialect.goal_bytes(t, speeds.get(i, 0.0)) for i, t in goals.items()}
         self._send_frame(self._dialect.sync_write(self._dialect.goal, values))
 
-    def hold(self, goals: Mapping[int, int]) -> None:
-        """Send goal positions (ticks) and read back that every servo has its own.
-
-        Raises:
-            IncompleteReply: some servos did not confirm.
-            ServoFault: a servo with an alarm did not.
-        """
-        ticks_of = self._dialect.ticks_of
-
-        def is_near(read: bytes, sent: bytes) -> bool:
-            return len(read) == len(sent) and abs(ticks_of(read) - ticks_of(sent)) <= GOAL_TICKS
-
+    def hold(self, goals: Mapping[int, int]) -> set[int]:
+        """Send goal positions (ticks); return the ids that did not read back their own."""
         values = {i: self._dialect.goal_position_bytes(ticks) for i, ticks in goals.items()}
-        self._write_checked(self._dialect.goal_position, values, taken=is_near)
+        wanted, _ = self._write_until(self._dialect.goal_position, values, self._is_near)
+        return set(wanted)
+
+    def _is_near(self, read: bytes, sent: bytes) -> bool:
+        ticks_of = self._dialect.ticks_of
+        return len(read) == len(sent) and abs(ticks_of(read) - ticks_of(sent)) <= GOAL_TICKS
 
     def goals(self, ids: Sequence[int]) -> dict[int, int]:
         """Read the goal positions, ticks. Raises IncompleteReply."""
@@ -173,7 +168,12 @@ class SerialServoBus:
             for servo_id, memory in self.memory(ids).items():
                 if why := memory.describe_jump(goals[servo_id]):
                     raise ServoFault(f"servo {servo_id} {why}")
-            self.hold({i: goal for i, goal in goals.items() if i not in kept})
+            values = {
+                i: self._dialect.goal_position_bytes(goal)
+                for i, goal in goals.items()
+                if i not in kept
+            }
+            self._write_checked(self._dialect.goal_position, values, taken=self._is_near)
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
 
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
@@ -323,22 +323,28 @@ class SerialServoBus:
             harmless: whether a servo with an alarm may ignore it.
             taken: tells by what was read and what was sent whether a servo accepted it.
         """
-        wanted = dict(values)
+        wanted, answers = self._write_until(block, values, taken)
         if not wanted:
             return
-        for _ in range(self._retries + 1):
-            self._send_frame(self._dialect.sync_write(block, wanted))
-            answers = self.ask(list(wanted), block, retries=0)
-            for servo_id, reply in answers.replies.items():
-                if taken(reply.data, wanted[servo_id]):
-                    del wanted[servo_id]
-            if not wanted:
-                return
         if not harmless:
             for servo_id, flags in self._read_alarms(answers.replies).items():
                 if flags:
                     raise ServoFault("the servo reports an alarm", id=servo_id, alarm=flags.words)
         raise _make_incomplete(answers, {}, unconfirmed=wanted)
+
+    def _write_until(
+        self, block: Block, values: Mapping[int, bytes], taken: Callable[[bytes, bytes], bool]
+    ) -> tuple[dict[int, bytes], Answers]:
+        """Return what servos did not accept, by id, and the last answers."""
+        wanted, answers, tries = dict(values), Answers(), self._retries + 1
+        while wanted and tries:
+            tries -= 1
+            self._send_frame(self._dialect.sync_write(block, wanted))
+            answers = self.ask(list(wanted), block, retries=0)
+            for servo_id, reply in answers.replies.items():
+                if taken(reply.data, wanted[servo_id]):
+                    del wanted[servo_id]
+        return wanted, answers
 
 
 def _make_incomplete(
