@@ -274,13 +274,16 @@ class SerialServoBus:
                 if not reply.intact:
                     damaged.add(reply.servo_id)
                     self.counters.checksum_errors += 1
-                # An instruction that is refused is answered without data
-                elif reply.servo_id in wanted and (len(reply.data) == data_length or reply.error):
+                elif reply.servo_id in wanted and self._answers(reply, data_length):
                     wanted.discard(reply.servo_id)
                     replies[reply.servo_id] = reply
                 else:
                     self.counters.stray_frames += 1
         return damaged
+
+    def _answers(self, reply: Reply, data_length: int) -> bool:
+        """Return whether a reply has the data that was asked for, or refuses to send any."""
+        return len(reply.data) == data_length or self._dialect.refusal(reply.error) != 0
 
     def _send_frame(self, frame: bytes) -> None:
         self.counters.stale_bytes += self._port.send(frame)
@@ -306,8 +309,8 @@ class SerialServoBus:
         if unread and block is not None:
             more = self.ask(unread, block).replies
             for i in unread:
-                flags = self._dialect.alarm_flags(more[i].data[0]) if i in more else ServoAlarm.NONE
-                known[i] = flags or ServoAlarm.OTHER
+                read = more[i].data if i in more else b""
+                known[i] = self._dialect.alarm_flags(int.from_bytes(read)) or ServoAlarm.OTHER
         return {i: flags for i, flags in known.items() if flags is not None}
 
     def _write_checked(
