@@ -21,6 +21,9 @@ from longarm_comp.devices.servo_bus.state import (
 GOAL_TICKS = 8
 """A goal this near the one that was sent moves no servo far: 0.7 degrees."""
 
+AGREE_TICKS = 40
+"""Two readings in succession so near each other are believed: 3.5 degrees."""
+
 Change = tuple[bytes, bytes]
 """What is stored, and what is to be."""
 
@@ -160,11 +163,11 @@ class SerialServoBus:
             kept: servos that are driven and keep the goal that they have.
 
         Raises:
-            IncompleteReply: some servos did not confirm.
+            IncompleteReply: some servos did not confirm, or their readings do not agree.
             ServoFault: a servo with an alarm would not switch on, or one would jump.
         """
         if on:
-            goals = {i: s.position_ticks for i, s in self.read(ids).items()}
+            goals = self._read_agreed(ids)
             for servo_id, memory in self.memory(ids).items():
                 if why := memory.describe_jump(goals[servo_id]):
                     raise ServoFault(f"servo {servo_id} {why}")
@@ -175,6 +178,26 @@ class SerialServoBus:
             }
             self._write_checked(self._dialect.goal_position, values, taken=self._is_near)
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
+
+    def _read_agreed(self, ids: Sequence[int]) -> dict[int, int]:
+        """Read positions, ticks by id, until two in succession agree for each servo.
+
+        A damaged reply may pass its checksum, and a servo goes to what becomes its goal.
+
+        Raises:
+            IncompleteReply: a servo's do not agree however often they are read again.
+        """
+        before, agreed = self.read(ids), dict[int, int]()
+        for _ in range(self._retries + 2):
+            now = self.read(ids)
+            for i, state in now.items():
+                if abs(state.position_ticks - before[i].position_ticks) <= AGREE_TICKS:
+                    agreed[i] = state.position_ticks
+            if len(agreed) == len(now):
+                return agreed
+            before = now
+        left = sorted(before.keys() - agreed.keys())
+        raise IncompleteReply("readings of servos do not agree: hold the arm still", ids=left)
 
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
         """Read whether each servo's drive is on. It goes off after an alarm or a loss of power.
