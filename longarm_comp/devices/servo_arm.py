@@ -107,16 +107,6 @@ class ServoArm:
             if self.owing_off:  # before anything that a silent or another servo may break off
                 with contextlib.suppress(IncompleteReply, ServoFault):
                     bus.torque(self._ids, on=False)
-            for name, joint in self.config.joints.items():
-                number = bus.ping(joint.servo_id)
-                if number != joint.servo.model_number:
-                    raise JobError(
-                        f"{name} is not the configured servo: `longarm servo setup` writes the "
-                        "model that it finds; or correct servo_id",
-                        servo_id=joint.servo_id,
-                        model=joint.model,
-                        answers=bus.model_name(number) or f"unknown model {number}",
-                    )
             self._check_servos(bus, turned=again)
             self._set_turns(bus)
         except BaseException:
@@ -125,10 +115,23 @@ class ServoArm:
         return bus
 
     def _check_servos(self, bus: SerialServoBus, turned: bool) -> None:
-        """Refuse servos whose memory gives commands another meaning; take over their own limits.
+        """Refuse servos of other models, or whose memory gives commands another meaning.
 
-        ``turned``: whether they have been set for one turn or many.
+        Their own limits are taken over.
+
+        Args:
+            turned: whether they have been set for one turn or many.
         """
+        for name, joint in self.config.joints.items():
+            number = bus.ping(joint.servo_id)
+            if number != joint.servo.model_number:
+                raise JobError(
+                    f"{name} is not the configured servo: `longarm servo setup` writes the "
+                    "model that it finds; or correct servo_id",
+                    servo_id=joint.servo_id,
+                    model=joint.model,
+                    answers=bus.model_name(number) or f"unknown model {number}",
+                )
         kept = bus.memory(self._ids)
         for name, joint in self.config.joints.items():
             for check in (check_memory, check_placed, check_reach):

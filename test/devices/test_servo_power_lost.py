@@ -62,6 +62,21 @@ def test_a_servo_that_misses_a_faults_goal_is_held_where_it_got_to_and_the_other
     assert driven.joints()["shoulder"] > got_to - 0.1
 
 
+def test_a_servo_of_another_model_gets_no_torque_after_a_fault(driven: Driven) -> None:
+    """Somebody replaced it meanwhile."""
+    emulator = driven.emulator
+    _overheat(driven, 2)
+    driven.becomes(FollowerState.FAULT)
+    emulator.power_cycle(2)
+    with emulator.motor(2) as motor:
+        motor.temperature_c = 30.0
+        emulator._devices[2].put(*{"feetech": (3, 2), "dynamixel": (0, 2)}[emulator.protocol], 9)
+    driven.until(lambda cycle: cycle.joints and cycle.states[2].temperature_c < 40.0)
+    with pytest.raises(JobError, match="boom is not the configured servo"):
+        driven.arm.release(time.monotonic())
+    assert emulator.torques_on() == {1: True, 2: False}
+
+
 def _miss_fault(driven: Driven) -> None:
     """No servo hears the goals of a fault; then none answers."""
     _run_away(driven)

@@ -333,7 +333,9 @@ class SerialServoBus:
             more = self.ask(unread, block).replies
             for i in unread:
                 read = more[i].data if i in more else b""
-                known[i] = self._dialect.alarm_flags(int.from_bytes(read)) or ServoAlarm.OTHER
+                known[i] = (
+                    self._dialect.alarm_flags(int.from_bytes(read, "little")) or ServoAlarm.OTHER
+                )
         return {i: flags for i, flags in known.items() if flags is not None}
 
     def _write_checked(
