@@ -100,7 +100,7 @@ class ServoArm:
     def _open_bus(self, again: bool) -> SerialServoBus:
         """Open the port and check the servos; they are set for other turns the first time only.
 
-        What comes back may be another servo.
+        What comes back may be another arm.
         """
         bus = self.config.open_bus()
         try:
@@ -108,6 +108,8 @@ class ServoArm:
                 with contextlib.suppress(IncompleteReply, ServoFault):
                     bus.torque(self._ids, on=False)
             self._check_servos(bus, turned=again)
+            if self.powered:
+                self._check_unmoved(bus)
             self._set_turns(bus)
         except BaseException:
             bus.close()
@@ -145,6 +147,19 @@ class ServoArm:
             speed = 1.5 * joint.max_speed_ticks_s  # kept by the servo itself, so that none lags
             most = kept[joint.servo_id].speed_ticks_s
             self._speeds[joint.servo_id] = speed if most is None else min(speed, most)
+
+    def _check_unmoved(self, bus: SerialServoBus) -> None:
+        """Refuse an arm that stands elsewhere than where its torque, which it kept, held it."""
+        for servo_id, state in bus.read(self._ids).items():
+            moved = abs(state.position_ticks - self._stood[servo_id])
+            if moved > self.config.follower.lost_error_ticks:
+                raise JobError(
+                    "this port leads to another arm, or the arm was moved: configure the driver "
+                    "again",
+                    servo_id=servo_id,
+                    reads=state.position_ticks,
+                    stood=self._stood[servo_id],
+                )
 
     def _set_turns(self, bus: SerialServoBus) -> None:
         """Set one or many turns as declared. They stay: without them the servos lose count."""
@@ -286,6 +301,7 @@ class ServoArm:
                 trouble, states, self._missed = str(error), error.states, True
             except ServoBusError as error:
                 trouble = self._lose_port(error)
+        self._missed = self._missed or self.bus is None
         step = self.follower.step(now, states, driven)
         driving = step.state in (FollowerState.TRACKING, FollowerState.HOLDING)
         if driving and self.follower.is_fresh(now):

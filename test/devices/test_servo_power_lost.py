@@ -77,6 +77,53 @@ def test_a_servo_of_another_model_gets_no_torque_after_a_fault(driven: Driven) -
     assert emulator.torques_on() == {1: True, 2: False}
 
 
+def _comes_back_moved(driven: Driven, servo_id: int, by: float) -> None:
+    driven.emulator.unplug()
+    driven.until(lambda _: driven.arm.bus is None)
+    with driven.emulator.motor(servo_id) as motor:
+        motor.turn(by)
+        motor.goal = motor.position
+    driven.emulator.start()
+
+
+@pytest.mark.parametrize("servo_id", [1, 2])
+@pytest.mark.parametrize("by", [410.0, -410.0])
+def test_another_arm_on_the_port_is_sent_nothing_until_the_driver_is_configured_again(
+    driven: Driven, servo_id: int, by: float
+) -> None:
+    driven.cycles(3)
+    _comes_back_moved(driven, servo_id, by)
+    driven.until(lambda cycle: "another arm, or the arm was moved" in cycle.trouble)
+    assert driven.arm.bus is None
+    with driven.emulator.motor(servo_id) as motor:
+        motor.turn(-by)
+        motor.goal = motor.position
+    driven.until(lambda cycle: cycle.joints)  # its own
+
+
+def test_an_arm_that_gave_way_a_little_or_was_without_torque_is_taken_back(driven: Driven) -> None:
+    driven.cycles(3)
+    _comes_back_moved(driven, 2, -390.0)
+    driven.until(lambda cycle: cycle.joints)
+    driven.arm.power(False)
+    _comes_back_moved(driven, 2, -410.0)
+    driven.until(lambda cycle: cycle.joints)
+
+
+def test_a_servo_whose_power_went_with_the_port_is_a_fault_before_it_gets_a_goal(
+    driven: Driven,
+) -> None:
+    driven.send(shoulder=0.9)
+    driven.cycles(3)
+    driven.emulator.unplug()
+    driven.until(lambda _: driven.arm.bus is None)
+    driven.emulator.power_cycle(1)
+    driven.emulator.start()
+    driven.until(lambda cycle: cycle.joints)
+    driven.becomes(FollowerState.FAULT)
+    assert driven.emulator.torques_on() == {1: False, 2: True}
+
+
 def _miss_fault(driven: Driven) -> None:
     """No servo hears the goals of a fault; then none answers."""
     _run_away(driven)
