@@ -92,7 +92,8 @@ class ServoArm:
         self.owing_off = stopped  # torque off was not confirmed yet
         self._unheld: set[int] = set()  # servos that have not confirmed the goal of a fault
         self._cycles = 0
-        self._missed = False  # whether a servo did not answer: it may have lost its power
+        self._missed: set[int] = set()  # servos not heard since all were read to be driven
+        self._lost: set[int] = set()  # servos that may have lost their power under torque
         self._next_try = 0.0
         self._closed = f"{config.bus.port} is unplugged"
         self.bus: SerialServoBus | None = self._open_bus(again=False)
@@ -195,6 +196,8 @@ class ServoArm:
             JobError: a servo was set for other turns meanwhile, or may have lost count of them.
         """
         before = self.powered
+        if before and not on:
+            self._lost |= self._missed
         self.powered = self.powered and on
         self.owing_off = self.owing_off or not on
         goals: dict[int, int] = {}
@@ -214,6 +217,7 @@ class ServoArm:
             raise
         self.powered, self.owing_off = on, False
         if on:
+            self._missed.clear()
             self.follower.hold_at({**self._stood, **goals})
 
     def _goals_to_hold(self, bus: SerialServoBus) -> dict[int, int]:
@@ -221,8 +225,10 @@ class ServoArm:
 
         A loaded arm would sink by its droop each time its goal became its present position.
         """
-        self._stood = self._check_turn_counts(bus)
         states, goals, driven = bus.read(self._ids), bus.goals(self._ids), bus.driven(self._ids)
+        self._note_lost(states, driven)
+        self._check_turn_counts(states)
+        self._stood = {i: state.position_ticks for i, state in states.items()}
         return {
             joint.servo_id: goals[joint.servo_id]
             for joint in self.config.joints.values()
@@ -232,25 +238,27 @@ class ServoArm:
             )
         }
 
-    def _check_turn_counts(self, bus: SerialServoBus) -> dict[int, int]:
-        """Return where every servo stands now, ticks by id.
+    def _note_lost(self, states: Mapping[int, ServoState], driven: Mapping[int, bool]) -> None:
+        """Note servos that let go by themselves: one without an alarm had no power meanwhile."""
+        if self.powered:
+            self._lost |= {i for i, on in driven.items() if not on and not states[i].error_flags}
 
-        A servo of many turns that stands elsewhere than when the torque last held the arm is
-        refused: without power it loses count of its turns.  Half a turn tells, because what is lost
-        is a whole one.
+    def _check_turn_counts(self, states: Mapping[int, ServoState]) -> None:
+        """Refuse servos of many turns that may have lost count of them, as they do without power.
+
+        Where the torque was off, a move tells: half a turn, because what is lost is a whole one.
+        Where the power went under torque the arm may have sunk by any way since.
         """
-        now = {i: state.position_ticks for i, state in bus.read(self._ids).items()}
         for name, joint in self.config.joints.items():
-            at = now[joint.servo_id]
-            moved = abs(at - self._stood.get(joint.servo_id, at))
-            if joint.multi_turn and moved > joint.servo.ticks_per_turn / 2:
+            at = states[joint.servo_id].position_ticks
+            moved = abs(at - self._stood.get(joint.servo_id, at)) > joint.servo.ticks_per_turn / 2
+            if joint.multi_turn and (moved or joint.servo_id in self._lost):
                 raise JobError(
                     f"{name} may have lost count of its servo's turns without power: see whether "
                     "it stands where it says; then configure the driver again, which believes it",
                     reads=f"{joint.to_si(at):.4g} {joint.unit}",
                     stood=f"{joint.to_si(self._stood[joint.servo_id]):.4g} {joint.unit}",
                 )
-        return now
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         if not self.powered:
@@ -296,12 +304,13 @@ class ServoArm:
                 # cycles between two checks that the torque is still on
                 if self.powered and (self._cycles % 25 == 0 or self._missed):
                     driven = bus.driven(self._ids)
-                self._missed = False
+                    self._missed.clear()
             except IncompleteReply as error:
-                trouble, states, self._missed = str(error), error.states, True
+                trouble, states = str(error), error.states
             except ServoBusError as error:
                 trouble = self._lose_port(error)
-        self._missed = self._missed or self.bus is None
+        self._missed |= set(self._ids) - states.keys()
+        self._note_lost(states, driven)
         step = self.follower.step(now, states, driven)
         driving = step.state in (FollowerState.TRACKING, FollowerState.HOLDING)
         if driving and self.follower.is_fresh(now):
@@ -359,7 +368,7 @@ class ServoArm:
     def _lose_port(self, error: ServoBusError) -> str:
         if isinstance(error, BusUnplugged) and self.bus is not None:
             self.bus.close()
-            self.bus = None
+            self.bus, self._missed = None, set(self._ids)
         return str(error)
 
     def _mend_bus(self) -> None:

@@ -11,6 +11,7 @@ from driven_arm import MODEL, Driven, driven_arm
 from faulty_bus import wait_until
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.devices.servo_bus.state import IncompleteReply
 from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.sim.servo_emulator.wire import Device
 
@@ -159,11 +160,11 @@ def test_a_goal_of_a_fault_that_was_missed_wakes_no_servo_whose_power_is_back(
     assert emulator.torques_on() == {1: False, 2: True}
 
 
-@pytest.mark.parametrize("stopped", ["in a fault", "by an emergency stop", "deactivated"])
+@pytest.mark.parametrize("stopped", ["in a fault", "silent", "by an emergency stop", "deactivated"])
 def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
     driven: Driven, stopped: str
 ) -> None:
-    """A whole turn without power; half of one is a hand's."""
+    """A whole turn without power; half of one is a hand's, unless the power went under torque."""
     driven.send(shoulder=0.9)
     driven.becomes(FollowerState.HOLDING)
     arm, torques = driven.arm, driven.emulator.torques_on
@@ -171,6 +172,13 @@ def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
         driven.emulator.faults.silent.add(1)
         driven.becomes(FollowerState.FAULT)
         driven.emulator.faults.silent.clear()
+    elif stopped == "silent":
+        driven.emulator.faults.silent.add(1)
+        driven.cycles(1)
+        with pytest.raises(IncompleteReply):
+            arm.estop()
+        driven.emulator.faults.silent.clear()
+        driven.until(lambda _: not arm.owing_off)
     elif stopped == "by an emergency stop":
         arm.estop()
     else:
@@ -184,8 +192,58 @@ def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
         assert not torques()[1]
     driven.turn_by_hand(4096.0 - 2000.0)
     driven.cycles(20)
+    if stopped in ("in a fault", "silent"):
+        with pytest.raises(JobError, match="shoulder may have lost count of its servo's turns"):
+            arm.release(time.monotonic())
+        assert not torques()[1]
+    else:
+        arm.release(time.monotonic())
+        assert set(torques().values()) == {True}
+
+
+def test_a_servo_of_one_turn_that_lost_its_power_goes_on_after_reset(driven: Driven) -> None:
+    driven.emulator.power_cycle(2)
+    driven.becomes(FollowerState.FAULT)
+    driven.arm.release(time.monotonic())
+    assert set(driven.emulator.torques_on().values()) == {True}
+
+
+def test_a_servo_that_let_go_with_an_alarm_has_not_lost_count(driven: Driven) -> None:
+    with driven.emulator.motor(1) as motor:
+        motor.alarms.add("overload")
+        motor.torque_on = False
+    driven.becomes(FollowerState.FAULT)
+    driven.cycles(60)
+    with pytest.raises(JobError) as caught:
+        driven.arm.release(time.monotonic())
+    assert "lost count" not in str(caught.value)
+    driven.emulator.power_cycle(1)
+    driven.cycles(60)
+    with pytest.raises(JobError, match="lost count"):
+        driven.arm.release(time.monotonic())
+
+
+def test_an_emergency_stop_does_not_hide_that_a_servo_lost_its_power(driven: Driven) -> None:
+    driven.emulator.power_cycle(1)
+    driven.becomes(FollowerState.FAULT)
+    driven.arm.estop()
+    with pytest.raises(JobError, match="lost count"):
+        driven.arm.release(time.monotonic())
+
+
+def test_a_servo_that_is_silent_while_its_torque_is_off_has_not_lost_count(driven: Driven) -> None:
+    arm, silent = driven.arm, driven.emulator.faults.silent
+    arm.estop()
+    driven.cycles(60)
+    silent.add(1)
+    driven.cycles(1)
+    with pytest.raises(IncompleteReply):
+        arm.power(False)
+    silent.clear()
+    driven.until(lambda cycle: cycle.joints and not arm.owing_off)
     arm.release(time.monotonic())
-    assert set(torques().values()) == {True}
+    arm.estop()
+    arm.release(time.monotonic())
 
 
 def test_a_servo_that_was_without_power_is_a_fault_before_it_gets_a_goal(driven: Driven) -> None:
