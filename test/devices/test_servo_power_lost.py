@@ -11,7 +11,7 @@ from driven_arm import MODEL, Driven, driven_arm
 from faulty_bus import wait_until
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.devices.servo_bus.state import IncompleteReply
+from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.sim.servo_emulator.wire import Device
 
@@ -121,6 +121,21 @@ def test_a_servo_whose_power_went_with_the_port_is_a_fault_before_it_gets_a_goal
     driven.emulator.power_cycle(1)
     driven.emulator.start()
     driven.until(lambda cycle: cycle.joints)
+    driven.becomes(FollowerState.FAULT)
+    assert driven.emulator.torques_on() == {1: False, 2: True}
+
+
+def test_a_servo_without_torque_gets_no_goal_where_the_port_is_back_at_once(
+    driven: Driven, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unplugged(*_: object) -> None:
+        raise BusUnplugged
+
+    driven.send(shoulder=0.9)
+    driven.cycles(3)
+    monkeypatch.setattr(driven.arm.bus, "write_goal", unplugged)
+    driven.until(lambda _: driven.arm.bus is None)
+    driven.emulator.power_cycle(1)
     driven.becomes(FollowerState.FAULT)
     assert driven.emulator.torques_on() == {1: False, 2: True}
 
