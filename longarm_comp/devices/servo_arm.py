@@ -90,9 +90,10 @@ class ServoArm:
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
         self.owing_off = stopped  # torque off was not confirmed yet
-        self._hold: dict[int, int] = {}  # goals of a fault that servos have not confirmed
+        self._unheld: set[int] = set()  # servos that have not confirmed the goal of a fault
         self._cycles = 0
-        self._missed = False  # whether a servo did not answer: it may have lost its power
+        self._missed: set[int] = set()  # servos not heard since all were read to be driven
+        self._lost: set[int] = set()  # servos that may have lost their power under torque
         self._next_try = 0.0
         self._closed = f"{config.bus.port} is unplugged"
         self.bus: SerialServoBus | None = self._open_bus(again=False)
@@ -100,24 +101,16 @@ class ServoArm:
     def _open_bus(self, again: bool) -> SerialServoBus:
         """Open the port and check the servos; they are set for other turns the first time only.
 
-        What comes back may be another servo.
+        What comes back may be another arm.
         """
         bus = self.config.open_bus()
         try:
             if self.owing_off:  # before anything that a silent or another servo may break off
                 with contextlib.suppress(IncompleteReply, ServoFault):
                     bus.torque(self._ids, on=False)
-            for name, joint in self.config.joints.items():
-                number = bus.ping(joint.servo_id)
-                if number != joint.servo.model_number:
-                    raise JobError(
-                        f"{name} is not the configured servo: `longarm servo setup` writes the "
-                        "model that it finds; or correct servo_id",
-                        servo_id=joint.servo_id,
-                        model=joint.model,
-                        answers=bus.model_name(number) or f"unknown model {number}",
-                    )
             self._check_servos(bus, turned=again)
+            if self.powered:
+                self._check_unmoved(bus)
             self._set_turns(bus)
         except BaseException:
             bus.close()
@@ -125,10 +118,23 @@ class ServoArm:
         return bus
 
     def _check_servos(self, bus: SerialServoBus, turned: bool) -> None:
-        """Refuse servos whose memory gives commands another meaning; take over their own limits.
+        """Refuse servos of other models, or whose memory gives commands another meaning.
 
-        ``turned``: whether they have been set for one turn or many.
+        Their own limits are taken over.
+
+        Args:
+            turned: whether they have been set for one turn or many.
         """
+        for name, joint in self.config.joints.items():
+            number = bus.ping(joint.servo_id)
+            if number != joint.servo.model_number:
+                raise JobError(
+                    f"{name} is not the configured servo: `longarm servo setup` writes the "
+                    "model that it finds; or correct servo_id",
+                    servo_id=joint.servo_id,
+                    model=joint.model,
+                    answers=bus.model_name(number) or f"unknown model {number}",
+                )
         kept = bus.memory(self._ids)
         for name, joint in self.config.joints.items():
             for check in (check_memory, check_placed, check_reach):
@@ -142,6 +148,19 @@ class ServoArm:
             speed = 1.5 * joint.max_speed_ticks_s  # kept by the servo itself, so that none lags
             most = kept[joint.servo_id].speed_ticks_s
             self._speeds[joint.servo_id] = speed if most is None else min(speed, most)
+
+    def _check_unmoved(self, bus: SerialServoBus) -> None:
+        """Refuse an arm that stands elsewhere than where its torque, which it kept, held it."""
+        for servo_id, state in bus.read(self._ids).items():
+            moved = abs(state.position_ticks - self._stood[servo_id])
+            if moved > self.config.follower.lost_error_ticks:
+                raise JobError(
+                    "this port leads to another arm, or the arm was moved: configure the driver "
+                    "again",
+                    servo_id=servo_id,
+                    reads=state.position_ticks,
+                    stood=self._stood[servo_id],
+                )
 
     def _set_turns(self, bus: SerialServoBus) -> None:
         """Set one or many turns as declared. They stay: without them the servos lose count."""
@@ -177,6 +196,8 @@ class ServoArm:
             JobError: a servo was set for other turns meanwhile, or may have lost count of them.
         """
         before = self.powered
+        if before and not on:
+            self._lost |= self._missed
         self.powered = self.powered and on
         self.owing_off = self.owing_off or not on
         goals: dict[int, int] = {}
@@ -196,6 +217,7 @@ class ServoArm:
             raise
         self.powered, self.owing_off = on, False
         if on:
+            self._missed.clear()
             self.follower.hold_at({**self._stood, **goals})
 
     def _goals_to_hold(self, bus: SerialServoBus) -> dict[int, int]:
@@ -203,8 +225,10 @@ class ServoArm:
 
         A loaded arm would sink by its droop each time its goal became its present position.
         """
-        self._stood = self._check_turn_counts(bus)
         states, goals, driven = bus.read(self._ids), bus.goals(self._ids), bus.driven(self._ids)
+        self._note_lost(states, driven)
+        self._check_turn_counts(states)
+        self._stood = {i: state.position_ticks for i, state in states.items()}
         return {
             joint.servo_id: goals[joint.servo_id]
             for joint in self.config.joints.values()
@@ -214,25 +238,27 @@ class ServoArm:
             )
         }
 
-    def _check_turn_counts(self, bus: SerialServoBus) -> dict[int, int]:
-        """Return where every servo stands now, ticks by id.
+    def _note_lost(self, states: Mapping[int, ServoState], driven: Mapping[int, bool]) -> None:
+        """Note servos that let go by themselves: one without an alarm had no power meanwhile."""
+        if self.powered:
+            self._lost |= {i for i, on in driven.items() if not on and not states[i].error_flags}
 
-        A servo of many turns that stands elsewhere than when the torque last held the arm is
-        refused: without power it loses count of its turns.  Half a turn tells, because what is lost
-        is a whole one.
+    def _check_turn_counts(self, states: Mapping[int, ServoState]) -> None:
+        """Refuse servos of many turns that may have lost count of them, as they do without power.
+
+        Where the torque was off, a move tells: half a turn, because what is lost is a whole one.
+        Where the power went under torque the arm may have sunk by any way since.
         """
-        now = {i: state.position_ticks for i, state in bus.read(self._ids).items()}
         for name, joint in self.config.joints.items():
-            at = now[joint.servo_id]
-            moved = abs(at - self._stood.get(joint.servo_id, at))
-            if joint.multi_turn and moved > joint.servo.ticks_per_turn / 2:
+            at = states[joint.servo_id].position_ticks
+            moved = abs(at - self._stood.get(joint.servo_id, at)) > joint.servo.ticks_per_turn / 2
+            if joint.multi_turn and (moved or joint.servo_id in self._lost):
                 raise JobError(
                     f"{name} may have lost count of its servo's turns without power: see whether "
                     "it stands where it says; then configure the driver again, which believes it",
                     reads=f"{joint.to_si(at):.4g} {joint.unit}",
                     stood=f"{joint.to_si(self._stood[joint.servo_id]):.4g} {joint.unit}",
                 )
-        return now
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         if not self.powered:
@@ -278,27 +304,39 @@ class ServoArm:
                 # cycles between two checks that the torque is still on
                 if self.powered and (self._cycles % 25 == 0 or self._missed):
                     driven = bus.driven(self._ids)
-                self._missed = False
+                    self._missed.clear()
             except IncompleteReply as error:
-                trouble, states, self._missed = str(error), error.states, True
+                trouble, states = str(error), error.states
             except ServoBusError as error:
                 trouble = self._lose_port(error)
+        self._missed |= set(self._ids) - states.keys()
+        self._note_lost(states, driven)
         step = self.follower.step(now, states, driven)
         driving = step.state in (FollowerState.TRACKING, FollowerState.HOLDING)
         if driving and self.follower.is_fresh(now):
             self._stood = {i: state.position_ticks for i, state in states.items()}
         stopped = step.state is FollowerState.FAULT
-        self._hold = (step.goals or self._hold) if stopped and self.powered else {}
+        self._unheld = set(step.goals or self._unheld) if stopped else set()
         if self.bus is not None and self.powered:
             try:
-                if self._hold:  # sent again until it is confirmed: a lost one drives on
-                    self.bus.hold(self._hold)
-                    self._hold = {}
+                if stopped:  # until it is confirmed: a servo that lost a goal drives on
+                    self._hold_unheld(self.bus)
                 elif step.goals:
                     self.bus.write_goal(step.goals, self._speeds)
             except ServoBusError as error:
                 trouble = self._lose_port(error)
         return Cycle(step, self._convert_states(states), states, trouble)
+
+    def _hold_unheld(self, bus: SerialServoBus) -> None:
+        """Hold servos where they were read just now, if they are driven: a goal wakes others."""
+        goals = self.follower.find_holding_goals()
+        asked = self._unheld & goals.keys()
+        driven = bus.driven(sorted(asked))
+        held = {i: goals[i] for i in asked if driven[i]}
+        missing = bus.hold(held)
+        self._unheld = (self._unheld - asked) | missing
+        if missing:
+            raise IncompleteReply("servos have not confirmed where they hold", ids=sorted(missing))
 
     def close(self) -> str:
         """Switch the torque off if possible and release the port. Must not raise.
@@ -339,7 +377,7 @@ class ServoArm:
     def _lose_port(self, error: ServoBusError) -> str:
         if isinstance(error, BusUnplugged) and self.bus is not None:
             self.bus.close()
-            self.bus = None
+            self.bus, self._missed = None, set(self._ids)
         return str(error)
 
     def _mend_bus(self) -> None:

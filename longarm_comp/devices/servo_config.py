@@ -116,6 +116,10 @@ class ServoConfig(ServoSettings):
                 allowed = f"at most {top}, as fast as a {joint.model} moves it; "
                 allowed += "top_speed_ticks_s where this servo is faster"
                 raise Misdeclared(f"{where}.max_velocity", joint.max_velocity, allowed)
+            half_turn = joint.servo.ticks_per_turn / 2 * joint.si_per_tick
+            if joint.max_error is not None and joint.max_error > half_turn * (1.0 + 1e-6):
+                allowed = f"at most {half_turn:.4g} {joint.unit}, half a turn of the servo"
+                raise Misdeclared(f"{where}.max_error", joint.max_error, allowed)
             if joint.tick_limits[0] > joint.tick_limits[1]:
                 raise Misdeclared(
                     f"{where}.upper", joint.upper, "at least one encoder tick above lower"

@@ -377,14 +377,23 @@ class TrajectoryFollower:
         for finding in findings:
             what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
             self._note_event(EventKind.FAULT, what, finding)
-        hold = {}
+        self._drop_motion()
+        self._held = goals = self.find_holding_goals()
+        return goals
+
+    def find_holding_goals(self) -> dict[int, int]:
+        """Return goals, ticks by id, that hold the joints of trusted readings just now.
+
+        A joint stays within its limits where that moves it by no more than a stall's error.
+        """
+        goals, near = {}, self._config.follower.stall_error_ticks
         for name, joint in self._config.joints.items():
             state = self._watch.state(name)
             if state is not None and self._watch.was_heard(name):
-                hold[joint.servo_id] = joint.nearest_within_limits(state.position_ticks)
-        self._drop_motion()
-        self._held = hold
-        return hold
+                at = state.position_ticks
+                inside = joint.nearest_within_limits(at)
+                goals[joint.servo_id] = inside if abs(inside - at) <= near else at
+        return goals
 
     def _drop_motion(self) -> None:
         self._trim.drop()

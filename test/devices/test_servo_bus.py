@@ -6,6 +6,7 @@ import copy
 import random
 import time
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
 from faulty_bus import FaultyBus, wait_until
@@ -142,6 +143,31 @@ def test_an_answer_of_another_servo_is_not_taken(rig: Rig) -> None:
     emulator.faults.noise += stray
     assert {i: s.position_ticks for i, s in bus.read([1]).items()} == {1: 2048}
     assert bus.counters.stray_frames == 1
+
+
+def test_a_late_answer_to_another_question_is_not_taken_from_a_servo_with_an_alarm(
+    rig: Rig,
+) -> None:
+    emulator, bus = rig
+    with emulator.motor(1) as motor:
+        motor.alarms.add("overload")
+    _, emulator.faults.noise = emulator._wire.status(emulator._devices[1], 0, b"\1")
+    state = bus.read([1])[1]
+    assert (state.position_ticks, state.error_flags) == (2048, ServoAlarm.OVERLOAD)
+    assert bus.counters.stray_frames == 1
+
+
+def test_an_instruction_that_is_refused_is_answered_without_data() -> None:
+    with (
+        FaultyBus("dynamixel", START) as emulator,
+        closing(_open("dynamixel", emulator.port)) as bus,
+    ):
+        for error, raised in ((7, ServoFault), (0, IncompleteReply)):
+            emulator.faults.silent.clear()
+            _, emulator.faults.noise = emulator._wire.status(emulator._devices[1], error, b"")
+            emulator.faults.silent.add(1)
+            with pytest.raises(raised):
+                bus.read([1])
 
 
 def test_overheating_shows_as_an_alarm_and_refuses_torque(rig: Rig) -> None:

@@ -121,6 +121,19 @@ def test_a_wrong_field_is_named_with_what_is_allowed(
     assert said in message
 
 
+@pytest.mark.parametrize("geared", [{}, {"gear_ratio": 2.0}])
+def test_an_error_of_half_a_turn_of_the_servo_guards_against_nothing(
+    geared: dict[str, Any],
+) -> None:
+    half = ServoConfig.parse(_document(a=REVOLUTE | geared), "servo.yaml").joints["a"]
+    most = 2048 * half.si_per_tick
+    ServoConfig.parse(_document(a=REVOLUTE | geared | {"max_error": most}), "servo.yaml")
+    said = _refused(_document(a=REVOLUTE | geared | {"max_error": 1.001 * most}))
+    assert (
+        said.startswith("joints.a.max_error |") and f"at most {most:.4g} rad, half a turn" in said
+    )
+
+
 def test_wrong_documents_are_named() -> None:
     assert "missing" in _refused({"joints": {"a": REVOLUTE}})
     assert "servo_id" in _refused(_document(a=REVOLUTE, b=SCREW | {"servo_id": 1}))

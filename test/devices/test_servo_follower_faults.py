@@ -89,14 +89,22 @@ def test_a_stall_must_last_and_a_reset_forgets_it(rig: Rig) -> None:
     assert _troubles(rig.run(0.3)) == []  # pushing, but not for long
 
 
-def test_a_fault_outside_the_limits_holds_at_the_limit(rig: Rig) -> None:
-    rig.send((4.0, {"turn": 1.0}))
-    rig.run(5.0)
-    rig.obeys.discard(5)
-    beyond = TURN.tick_limits[1] + 15
-    rig.states[5] = servo_state(beyond, temperature_c=99.0)
+@pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.parametrize(("beyond", "back"), [(40, 40), (41, 0), (2500, 0)])
+def test_a_fault_holds_a_joint_at_its_limit_only_where_that_is_no_motion(
+    rig: Rig, end: int, beyond: int, back: int
+) -> None:
+    """A goal far off is approached at the servo's top speed."""
+    rig.run(0.1)
+    rig.follower.hold_at({5: rig.states[5].position_ticks})
+    side = (-1, 1)[end]
+    at = TURN.tick_limits[end] + side * beyond
+    for _ in range(2):  # somebody moved it there
+        rig.states[5] = servo_state(at)
+        rig.step()
+    rig.states[5] = servo_state(at, temperature_c=99.0)
     (hold,) = [s.goals for s in rig.run(0.1) if s.state is FollowerState.FAULT and s.goals]
-    assert hold[5] == TURN.tick_limits[1]
+    assert hold[5] == at - side * back
 
 
 def test_a_short_peak_of_load_is_no_stall(rig: Rig) -> None:

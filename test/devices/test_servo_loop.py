@@ -3,94 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-from faulty_bus import FaultyBus
+from driven_arm import MODEL, Driven, driven_arm
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
-from longarm_comp.devices.servo_arm import Cycle, ServoArm
+from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.devices.servo_watch import ServoTrouble
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
-from longarm_comp.sim.servo_emulator.joints import EmulatedArm, read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
-
-CONFIG = """
-bus: {protocol: %s, port: %s, reply_timeout_s: 0.1, retries: 1}
-joints:
-  shoulder: {servo_id: 1, model: %s, type: revolute, zero_ticks: 2048, gear_ratio: 3.0,
-             multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 1.0}
-  boom: {servo_id: 2, model: %s, type: prismatic, zero_ticks: 3900, direction: -1,
-         pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.09}
-follower: {stall_time_s: 0.6, silence_s: 1.5}
-"""
-MODEL = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
-
-
-class Driven:
-    """A `ServoArm` whose torque is on, with its emulator."""
-
-    def __init__(self, config: ServoConfig, emulator: FaultyBus, true: EmulatedArm) -> None:
-        self.config, self.emulator, self._true = config, emulator, true
-        self.arm = ServoArm(config)
-        self.troubles: list[tuple[ServoTrouble, str]] = []
-        self.arm.power(True)
-
-    def until(self, done: Callable[[Cycle], object], limit_s: float = 20.0) -> None:
-        """Cycle until ``done``; the limit is only there to end a broken test."""
-        end = time.monotonic() + limit_s
-        while True:
-            cycle = self.arm.cycle(time.monotonic())
-            findings = [event.finding for event in cycle.step.events if event.finding is not None]
-            self.troubles += [(f.trouble, f.joint) for f in findings]
-            if done(cycle):
-                return
-            assert time.monotonic() < end
-            time.sleep(0.005)
-
-    def becomes(self, state: FollowerState) -> None:
-        self.until(lambda cycle: cycle.step.state is state)
-
-    def send(self, **target: float) -> None:
-        self.until(lambda cycle: cycle.joints)
-        point = TrajectoryPoint(0.0, tuple(target.values()))
-        self.arm.accept(JointTrajectory(tuple(target), (point,)), time.monotonic())
-
-    def cycles(self, count: int) -> None:
-        for _ in range(count):
-            self.until(lambda _: True)
-
-    def joints(self) -> dict[str, float]:
-        """Where the arm really is: the emulator's own conversion."""
-        return self._true.values(self.emulator.positions())
-
-    def stands(self, **at: float) -> None:
-        """Cycle until the arm really is there, within a tick."""
-        self.until(lambda _: all(abs(self.joints()[n] - v) < 6e-4 for n, v in at.items()))
-
-    def turn_by_hand(self, ticks: float) -> None:
-        """Turn the shoulder where nothing holds it."""
-        self.emulator.push(1, self.emulator.positions()[1] + ticks)
 
 
 @pytest.fixture(params=sorted(MODEL))
 def driven(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Driven]:
-    model, link = MODEL[request.param], tmp_path / "bus"
-    path = tmp_path / "servo_driver.yaml"
-    path.write_text(CONFIG % (request.param, link, model, model))
-    true = read_arm(path)
-    at = {"shoulder": 0.2, "boom": 0.02}
-    start = {joint.servo_id: joint.ticks(at[joint.name]) for joint in true.joints}
-    with FaultyBus(request.param, start, MotorSpec(max_speed_ticks_s=6000), link) as emulator:
-        made = Driven(ServoConfig.load(path), emulator, true)
+    with driven_arm(request.param, tmp_path) as made:
         yield made
-        made.arm.close()
 
 
 def test_the_arm_goes_where_it_is_told_and_arrives_from_both_sides(driven: Driven) -> None:
@@ -239,56 +173,6 @@ def test_a_loaded_arm_does_not_sink_when_its_driver_starts_again(protocol: str) 
         assert arm.bus is not None
         assert abs(arm.bus.goals([1])[1] - config.joints["j1"].to_ticks(0.5)) > 100
         arm.close()
-
-
-@pytest.mark.parametrize("stopped", ["in a fault", "by an emergency stop", "deactivated"])
-def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
-    driven: Driven, stopped: str
-) -> None:
-    """A whole turn without power; half of one is a hand's."""
-    driven.send(shoulder=0.9)
-    driven.becomes(FollowerState.HOLDING)
-    arm, torques = driven.arm, driven.emulator.torques_on
-    if stopped == "in a fault":
-        driven.emulator.faults.silent.add(1)
-        driven.becomes(FollowerState.FAULT)
-        driven.emulator.faults.silent.clear()
-    elif stopped == "by an emergency stop":
-        arm.estop()
-    else:
-        arm.power(False)
-    driven.emulator.power_cycle(1)
-    driven.turn_by_hand(-4096.0)
-    driven.cycles(20)
-    for switch in (lambda: arm.release(time.monotonic()), lambda: arm.power(True)):
-        with pytest.raises(JobError, match="shoulder may have lost count of its servo's turns"):
-            switch()
-        assert not torques()[1]
-    driven.turn_by_hand(4096.0 - 2000.0)
-    driven.cycles(20)
-    arm.release(time.monotonic())
-    assert set(torques().values()) == {True}
-
-
-def test_a_servo_that_was_without_power_is_a_fault_before_it_gets_a_goal(driven: Driven) -> None:
-    """A goal would switch it on again, and it would jump back from where it sank to."""
-    driven.send(shoulder=0.5)
-    driven.becomes(FollowerState.HOLDING)
-    driven.emulator.faults.silent.add(1)
-    driven.cycles(3)
-    driven.emulator.power_cycle(1)
-    driven.turn_by_hand(-300.0)
-    sunk = driven.emulator.positions()[1]
-    driven.emulator.faults.silent.clear()
-    driven.becomes(FollowerState.FAULT)
-    driven.cycles(50)
-    assert driven.emulator.positions()[1] == pytest.approx(sunk, abs=10.0)
-
-
-def test_a_servo_without_torque_is_a_fault_before_the_first_move_too(driven: Driven) -> None:
-    driven.cycles(3)
-    driven.emulator.power_cycle(1)
-    driven.becomes(FollowerState.FAULT)
 
 
 def test_what_another_servo_has_stored_is_not_rewritten_when_the_cable_is_back(

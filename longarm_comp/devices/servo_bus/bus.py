@@ -21,6 +21,9 @@ from longarm_comp.devices.servo_bus.state import (
 GOAL_TICKS = 8
 """A goal this near the one that was sent moves no servo far: 0.7 degrees."""
 
+AGREE_TICKS = 40
+"""Two readings in succession so near each other are believed: 3.5 degrees."""
+
 Change = tuple[bytes, bytes]
 """What is stored, and what is to be."""
 
@@ -134,20 +137,15 @@ class SerialServoBus:
         values = {i: self._dialect.goal_bytes(t, speeds.get(i, 0.0)) for i, t in goals.items()}
         self._send_frame(self._dialect.sync_write(self._dialect.goal, values))
 
-    def hold(self, goals: Mapping[int, int]) -> None:
-        """Send goal positions (ticks) and read back that every servo has its own.
-
-        Raises:
-            IncompleteReply: some servos did not confirm.
-            ServoFault: a servo with an alarm did not.
-        """
-        ticks_of = self._dialect.ticks_of
-
-        def is_near(read: bytes, sent: bytes) -> bool:
-            return len(read) == len(sent) and abs(ticks_of(read) - ticks_of(sent)) <= GOAL_TICKS
-
+    def hold(self, goals: Mapping[int, int]) -> set[int]:
+        """Send goal positions (ticks); return the ids that did not read back their own."""
         values = {i: self._dialect.goal_position_bytes(ticks) for i, ticks in goals.items()}
-        self._write_checked(self._dialect.goal_position, values, taken=is_near)
+        wanted, _ = self._write_until(self._dialect.goal_position, values, self._is_near)
+        return set(wanted)
+
+    def _is_near(self, read: bytes, sent: bytes) -> bool:
+        ticks_of = self._dialect.ticks_of
+        return len(read) == len(sent) and abs(ticks_of(read) - ticks_of(sent)) <= GOAL_TICKS
 
     def goals(self, ids: Sequence[int]) -> dict[int, int]:
         """Read the goal positions, ticks. Raises IncompleteReply."""
@@ -165,16 +163,41 @@ class SerialServoBus:
             kept: servos that are driven and keep the goal that they have.
 
         Raises:
-            IncompleteReply: some servos did not confirm.
+            IncompleteReply: some servos did not confirm, or their readings do not agree.
             ServoFault: a servo with an alarm would not switch on, or one would jump.
         """
         if on:
-            goals = {i: s.position_ticks for i, s in self.read(ids).items()}
+            goals = self._read_agreed(ids)
             for servo_id, memory in self.memory(ids).items():
                 if why := memory.describe_jump(goals[servo_id]):
                     raise ServoFault(f"servo {servo_id} {why}")
-            self.hold({i: goal for i, goal in goals.items() if i not in kept})
+            values = {
+                i: self._dialect.goal_position_bytes(goal)
+                for i, goal in goals.items()
+                if i not in kept
+            }
+            self._write_checked(self._dialect.goal_position, values, taken=self._is_near)
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
+
+    def _read_agreed(self, ids: Sequence[int]) -> dict[int, int]:
+        """Read positions, ticks by id, until two in succession agree for each servo.
+
+        A damaged reply may pass its checksum, and a servo goes to what becomes its goal.
+
+        Raises:
+            IncompleteReply: a servo's do not agree however often they are read again.
+        """
+        before, agreed = self.read(ids), dict[int, int]()
+        for _ in range(self._retries + 2):
+            now = self.read(ids)
+            for i, state in now.items():
+                if abs(state.position_ticks - before[i].position_ticks) <= AGREE_TICKS:
+                    agreed[i] = state.position_ticks
+            if len(agreed) == len(now):
+                return agreed
+            before = now
+        left = sorted(before.keys() - agreed.keys())
+        raise IncompleteReply("readings of servos do not agree: hold the arm still", ids=left)
 
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
         """Read whether each servo's drive is on. It goes off after an alarm or a loss of power.
@@ -274,13 +297,16 @@ class SerialServoBus:
                 if not reply.intact:
                     damaged.add(reply.servo_id)
                     self.counters.checksum_errors += 1
-                # An instruction that is refused is answered without data
-                elif reply.servo_id in wanted and (len(reply.data) == data_length or reply.error):
+                elif reply.servo_id in wanted and self._answers(reply, data_length):
                     wanted.discard(reply.servo_id)
                     replies[reply.servo_id] = reply
                 else:
                     self.counters.stray_frames += 1
         return damaged
+
+    def _answers(self, reply: Reply, data_length: int) -> bool:
+        """Return whether a reply has the data that was asked for, or refuses to send any."""
+        return len(reply.data) == data_length or self._dialect.refusal(reply.error) != 0
 
     def _send_frame(self, frame: bytes) -> None:
         self.counters.stale_bytes += self._port.send(frame)
@@ -306,8 +332,10 @@ class SerialServoBus:
         if unread and block is not None:
             more = self.ask(unread, block).replies
             for i in unread:
-                flags = self._dialect.alarm_flags(more[i].data[0]) if i in more else ServoAlarm.NONE
-                known[i] = flags or ServoAlarm.OTHER
+                read = more[i].data if i in more else b""
+                known[i] = (
+                    self._dialect.alarm_flags(int.from_bytes(read, "little")) or ServoAlarm.OTHER
+                )
         return {i: flags for i, flags in known.items() if flags is not None}
 
     def _write_checked(
@@ -323,22 +351,28 @@ class SerialServoBus:
             harmless: whether a servo with an alarm may ignore it.
             taken: tells by what was read and what was sent whether a servo accepted it.
         """
-        wanted = dict(values)
+        wanted, answers = self._write_until(block, values, taken)
         if not wanted:
             return
-        for _ in range(self._retries + 1):
-            self._send_frame(self._dialect.sync_write(block, wanted))
-            answers = self.ask(list(wanted), block, retries=0)
-            for servo_id, reply in answers.replies.items():
-                if taken(reply.data, wanted[servo_id]):
-                    del wanted[servo_id]
-            if not wanted:
-                return
         if not harmless:
             for servo_id, flags in self._read_alarms(answers.replies).items():
                 if flags:
                     raise ServoFault("the servo reports an alarm", id=servo_id, alarm=flags.words)
         raise _make_incomplete(answers, {}, unconfirmed=wanted)
+
+    def _write_until(
+        self, block: Block, values: Mapping[int, bytes], taken: Callable[[bytes, bytes], bool]
+    ) -> tuple[dict[int, bytes], Answers]:
+        """Return what servos did not accept, by id, and the last answers."""
+        wanted, answers, tries = dict(values), Answers(), self._retries + 1
+        while wanted and tries:
+            tries -= 1
+            self._send_frame(self._dialect.sync_write(block, wanted))
+            answers = self.ask(list(wanted), block, retries=0)
+            for servo_id, reply in answers.replies.items():
+                if taken(reply.data, wanted[servo_id]):
+                    del wanted[servo_id]
+        return wanted, answers
 
 
 def _make_incomplete(
