@@ -2,9 +2,9 @@
 
 from longarm_comp.libraries import refuse_old_libraries
 
-refuse_old_libraries()  # here, because the imports of a node fail before its main can say so
+refuse_old_libraries()  # here, because a node's imports fail before its main could report it
 
 EFFECTS, NETWORK = "--effects", "--network"
-"""Options of a node's own command line before a Python file that it executes."""
+"""Options of a node's command line; the Python file that follows is executed."""
 GUARD = "LONGARM_SUPERVISOR"
-"""Environment variable with the supervisor's process id. Its nodes end when it is gone."""
+"""Environment variable with the supervisor's process id. Nodes end when this process is gone."""

@@ -1,4 +1,4 @@
-"""Targets of `kinematics` and their answers: the records, and their messages."""
+"""Records of the targets that `kinematics` gets and of its answers, and the messages of both."""
 
 from __future__ import annotations
 
@@ -33,10 +33,12 @@ class Refusal(LongarmError):  # noqa: N818
 
 
 def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
-    """Return the target as (4, 4), or (3,) where the orientation is free (m, its own frame).
+    """Return the target as a pose (4, 4), or as a position (3,) if the orientation is free.
+
+    Lengths are in m; the target stays in the frame of the message's header.
 
     Raises:
-        Refusal: numbers that are not finite, no unit quaternion.
+        Refusal: the position is not finite or too far away, or the quaternion has no unit length.
     """
     p, o = message.pose.position, message.pose.orientation
     xyz = np.array([p.x, p.y, p.z])
@@ -54,15 +56,15 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TargetRequest:
-    """One target that is being served.
+    """One target that waits for its answer.
 
     Attributes:
-        name: its id.
+        name: the target's id.
         pose: the target, in any known frame.
-        position_only: whether its orientation is ignored.
-        execute: whether its joints are sent to the driver.
-        sent_s: when it was sent (monotonic s).
-        seed: joints at which the search begins; if it has no names, the arm's present ones.
+        position_only: whether the target's orientation is ignored.
+        execute: whether the computed joints are sent to the driver.
+        sent_s: when the target was sent (monotonic s).
+        seed: joints at which the search begins; a message without names means the present joints.
     """
 
     name: str
@@ -78,11 +80,11 @@ class Answer:
     """Everything that is published about one target on `compensation`.
 
     Attributes:
-        target: the target, in the base frame if it was computed.
-        model_hash, predictor_hash: SHA-256 of the files in use; empty without one.
-        arrival: the computation; None for a target that was refused before it.
-        order: id of the trajectory to its joints; empty if none was sent.
-        accepted: whether the driver has accepted that.
+        target: the target. If its joints were computed, it is expressed in the base frame.
+        model_hash, predictor_hash: SHA-256 of the files in use; empty without a file.
+        arrival: the result of the computation; None if the target was refused before.
+        order: id of the trajectory sent for the target; empty if none was sent.
+        accepted: whether the driver accepted this trajectory.
     """
 
     target: TargetRequest
@@ -97,7 +99,7 @@ class Answer:
 
     @property
     def name(self) -> str:
-        """The id under which it is published."""
+        """The id under which the answer is published: the trajectory's, else the target's."""
         return self.order or self.target.name
 
     @property
@@ -150,7 +152,7 @@ def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Respons
 
 
 def _shared_fields(answer: Answer, arm: Arm, base_frame: str) -> dict[str, Any]:
-    """Return the fields that both messages have, by name. An unknown number is NaN."""
+    """Return the fields that `Compensation` and the response share, by name; NaN if unknown."""
     fields = {"id": answer.name, "status": int(answer.status), "message": answer.message}
     if answer.arrival is None:
         return fields | {"sigma": math.nan, "predicted_error": vector_message([math.nan] * 3)}

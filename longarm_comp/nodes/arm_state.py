@@ -51,23 +51,27 @@ PARAMS = (
 
 
 UNACKNOWLEDGED = "no acknowledgement is expected: what is sent counts as accepted"
-"""What it says of a driver that is not asked to report."""
+"""The report about a driver whose acknowledgements `kinematics` does not expect."""
 NO_JOINTS = "no joint_states yet"
-"""What `kinematics` says of its targets on /diagnostics until it knows the joints."""
+"""The report of `kinematics` about its targets on /diagnostics until it knows the joints."""
 
 
 class ArmState:
-    """The state of the arm, by subscriptions to its topics.
+    """The state of the arm, kept up to date by subscriptions to its topics.
 
-    Values are replaced whole, so other threads may read them.
+    Each value is replaced as a whole, never changed in place, so other threads may read it.
+
+    Args:
+        capacity: number of jobs that may wait for the worker.
+        trimmed: whether the driver trims the joints (parameter `trimmed`).
 
     Attributes:
-        base_frame: full name of the arm's frame.
-        readings: last readings of circumstances.
-        effort: (n,) N m and N, NaN where none is published.
-        worker: the thread that computes with all this; ``capacity`` jobs may wait for it.
-        joint_listeners: called with every joint reading (n,) that is believed, and its time (ROS
-            clock, s).
+        base_frame: full name of the arm's base frame.
+        readings: last readings of the circumstances.
+        effort: (n,) efforts of the joints, N m and N; NaN where none is published.
+        worker: the thread that computes with this state.
+        joint_listeners: called with every plausible joint reading (n,), rad and m, and its time
+            (ROS clock, s).
     """
 
     def __init__(self, node: ArmNode, capacity: int, *, trimmed: bool = False) -> None:
@@ -108,9 +112,11 @@ class ArmState:
         return stamp
 
     def context(self, history: History | None = None, model: Model | None = None) -> Context:
-        """Return the present circumstances that a model needs, by default the model in use.
+        """Return the present circumstances that a model needs.
 
-        ``history``: history of the joints; by default that after the last command.
+        Args:
+            history: history of the joints; by default the history after the last command.
+            model: the model; by default the one in use.
 
         Raises:
             StaleContext: a circumstance that the model needs is unknown or too old.
@@ -123,7 +129,7 @@ class ArmState:
         )
 
     def known_context(self, history: History | None = None) -> Context | None:
-        """Return the present circumstances; None while one that the model needs is unknown."""
+        """Return the present circumstances as `context` does; None while one is unknown or old."""
         try:
             return self.context(history)
         except StaleContext:
@@ -131,7 +137,10 @@ class ArmState:
 
     @property
     def standing(self) -> tuple[Model, np.ndarray, Context] | None:
-        """The model in use, the readings (n,) and the circumstances; None while not known."""
+        """The model in use, the joints' readings (n,) and the circumstances.
+
+        None while the readings or a circumstance that the model needs are unknown.
+        """
         q, context = self.joints, self.known_context()
         return None if q is None or context is None else (self.files.loaded.model, q, context)
 
@@ -149,10 +158,14 @@ class ArmState:
         self._take_in(f"inclination {row}", columns)
 
     def _take_in(self, source: str, columns: dict[str, float]) -> None:
-        """Take in circumstances.
+        """Keep received circumstances.
 
-        Values that are not finite are dropped. Values that the arm cannot be in are kept as a
-        doubt, because the sender shows that the circumstances are no longer the last ones.
+        Values that are not finite are dropped. An impossible value is noted with its fault, and
+        replaces the earlier reading: the message shows that this reading is out of date.
+
+        Args:
+            source: where the values come from, such as ``temperature``.
+            columns: values by name of a session's column.
         """
         if not all(math.isfinite(value) for value in columns.values()):
             self.node.tally.count_dropped(source, f"{source}: {columns} is not finite")
@@ -175,7 +188,7 @@ class ArmState:
 
     @property
     def doubt(self) -> str:
-        """The reason not to move the arm from where `joints` say that it is; empty if it may."""
+        """The reason why `joints` must not be used to move the arm; empty if they may be used."""
         held = self._joints
         if held is None:
             return self._trust.doubt or NO_JOINTS
@@ -203,22 +216,22 @@ class ArmState:
 
 
 _MOVED = 2e-2
-"""A joint so far (rad, m) from where it had come was moved: no encoder's noise is as large."""
+"""A joint that is this far (rad, m) from its last end was moved: encoder noise is smaller."""
 _SILENT_S = 3.0
-"""A driver that has not told its state for so long is gone. It tells it twice a second."""
+"""A driver whose state was not received for this time, s, is gone. It sends it twice a second."""
 
 
 class DriverLink:
-    """The link to the driver: subscribes to what it publishes, and keeps the history of the joints.
+    """The link to the driver: subscribes to the driver's topics, and keeps the joints' history.
 
-    What counts as commanded is what the driver accepted. If a driver gives no acknowledgements, it
-    is what was published on `joint_trajectory`.
+    A trajectory counts as a command once the driver has accepted it. If the driver sends no
+    acknowledgements, every trajectory on `joint_trajectory` counts.
 
     Attributes:
-        history: history of the joints once they have come to the end of the last command.
-        command_listeners: called with the joints (n,) of every command and their history on
-            arrival.
-        motion_listeners: called with every message on `motion`. Both are called on the worker.
+        history: history of the joints as it will be at the end of the last command.
+        command_listeners: called on the worker with the joints (n,) of every command and their
+            history on arrival.
+        motion_listeners: called on the worker with every message on `motion`.
     """
 
     def __init__(self, state: ArmState) -> None:
@@ -234,7 +247,7 @@ class DriverLink:
         self._heard_s = self._rival_s = -_SILENT_S
         self._known: set[str] = set()
         self._asked, self._answer = "", None
-        hear = state.worker.hear  # so that what comes is known before the next target
+        hear = state.worker.hear  # so that messages are processed before the next target
         if self.acknowledged:
             hear(graph.MOTION, self._on_motion)
             hear(graph.DRIVER_STATE, self._on_state)
@@ -243,7 +256,10 @@ class DriverLink:
 
     @property
     def refusal(self) -> str:
-        """The reason why nothing can be sent now; empty where the driver takes trajectories."""
+        """The reason why nothing can be sent now; empty if the driver takes trajectories.
+
+        It is also empty if no acknowledgements are expected.
+        """
         if not self.acknowledged:
             return ""
         now, state = time.monotonic(), self._state
@@ -259,12 +275,15 @@ class DriverLink:
         return ""
 
     def expect(self, name: str) -> None:
-        """Wait from now on for the acknowledgement of the trajectory with this id."""
+        """Expect from now on the acknowledgement of the trajectory with this id."""
         self._asked, self._answer = name, None
 
     @property
     def has_answered(self) -> bool:
-        """True once the driver has said whether it takes the trajectory, or if it never says."""
+        """True once the driver has accepted or refused the trajectory that `expect` names.
+
+        Always True if no acknowledgements are expected.
+        """
         return self._answer is not None or not self.acknowledged
 
     @property
@@ -302,21 +321,22 @@ class DriverLink:
         self.note_motion(path, self._end if self._end is not None else self._arm_state.joints)
 
     def note_motion(self, path: np.ndarray, start: np.ndarray | None) -> None:
-        """Note that the joints are moving from a start (n,) along (k, n)."""
+        """Note that the joints (rad, m) move from a start (n,), if known, along a path (k, n)."""
         self.history = self.history.after(path, start)
         self._end, self._arrived, self._left = path[-1], False, False
         for listen in self.command_listeners:
             listen(path[-1], self.history)
 
     def forget_history(self) -> None:
-        """Forget the history of the joints, which is not known from here on."""
+        """Mark the history of the joints as unknown."""
         self.history, self._end = History.unknown(self._arm.n), None
         self._arrived = self._left = False
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
-        """Note that the joints (n,) are at the end of the last command, or have left it again.
+        """Note whether the joints (n,) have come to the end of the last command, or left it again.
 
-        A driver that gives no acknowledgements does not say that somebody else moves the arm.
+        This is needed only without acknowledgements: such a driver does not report that another
+        program moves the arm. The history is unknown from then on.
         """
         end = self._end
         if self.acknowledged or end is None:
@@ -324,7 +344,7 @@ class DriverLink:
         there = bool(np.abs(q - end).max() <= _MOVED)
         self._left = self._left or (self._arrived and not there)
         self._arrived = self._arrived or there
-        if self._left:  # by a command, if one was heard before
+        if self._left:  # not if a command, received meanwhile on the worker, moves them
             self._arm_state.worker.submit_once(self._forget_if_moved)
 
     def _forget_if_moved(self) -> None:
@@ -334,9 +354,9 @@ class DriverLink:
     def _on_state(self, message: DriverState, sent: float) -> None:
         now, instance = time.monotonic(), message.instance
         known = self._state is not None and self._state.instance == instance
-        if not known and instance in self._known:  # it speaks again after another one did
+        if not known and instance in self._known:  # it reports again after another driver did
             if message.state == DriverState.UNCONFIGURED:
-                return  # on leaving
+                return  # its last report, as it ends
             self._rival_s = now
         if not known:
             self._known.add(instance)

@@ -1,4 +1,4 @@
-"""The nodes of an arm's graph, their files and their processes, for `longarm up` and launch files.
+"""Starts and supervises the nodes of an arm's graph, for `longarm up` and launch files.
 
 A program can start the graph itself::
 
@@ -40,23 +40,25 @@ from longarm_comp.share import PACKAGE, folder
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
 _GENTLE_S, _FIRM_S = 6.0, 2.0
-"""Patience with SIGINT, s: a driver reads and switches off every servo; then with SIGTERM."""
+"""Longest wait for a process to end after SIGINT, then after SIGTERM, s.
+
+The first is long because the driver reads every servo and switches it off.
+"""
 
 
 @dataclass
 class Supervisor:
-    """A supervisor of processes, by name. Use it as a context manager.
+    """A supervisor of processes. Use it as a context manager.
 
-    The servo driver holds the arm up: it ends only when it is told to, or when it cannot go on
-    itself.
+    If another process ends for good, the servo driver goes on, because it holds the arm up.
     """
 
-    commands: Mapping[str, Sequence[str]]  # program and arguments of each
+    commands: Mapping[str, Sequence[str]]  # program and arguments of each process, by its name
     respawn: bool = True  # restart a process that ends, except after exit code 2 (bad input)
     say: Callable[[str], None] = lambda text: None  # called with a message on every start and end
-    gone: dict[str, str] = field(default_factory=dict)  # how processes ended that stay ended
+    gone: dict[str, str] = field(default_factory=dict)  # how each process ended that stays ended
     _children: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
-    _begun: dict[str, float] = field(default_factory=dict)  # monotonic s
+    _begun: dict[str, float] = field(default_factory=dict)  # start of each process, monotonic s
 
     def __enter__(self) -> Supervisor:
         try:
@@ -85,10 +87,10 @@ class Supervisor:
         self.say(f"{name} {why}, pid {self.pid(name)}")
 
     def look(self) -> None:
-        """Restart processes that ended, or say once that one cannot be restarted.
+        """Restart the processes that ended, or report once that a process stays ended.
 
         Raises:
-            JobError: the driver cannot be restarted, or no process is left.
+            JobError: the driver stays ended, or no process is left.
         """
         for name, child in self._children.items():
             code = child.poll()
@@ -104,10 +106,10 @@ class Supervisor:
                 self._start_process(name, f"ended ({how}), started again")
 
     def run(self, stop: threading.Event) -> None:
-        """Restart processes until the event is set.
+        """Restart processes that end until the event is set.
 
         Raises:
-            JobError: as `look` does; at the end too, if a process was not restarted.
+            JobError: as `look` does; also after the event, if a process stayed ended.
         """
         while not stop.wait(0.2):
             self.look()
@@ -134,10 +136,10 @@ _DRIVER = "servo_driver"
 REAL = ("error_predictor", "kinematics", _DRIVER, "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
 PATHS = "trajectory_compensator"
-"""The node that is started where paths are asked for."""
+"""The node that is started if `BringUp.paths` is True."""
 
 _PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s": 60.0}
-"""Longer timeouts for emulated servos: they start with the driver and share its computer."""
+"""Longer timeouts, s, for emulated servos: they start with the driver and share its computer."""
 
 
 @dataclass(frozen=True)
@@ -145,20 +147,23 @@ class BringUp:
     """The settings of one arm's graph.
 
     Attributes:
-        arm, model, predictor: files. Without a model the declared arm is used.
-        effects: Python files that define further effects, executed by `kinematics`.
+        arm: the arm's file, arm.yaml.
+        model: the model's file; None: the arm as declared.
+        predictor: the predictor's file; None: no learned error is compensated.
+        effects: Python files that define further effects, executed by `kinematics` and `PATHS`.
         network: Python file of the predictor's network, executed by `error_predictor`.
         sim: whether the simulated arm runs instead of hardware.
+        namespace: namespace of the graph; empty for none.
         config: folder of parameter files ``<node>.yaml`` that replace the package's own; None: the
             arm's folder.
-        port: serial port of the servos; empty for the one in the parameter file.
+        port: serial port of the servos; empty: the port in the parameter file.
         speed: factor on all velocities in simulation.
         set: further parameters, by node and name.
         without: nodes that are not started.
-        driver: whether `servo_driver` runs; else another program drives the arm, and a camera node
-            runs only where the arm's folder has a calibrated pair.
+        driver: whether `servo_driver` runs. If not, another program drives the arm, and
+            `stereo_bridge` runs only if the folder has the calibration of a camera pair.
         paths: whether `PATHS` runs too.
-        shaping: whether `servo_driver` sends moves in parts that cancel the arm's ring.
+        shaping: whether `servo_driver` splits moves so that the arm rings little afterwards.
     """
 
     arm: Path
@@ -197,23 +202,26 @@ class BringUp:
         return tuple(n for n in every if n not in (*self.without, *unasked))
 
     def file(self, node: str) -> Path:
-        """Return a node's parameter file: of ``config`` or the arm's folder, else the package."""
+        """Return a node's parameter file: from ``config`` or the arm's folder, or the package's."""
         name = f"{node}.yaml"
         own = (self.config or self.arm.absolute().parent) / name
         return own if own.is_file() else folder("config") / name
 
     @property
     def cameras(self) -> Path | None:
-        """Folder of the pair's calibration, beside the parameter files; None without one."""
+        """The folder with the camera pair's calibration, beside the parameter files; or None."""
         own = (self.config or self.arm.absolute().parent) / CAMERAS
         return own if all((own / f"{side}.yaml").is_file() for side in SIDES) else None
 
     def with_servos(self, scratch: Path) -> BringUp:
-        """Return this graph with servos that fit the arm's joints.
+        """Check the parameter files and return this graph with servos that fit the arm's joints.
 
-        A real arm has a file of its own: the package's says nothing of its servos.  If the
-        package's files for the simulated arm do not fit this arm, files that do are written to
-        ``scratch``, together with those that the arm's folder has.
+        If the package's servos do not fit a simulated arm, parameter files that do are written to
+        the folder ``scratch``, together with those that the arm's folder has.
+
+        Raises:
+            InputError: a real arm has no servo file of its own, its servos contradict arm.yaml, or
+                a parameter file names Python files.
         """
         for node in self.nodes:
             _refuse_code(self.file(node))
@@ -221,7 +229,7 @@ class BringUp:
         if not self.driver:
             return self
         if self.sim:
-            read_arm(file)  # what cannot be emulated is said here, not by five processes
+            read_arm(file)  # servos that cannot be emulated are refused here, not in five processes
         own = self.config or self.arm.absolute().parent
         hint = f"longarm init DIR --arm {self.arm} writes files that fit"
         if not self.sim and not (own / file.name).is_file():
@@ -242,7 +250,10 @@ class BringUp:
         return replace(self, config=scratch)
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
-        """Return the parameters that override the file; ``bus``: link to the simulated bus."""
+        """Return the parameters of a node that override its parameter file.
+
+        ``bus``: path of the link to the simulated servo bus.
+        """
         arm, model = _path_parameter("arm", self.arm), _path_parameter("model", self.model)
         if not self.driver and node in ("kinematics", PATHS):
             return arm | model | {"acknowledged": False} | dict(self.set.get(node, {}))
@@ -257,7 +268,7 @@ class BringUp:
         emulated: dict[str, Any] = {}
         learned: dict[str, Any] = {}
         if self.sim:
-            # Apart, so that a reset there ends no stop of a real arm, and teaches it nothing
+            # A folder of its own: a simulated arm ends no stop of a real one and teaches it nothing
             state = state_folder() / "simulated" / os.environ.get("ROS_DOMAIN_ID", "0")
             # Emulated servos have nothing stored: they are as from the factory
             stored = {name: 0 for name in driver if ".stored." in name}
@@ -276,12 +287,12 @@ class BringUp:
         return values | dict(self.set.get(node, {}))
 
     def _scale_speeds(self, node: str) -> dict[str, Any]:
-        """Return velocities of the servos and limits of the driver, scaled by the same factor.
+        """Return the parameters of a node that depend on ``speed``, scaled for a simulation.
 
-        The error at which a joint counts as not following is scaled too, because a moving joint is
-        behind by its velocity times the driver's cycle; up to half a turn, which is the most that
-        the driver takes.  The time step is shortened by the same factor, down to one cycle: a
-        joint that went farther than half a turn between two readings would not be believed.
+        The error at which a joint counts as not following grows with the speed, because a moving
+        joint lags by its velocity times the driver's cycle. It is at most half a turn, the driver's
+        upper bound. The longest time step shrinks with the speed, down to one cycle, because
+        readings that differ by more than half a turn are not believed.
         """
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
@@ -309,15 +320,18 @@ class BringUp:
         }
 
     def files(self, node: str, bus: str, scratch: Path) -> list[Path]:
-        """Return a node's parameter files: its own, then one in ``scratch`` that overrides it."""
+        """Return a node's own parameter file, then one written to ``scratch`` that overrides it.
+
+        ``bus``: path of the link to the simulated servo bus.
+        """
         values = {f"/**/{node}": {"ros__parameters": self.parameters(node, bus)}}
         write_text(scratch / f"{node}.given.yaml", yaml.safe_dump(values))
         return [self.file(node), scratch / f"{node}.given.yaml"]
 
     def arguments(self, node: str) -> list[str]:
-        """Return a node's own arguments: the Python files that it executes.
+        """Return a node's command-line arguments: the Python files that it executes.
 
-        No parameter file may name them.
+        Only the command line may name such files, never a parameter file.
         """
         if node == "error_predictor":
             return [NETWORK, str(self.network.absolute())] if self.network else []
@@ -325,7 +339,10 @@ class BringUp:
         return [word for path in loads for word in (EFFECTS, str(path.absolute()))]
 
     def commands(self, scratch: Path) -> dict[str, list[str]]:
-        """Return program and arguments of every node, by name; ``scratch``: folder for files."""
+        """Return program and arguments of every node, by name.
+
+        Parameter files are written to the folder ``scratch``, and the simulated bus is linked there.
+        """
         bus = str(scratch / "servo_bus")
         space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []
         made = {}
@@ -339,12 +356,16 @@ class BringUp:
 
 
 def _path_parameter(name: str, path: Path | None) -> dict[str, Any]:
-    """Return a parameter that holds a path; no parameter where there is none."""
+    """Return the parameter ``name`` with an absolute path; no parameter for None."""
     return {} if path is None else {name: str(path.absolute())}
 
 
 def _refuse_code(file: Path) -> None:
-    """Refuse a parameter file that names Python files, for whichever node and however deep."""
+    """Refuse a parameter file that names Python files, at any depth.
+
+    Raises:
+        InputError: naming the parameter.
+    """
     ahead = [read_yaml(file)]
     while ahead:
         tree = ahead.pop()
@@ -360,7 +381,12 @@ def _refuse_code(file: Path) -> None:
 def running(
     graph: BringUp, *, respawn: bool = True, say: Callable[[str], None] = lambda text: None
 ) -> Iterator[Supervisor]:
-    """Start the graph's processes; end all of them on exit, also after an exception."""
+    """Start the graph's processes; end all of them on exit, also after an exception.
+
+    Args:
+        respawn: restart a process that ends, except after exit code 2 (bad input).
+        say: called with a message on every start and end of a process.
+    """
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
         graph = graph.with_servos(Path(scratch))
         with Supervisor(graph.commands(Path(scratch)), respawn=respawn, say=say) as supervisor:

@@ -17,9 +17,10 @@ def stamp_ns(stamp: Time) -> int:
 
 
 def told_ns(stamp: Time, now_ns: int) -> int:
-    """Return the time (ns) of what a message tells that came now; without a stamp it is now.
+    """Return the time (ns) to which the content of a message received now belongs.
 
-    It was before it came: a later stamp is of a clock that is ahead.
+    It is the message's stamp, but ``now_ns`` if the stamp is 0 or later than now, because then
+    the sender's clock is ahead.
     """
     return min(stamp_ns(stamp) or now_ns, now_ns)
 
@@ -28,12 +29,15 @@ _SLEEPLESS = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 
 def sleepless_s() -> float:
-    """Return monotonic seconds, also of the time for which the machine was suspended."""
+    """Return monotonic seconds that include the time for which the machine was suspended."""
     return time.clock_gettime(_SLEEPLESS)
 
 
 def sent_s(source_ns: int) -> float:
-    """Return the monotonic time (s) at which the middleware sent a message."""
+    """Return the monotonic time (s) at which the middleware sent a message.
+
+    ``source_ns``: the sender's wall clock, ns; 0 if not known, which counts as now.
+    """
     return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)
 
 
@@ -42,12 +46,12 @@ def stamp_of(ns: int) -> Time:
 
 
 def steady_timer(node: Node, period_s: float, callback: Callable[[], Any]) -> Any:
-    """Make a timer that calls back every ``period_s`` of a steady clock."""
+    """Make a timer that calls back every ``period_s`` (s) of a steady clock."""
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class Ticks:
-    """The ticks of a steady timer, which rests while no coroutine waits for one."""
+    """The ticks of a steady timer (period in s), which is off while no coroutine awaits a tick."""
 
     def __init__(self, node: Node, period_s: float) -> None:
         self._node = node

@@ -1,4 +1,4 @@
-"""Computes the answer to the request of one target, and prepares the next one."""
+"""Computes the answer to one target, and compiles in advance what the next target needs."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class Compensator:
         self._measured = prefix_of(state.node) + MEASURED
 
     def kind(self) -> Hashable:
-        """Return a key that changes when targets need other compiled programs.
+        """Return a key that changes whenever targets need newly compiled programs.
 
-        It holds the model, the options, and which circumstances are known.
+        It holds the model's hash and version, the options, and the names of the known circumstances.
 
         Raises:
             StaleContext: a circumstance that the model needs is not known.
@@ -69,7 +69,7 @@ class Compensator:
         return loaded.file_hash, loaded.learned, *asked, known
 
     def rehearse(self) -> None:
-        """Compute a target that nobody asked for: it compiles everything for the next one."""
+        """Compute the target at the middle of the joint ranges, to compile what targets need."""
         mid = self._files.arm.mid
         seed = joints_message(self._files.arm, mid)
         frame = Header(frame_id=self._base_frame)
@@ -140,7 +140,11 @@ class Compensator:
         return Answer(in_base, status, reason, method, loaded.file_hash, used, arrival)
 
     def _in_base(self, target: TargetRequest) -> tuple[PoseStamped, np.ndarray]:
-        """Return the target in the base frame: as a message, and as (4, 4) or (3,), m."""
+        """Return the target in the base frame, as a message and as (4, 4) or (3,), m.
+
+        Raises:
+            Refusal: the target is invalid, or tf does not connect its frame with the base.
+        """
         place, header = target_of(target.pose, target.position_only), target.pose.header
         if header.frame_id in (self._base_frame, self._state.p["base_frame"]):
             return target.pose, place
@@ -166,14 +170,14 @@ class Compensator:
         )
 
     def _find_start(self, target: TargetRequest) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return where the move starts and where the search does, (n,) each.
+        """Return the joints (n,), rad and m, where the move starts, and the seed of the search.
 
-        Without a seed both start at the present joints. With a seed only a computation may start
-        there; a move that is executed starts at the joints.
+        A move that is executed starts at the present joints. One that is only computed starts at
+        the seed, if the target has one. The seed is None if the target has none.
 
         Raises:
-            Refusal: the joints are not known, too old or doubtful.
-            InputError: the seed is of another arm, or outside the limits.
+            Refusal: the present joints are unknown, too old or doubtful.
+            InputError: the seed belongs to another arm, or is outside the limits.
         """
         seed = None
         if target.seed.name:
@@ -188,10 +192,10 @@ class Compensator:
 
 
 class Readiness:
-    """Prepares on the worker, between targets, whatever has changed since the last look.
+    """Prepares, on the worker and between targets, what the next target needs.
 
-    A new model, another method, or a circumstance that is received for the first time needs other
-    programs. `Compensator.rehearse` compiles them: it computes a target that nobody asked for.
+    A new model, another method, or a circumstance that is received for the first time needs newly
+    compiled programs. `Compensator.rehearse` compiles them.
     """
 
     def __init__(self, state: ArmState, compute: Compensator) -> None:
@@ -203,12 +207,12 @@ class Readiness:
         self.look()
 
     def look(self) -> None:
-        """Let the worker prepare what the next target needs and is not ready."""
+        """Let the worker prepare whatever the next target needs that is not ready yet."""
         if self._programs_needed()[0] != self._prepared or not self._predictor.answers:
             self._worker.submit_once(self._prepare_programs)
 
     def _programs_needed(self) -> tuple[Hashable, str]:
-        """Return what the next target's programs depend on, and why that is not known, or ""."""
+        """Return the key of the programs that the next target needs, and why it is unknown, or ""."""
         try:
             return (self._compute.kind() if self._compiled else "not compiled"), ""
         except StaleContext as unknown:

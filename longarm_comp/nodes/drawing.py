@@ -58,7 +58,7 @@ class ArmFrames:
             node.every("frames.period_s", self._publish_links)
 
     def tell_standing(self, frames: Sequence[Placed]) -> None:
-        """Publish fixed frames relative to the arm's foot; `standing` holds their names."""
+        """Publish fixed frames, together with the arm's foot; `standing` then holds their names."""
         self.standing = {frame.name for frame in frames}
         foot = Placed.at(self._state.base_frame, self._prefix + BASE_LINK, np.eye(4))
         if self._tells:
@@ -109,7 +109,7 @@ class Markers:
         self._tip = tip if own and np.isfinite(tip).all() else None
 
     def _draw_arm(self) -> None:
-        """Draw the arm as it stands. Without a subscriber nothing is computed."""
+        """Publish the markers of the arm's present state; nothing without a subscriber."""
         if not self._publisher.get_subscription_count() or (now := self._state.standing) is None:
             return
         model, q, context = now
@@ -123,7 +123,7 @@ class Markers:
             self._make_marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
             self._make_marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
         ]
-        drawn[1].text = f"{sag:g}"  # so that whoever reads it can undo the exaggeration
+        drawn[1].text = f"{sag:g}"  # so that a reader of the marker can undo the exaggeration
         spots = (
             ("target", TARGET, self._target),
             ("pseudo_target", _PSEUDO, self._pseudo),
@@ -141,7 +141,7 @@ class Markers:
     def _make_marker(
         self, number: int, name: str, kind: int, colour: Colour, size: float, points: Points
     ) -> Marker:
-        """Make a marker. One without points removes it."""
+        """Make a marker of points (m, base frame); without points, one that removes the old one."""
         marker = Marker(ns=name, id=number, type=kind, action=Marker.ADD)
         marker.header.frame_id = self._state.base_frame
         marker.header.stamp = self._state.stamp

@@ -1,4 +1,4 @@
-"""`error_predictor`: answers with the learned error at joints, or refuses outside its domain."""
+"""`error_predictor`: predicts the learned error at given joints; refuses outside its domain."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _ErrorPredictor(ArmNode):
         self._errors = graph.PREDICTED_ERROR.publisher(self)
         self._served = graph.SERVED.publisher(self)
         self._reload_files()
-        # On the thread that reloads: what was told last is what is served
+        # On the thread that reloads, so that the last message always names the file in use
         steady_timer(self, BEAT_S, lambda: files.submit_once(self._tell_served))
         self.on_request(graph.RELOAD, files, lambda request: self._reload_files())
         self.on_change((self._path, p["model"]), files, self._reload_files)
@@ -94,9 +94,9 @@ class _ErrorPredictor(ArmNode):
             self._errors.publish(error_message(response.error, stamp, self._base_frame))
 
     def _reload_files(self) -> tuple[bool, str]:
-        """Read the file again.
+        """Read the predictor's file again; return success and a message.
 
-        If that fails and the model is the same, the predictor in use stays.
+        If this fails, the predictor in use stays, unless model.yaml has changed.
         """
         if not self._path:
             return False, "no predictor file is configured"
@@ -115,7 +115,7 @@ class _ErrorPredictor(ArmNode):
         return True, f"{self._path} {self._loaded.file_hash[:12]}"
 
     def _tell_served(self) -> None:
-        """Tell which file is served; nothing where none is."""
+        """Publish which predictor file is in use; an empty text if none is."""
         told = self._loaded.describe(self._path) if self._loaded else ""
         self._served.publish(String(data=told))
 
