@@ -341,7 +341,7 @@ class BringUp:
     def commands(self, scratch: Path) -> dict[str, list[str]]:
         """Return program and arguments of every node, by name.
 
-        Parameter files are written to the folder ``scratch``, and the simulated bus is linked there.
+        Parameter files are written to the folder ``scratch``; the simulated bus is linked there.
         """
         bus = str(scratch / "servo_bus")
         space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []

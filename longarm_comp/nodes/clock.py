@@ -19,8 +19,8 @@ def stamp_ns(stamp: Time) -> int:
 def told_ns(stamp: Time, now_ns: int) -> int:
     """Return the time (ns) to which the content of a message received now belongs.
 
-    It is the message's stamp, but ``now_ns`` if the stamp is 0 or later than now, because then
-    the sender's clock is ahead.
+    It is the message's stamp. It is ``now_ns`` if the stamp is 0 (not set) or later than now (the
+    sender's clock is ahead).
     """
     return min(stamp_ns(stamp) or now_ns, now_ns)
 

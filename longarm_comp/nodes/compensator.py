@@ -57,7 +57,7 @@ class Compensator:
     def kind(self) -> Hashable:
         """Return a key that changes whenever targets need newly compiled programs.
 
-        It holds the model's hash and version, the options, and the names of the known circumstances.
+        It holds the model's hash and version, the options, and which circumstances are known.
 
         Raises:
             StaleContext: a circumstance that the model needs is not known.
@@ -212,7 +212,10 @@ class Readiness:
             self._worker.submit_once(self._prepare_programs)
 
     def _programs_needed(self) -> tuple[Hashable, str]:
-        """Return the key of the programs that the next target needs, and why it is unknown, or ""."""
+        """Return the key of the programs that the next target needs.
+
+        The second value says why a circumstance is unknown, so that the key is the last one; or "".
+        """
         try:
             return (self._compute.kind() if self._compiled else "not compiled"), ""
         except StaleContext as unknown:

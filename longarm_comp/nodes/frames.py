@@ -1,7 +1,7 @@
-"""Frames on /tf: publishes those of a node, and listens to those of others.
+"""Frames on /tf: publishes a node's own frames, and listens to the frames of others.
 
-Without tf2_msgs nothing is published, and no frame but the arm's base is known. Frames of an arm in
-a namespace start with it: ``left_arm/base``.
+Without tf2_msgs nothing is published, and nothing is heard of other frames. Names of an arm's
+frames begin with its namespace: ``left_arm/base``.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from longarm_comp.nodes.messages import quaternion_message, vector_message
 
 
 def prefix_of(node: Node) -> str:
-    """Return the prefix of the names of a node's frames; "" without a namespace."""
+    """Return the prefix of a node's frame names, such as ``left_arm/``; "" without a namespace."""
     namespace = node.get_namespace().strip("/")
     return f"{namespace}/" if namespace else ""
 
 
 class FrameTeller:
-    """Publishes frames of a node, by their full names."""
+    """Publishes frames of a node under their full names."""
 
     def __init__(self, node: Node) -> None:
         self._moving = graph.TF.publisher(node) if graph.HAS_TF else None
@@ -44,13 +44,13 @@ class FrameTeller:
             self._moving.publish(self._make_message(frames, stamp))
 
     def tell_static(self, frames: Sequence[Placed]) -> None:
-        """Publish frames that stand still, in the place of those published before."""
+        """Publish fixed frames. They replace the fixed frames published before."""
         if self._standing is not None:
             self._standing.publish(self._make_message(frames, self._clock.now().to_msg()))
 
     @property
     def listeners(self) -> int:
-        """Number of subscriptions to /tf, also of this process."""
+        """Number of subscriptions to /tf, including those of this process."""
         return 0 if self._moving is None else self._moving.get_subscription_count()
 
     def _make_message(self, frames: Sequence[Placed], stamp: Time) -> Any:
@@ -70,11 +70,11 @@ class FrameTeller:
 
 
 class FrameListener:
-    """Keeps what /tf and /tf_static publish. Frames may be asked for from any thread.
+    """Keeps the frames published on /tf and /tf_static. They may be read from any thread.
 
     Args:
-        wait_s: how long to wait for a frame that is published late.
-        refused: called with the kind and the reason of every refusal.
+        wait_s: longest wait for a frame that is published late, s.
+        refused: called for every invalid transform, with ``bad tf`` and the reason.
     """
 
     def __init__(self, node: Node, wait_s: float, refused: Callable[[str, str], None]) -> None:
@@ -85,10 +85,13 @@ class FrameListener:
             graph.TF_STATIC.subscription(node, lambda message: self._hear_tf(message, static=True))
 
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
-        """Return the pose (4, 4) of a frame in another one at a time (ns); 0: the latest known.
+        """Return the pose (4, 4), m, of a frame in the frame ``within``.
+
+        Args:
+            t_ns: time of the pose, ns; 0 for the latest known.
 
         Raises:
-            UnknownPlace: it is not known.
+            UnknownPlace: the pose is not known.
         """
         end = time.monotonic() + self._wait_s
         with self._told:
@@ -100,12 +103,12 @@ class FrameListener:
                         raise
 
     def hangs_on(self, frame: str, other: str) -> bool:
-        """Return whether a frame is another one, or tf places it in one that is."""
+        """Tell whether `other` is the frame itself or one of its parents in the tf tree."""
         with self._told:
             return self._tree.hangs_on(frame, other)
 
     def know(self, frames: Sequence[Placed]) -> None:
-        """Take over frames that stand still, as if tf had published them."""
+        """Add fixed frames, as if they had been published on /tf_static."""
         with self._told:
             for each in frames:
                 self._tree.hear(each.parent, each.name, each.position, each.turn, 0, static=True)

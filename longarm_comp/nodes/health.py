@@ -1,4 +1,4 @@
-"""Reports of a node's state on /diagnostics, once a second."""
+"""Reports of a node's state on /diagnostics, by default once a second."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.params import Param
 
 _ALONE = 3
-"""So many reports of its own, and none of another in between: the other is gone."""
+"""After this many own reports in a row, the other `kinematics` is gone."""
 
 
 class Twins:
-    """A watch for another `kinematics` that publishes; ``node`` is the one that asks."""
+    """Watches whether another `kinematics` besides the own ``node`` commands the arm."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -56,9 +56,9 @@ class Twins:
 
 
 TIP_SAID = "tip by readings"
-"""Part of `kinematics` on /diagnostics that says where the tip stands."""
+"""Part of `kinematics` on /diagnostics that states the tip computed from the joints' readings."""
 RING_SAID = "ring"
-"""Part of it that says how the tip rings after the last move."""
+"""Part of `kinematics` on /diagnostics that states how the tip rings after the last move."""
 PERIOD = Param("diagnostics_period_s", 1.0, "time between two reports on /diagnostics", 0.05, 60.0)
 """A parameter of every node."""
 
@@ -66,14 +66,17 @@ OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 
 INSTANCE = "instance"
-"""Value of the part `process`: which process reports, as a restarted one has the same name."""
+"""Key of a value of the part `process`: the identity of the reporting process.
+
+A restarted process has the same node name, but another identity.
+"""
 
 THIS_INSTANCE = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
 
 @dataclass(frozen=True)
 class Report:
-    """The state of one part of a node: level, message and values by name."""
+    """The state of one part of a node: level, message, and values by name (``facts``)."""
 
     level: bytes
     message: str
@@ -87,11 +90,11 @@ class Report:
 
 
 _WARNED_S = 10.0
-"""For so long a message that was not used is a warning."""
+"""Time for which `Tally.report` warns about a dropped message, s."""
 
 
 class Tally:
-    """Counts events by name, and keeps the last reason. Each reason is logged too."""
+    """Counts events by name, keeps the last reason, and logs the reasons."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -100,19 +103,19 @@ class Tally:
         self._dropped = "", -_WARNED_S
 
     def count(self, what: str, why: str) -> None:
-        """Count one more of a kind and log the reason, unless it is empty."""
+        """Count one event of the name ``what``; keep and log the reason unless it is empty."""
         self.counts[what] = self.counts.get(what, 0) + 1
         if why:
             self.last = why
             self._node.get_logger().warning(why, throttle_duration_sec=1.0)
 
     def count_dropped(self, topic: str, why: str) -> None:
-        """Count a message that is not used, and warn about it for a while."""
+        """Count a message of a topic that is not used, and warn about it for `_WARNED_S`."""
         self.count(f"bad {topic}", why)
         self._dropped = why, time.monotonic()
 
     def report(self) -> Report:
-        """Report whether messages were dropped lately."""
+        """Return a report that warns if a message was dropped in the last `_WARNED_S`."""
         why, at_s = self._dropped
         if time.monotonic() - at_s < _WARNED_S:
             return Report(WARN, f"not used: {why}")
@@ -124,7 +127,7 @@ class Tally:
 
 
 class Health:
-    """Publishes what each of a node's `parts` reports, under the name ``<node>: <part>``."""
+    """Publishes the reports of a node's `parts`, under the names ``<node>: <part>``."""
 
     def __init__(self, node: Node, period_s: float) -> None:
         self._node = node
@@ -136,14 +139,14 @@ class Health:
         self._fault_s: float | None = None
 
     def fault(self, error: Exception) -> None:
-        """Count an exception after which the node goes on."""
+        """Count and log an exception after which the node continues."""
         self.faults += 1
         self._fault_s = time.monotonic()
         self.last_fault = f"{type(error).__name__}: {error}"
         self._node.get_logger().error(f"survived {self.last_fault}")
 
     def clear_fault(self) -> None:
-        """Clear the last fault: what it may have broken works again."""
+        """Report the process as healthy again; the count of faults stays."""
         self._fault_s = None
 
     def publish(self) -> None:
@@ -154,7 +157,7 @@ class Health:
         for part, ask in self.parts.items():
             try:
                 report = ask()
-            except Exception as error:  # of this part alone: the others are still told
+            except Exception as error:  # in one part: the other parts are still reported
                 why = f"{type(error).__name__}: {error}"
                 report = Report(ERROR, f"its state cannot be told: {why}")
                 self._node.get_logger().error(f"{part}: {why}", throttle_duration_sec=10.0)
@@ -167,7 +170,7 @@ class Health:
             "faults": self.faults,
             "last fault": self.last_fault,
         }
-        # For so long a fault is an error on /diagnostics, unless it is known to be mended
+        # A fault is an error on /diagnostics for this time, s, or until `clear_fault`
         if self._fault_s is not None and time.monotonic() - self._fault_s < 60.0:
             return Report(ERROR, f"survived {self.faults} faults, last {self.last_fault}", facts)
         return Report(OK, "running", facts)

@@ -31,7 +31,7 @@ class _PixelFormat:
 
     samples: int  # numbers per pixel
     convert: Callable[[Grey], Grey]
-    """Of the numbers (H, W, samples), 8-bit, the pixels (H, W) grey or (H, W, 3) BGR."""
+    """Converts 8-bit numbers (H, W, samples) to pixels: (H, W) grey or (H, W, 3) BGR."""
     wide: bool = False  # the numbers have 16 bits
 
 
@@ -43,7 +43,7 @@ def _convert_by(code: int) -> Callable[[Grey], Grey]:
     return lambda numbers: np.asarray(cv2.cvtColor(numbers, code), dtype=np.uint8)
 
 
-# Names of sensor_msgs/image_encodings.hpp. Of YUV the brightness Y is every second byte.
+# Names of sensor_msgs/image_encodings.hpp. In YUV images every second byte is the brightness Y.
 ENCODINGS: dict[str, _PixelFormat] = {
     **dict.fromkeys(("mono8", "8UC1"), _PixelFormat(1, _take_sample(0))),
     **dict.fromkeys(("mono16", "16UC1"), _PixelFormat(1, _take_sample(0), wide=True)),
@@ -64,7 +64,7 @@ def pixels_of(message: Image) -> Grey:
     """Return the pixels of an image: (H, W) grey or (H, W, 3) BGR.
 
     Raises:
-        StereoRefusal: BAD_IMAGE, for an unsupported encoding or data of another size than stated.
+        StereoRefusal: BAD_IMAGE, if the encoding is not supported or the data have a wrong size.
     """
     encoding = ENCODINGS.get(message.encoding)
     if encoding is None:
@@ -81,10 +81,12 @@ def pixels_of(message: Image) -> Grey:
 
 
 def decode(message: CompressedImage) -> Grey:
-    """Decode a compressed image to grey pixels (H, W); ``format`` as image_transport writes it.
+    """Decode a compressed image to grey pixels (H, W), uint8.
+
+    The message's ``format`` must be as image_transport writes it.
 
     Raises:
-        StereoRefusal: BAD_IMAGE, where the data are no image.
+        StereoRefusal: BAD_IMAGE, if the data are no image.
     """
     data = np.frombuffer(message.data, np.uint8)
     try:
@@ -102,9 +104,9 @@ def decode(message: CompressedImage) -> Grey:
 
 
 def _to_8_bits(numbers: Samples) -> Grey:
-    """Reduce numbers to 8 bits: those from the highest bit that the image uses.
+    """Reduce numbers to 8 bits: the highest 8 bits that occur in the image.
 
-    Cameras of 10, 12 and 14 bits leave the upper bits of 16 empty.
+    Cameras of 10, 12 and 14 bits leave the upper bits of the 16 empty.
     """
     if numbers.dtype == np.uint8:
         return numbers.astype(np.uint8, copy=False)
@@ -113,7 +115,7 @@ def _to_8_bits(numbers: Samples) -> Grey:
 
 
 def image_message(grey: Grey, ns: int, frame: str) -> Image:
-    """Make the message of a grey image (H, W), uint8."""
+    """Make the message of a grey image (H, W), uint8; ``ns`` is its time stamp, ns."""
     height, width = grey.shape
     return Image(
         header=Header(stamp=stamp_of(ns), frame_id=frame),
@@ -126,21 +128,27 @@ def image_message(grey: Grey, ns: int, frame: str) -> Image:
 
 
 def info_message(info: Calibration, ns: int, frame: str) -> CameraInfo:
-    """Make the message of a calibration, whose fields have the same names."""
+    """Make the CameraInfo message of a camera's calibration; ``ns`` is its time stamp, ns."""
     return CameraInfo(header=Header(stamp=stamp_of(ns), frame_id=frame), **asdict(info))
 
 
 def is_same_camera(a: Calibration, b: Calibration) -> bool:
-    """Return whether two messages or files hold the same calibration."""
+    """Tell whether two messages or records hold the same calibration."""
     keys = [field.name for field in fields(Calibration)]
     return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in keys)
 
 
 class ImageInlet:
-    """A subscription that is ``reliable`` where that is wanted and the publishers offer it.
+    """A subscription to images whose reliability fits the present publishers.
 
-    A reliable subscription receives nothing from a best-effort publisher, without any message about
-    it. ``watch``: counts images that the middleware has lost or that a full queue has dropped.
+    A reliable subscription receives nothing from a best-effort publisher, without any warning.
+
+    Args:
+        take: called with every image message.
+        reliable: subscribe reliably if every publisher offers it; else always best effort.
+
+    Attributes:
+        watch: counts images that the middleware lost or that a full queue dropped.
     """
 
     def __init__(
@@ -157,7 +165,7 @@ class ImageInlet:
         return "reliable" if self._how is RELIABLE else "best effort"
 
     def adapt(self) -> None:
-        """Subscribe again if the present publishers need another reliability than that in use."""
+        """Subscribe again if the present publishers need another reliability."""
         name = self._node.resolve_topic_name(self._topic.name)
         ends = self._node.get_publishers_info_by_topic(name)
         offered = all(end.qos_profile.reliability is not BEST_EFFORT for end in ends)

@@ -42,11 +42,11 @@ BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 
 _UNHEARD_PUBLISHER = PublisherEventCallbacks(use_default_callbacks=False)
 _UNHEARD_SUBSCRIPTION = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""rclpy's default events log an incompatible QoS, which the other side logs too.  The executor
-checks two of them per topic before every callback, which costs more than the rest of its work."""
+"""No QoS events: rclpy's default events only log an incompatible QoS, as the other side does too.
+The executor would check two events per topic before every callback, its largest cost."""
 
 _PATIENT = QoSProfile(depth=200)
-"""Requests that can wait on either side. ROS's default of 10 loses requests of a burst."""
+"""QoS of services: 200 requests can wait on either side. ROS's default of 10 loses requests."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class Topic:
     """One topic of the graph.
 
     Attributes:
-        name: relative to the namespace of the arm.
+        name: name, relative to the namespace of the arm unless it begins with ``/``.
         type: type of its messages.
-        depth: messages kept on either side.
-        listens: reliability of subscriptions; publishers are reliable, which fits both kinds.
-        latched: whether a later subscriber also receives the last message.
+        depth: number of messages that are kept on either side.
+        listens: reliability of subscriptions. Publishers are always reliable, which suits both.
+        latched: whether a later subscriber also receives the last messages.
     """
 
     name: str
@@ -85,9 +85,12 @@ class Topic:
         *,
         raw: bool = False,
     ) -> Any:
-        """Subscribe to the topic.
+        """Subscribe to the topic on a node.
 
-        ``listens`` and ``depth`` replace the topic's own; ``raw``: messages come as bytes.
+        Args:
+            listens: reliability; by default the topic's own.
+            depth: number of messages kept; by default the topic's own.
+            raw: whether the callback gets each message as bytes.
         """
         qos = QoSProfile(
             depth=depth or self.depth,
@@ -111,7 +114,7 @@ class Action:
     type: Any  # with Goal, Result and Feedback
 
     def server(self, node: Node, serve: Callable[[Any], Any]) -> Any:
-        """Offer the action on a node; the goal that ``serve`` awaits may be cancelled."""
+        """Offer the action on a node. Every goal runs ``serve`` and accepts to be cancelled."""
         return ActionServer(
             node,
             self.type,
@@ -124,7 +127,7 @@ class Action:
 
 @dataclass(frozen=True)
 class Service:
-    """One service. Names with ``~/`` are private to the node that offers them."""
+    """One service. A name that begins with ``~/`` is private to the node that offers it."""
 
     name: str
     type: Any  # with Request and Response
@@ -137,7 +140,7 @@ class Service:
         )
 
     def client(self, node: Node, group: CallbackGroup | None = None, of: str = "") -> Any:
-        """Make a client of the service; ``of`` names the node that offers a private one."""
+        """Make a client of the service; ``of``: name of the node that offers a private service."""
         name = self.name.replace("~", of) if of else self.name
         return node.create_client(self.type, name, qos_profile=_PATIENT, callback_group=group)
 
@@ -160,11 +163,11 @@ DRIVER_STATE = Topic("servo_driver/state", DriverState, 1, RELIABLE, latched=Tru
 PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, 20, RELIABLE)
 # SHA-256 and path of the predictor file that is served, five times a second; empty: none
 SERVED = Topic("error_predictor/serves", String, 1, RELIABLE)
-# path of the file of what `kinematics` learned at work, whenever it is written; empty: nothing
+# path of the file with the model that `kinematics` learned at work, at every write; empty: none
 LEARNED = Topic("kinematics/learned", String, 1, RELIABLE, latched=True)
-# tip as cameras or tracker see it, in the frame of its header; position NaN: marker lost
+# tip as cameras or a tracker see it, in the frame of its header; position NaN: marker lost
 TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, 20, RELIABLE)
-# the same in the base frame; as it came where nobody knows the place of its frame
+# the same in the base frame; unchanged if the pose of its frame is not known
 TIP_SEEN = Topic("tip_seen", PoseWithCovarianceStamped, 20, RELIABLE)
 # tip computed from the joints' readings, with its covariance, base frame
 TIP_BY_READINGS = Topic("tip_by_readings", PoseWithCovarianceStamped, 20, RELIABLE)
@@ -187,7 +190,7 @@ MARKERS = Topic("markers", MarkerArray, 5, RELIABLE)
 ROBOT_DESCRIPTION = Topic("robot_description", String, 1, RELIABLE, latched=True)
 TF = Topic("/tf", TFMessage, 100, RELIABLE)  # links, declared, expected and measured tip
 TF_STATIC = Topic("/tf_static", TFMessage, 100, RELIABLE, latched=True)  # cameras, foot of the arm
-"""Where tf2_msgs is installed (`HAS_TF`). Both are shared by all arms."""
+"""TF and TF_STATIC need tf2_msgs (`HAS_TF`). All arms share them."""
 
 HAS_TF = TFMessage is not None
 
@@ -197,16 +200,16 @@ DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, 50, RELIABLE)
 COMPENSATE = Service("compensate", Compensate)  # joints for one target, executed or not
 PREDICT_ERROR = Service("predict_error", PredictError)  # learned error at given joints
 RELOAD = Service("~/reload", Trigger)  # read the node's files again
-# true: torque off now, commands refused, also by the driver's successors; false: ready again
+# true: torque off now, commands refused, also by a restarted driver; false: ready again
 ESTOP = Service("~/estop", SetBool)
-# true: stop, stay with torque on, refuse commands, as lastingly; false: ready again
+# true: stop, stay with torque on, refuse commands, also by a restarted driver; false: ready again
 HOLD = Service("~/hold", SetBool)
 FREEZE = Service("~/freeze", SetBool)  # true: learn no more at work; false: learn again
 # go back to the version before the last learned change, and freeze
 UNDO = Service("~/undo", Trigger)
 RESET = Service("~/reset", Trigger)  # end a stop, a hold, and a fault whose cause is gone
 
-REACH = Action("reach", Reach)  # move the tip to a target and say where it came to rest
+REACH = Action("reach", Reach)  # move the tip to a target and report where it came to rest
 # joint_trajectory as an action; where control_msgs is installed (`HAS_FOLLOW`)
 FOLLOW = Action("servo_driver/follow_joint_trajectory", FollowJointTrajectory)
 
@@ -217,4 +220,4 @@ HAS_FOLLOW = FollowJointTrajectory is not None
 
 TOPICS = tuple(held for held in list(vars().values()) if isinstance(held, Topic) and held.type)
 SERVICES = tuple(held for held in list(vars().values()) if isinstance(held, Service))
-"""All that the graph may have: the transforms only where their message is installed."""
+"""TOPICS and SERVICES: all of the graph; the transforms only if their message is installed."""

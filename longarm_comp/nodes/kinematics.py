@@ -1,4 +1,4 @@
-"""`kinematics`: turns targets into compensated joints, and publishes how they were computed."""
+"""`kinematics`: computes compensated joints for targets, and publishes each computation."""
 
 from __future__ import annotations
 
@@ -52,10 +52,7 @@ PARAMS = (
 
 
 class Kinematics(ArmNode):
-    """The node, which computes one target after another on a worker thread.
-
-    So the executor stays free.
-    """
+    """The node. It computes targets one by one on a worker thread, so the executor stays free."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "kinematics", PARAMS)
@@ -130,7 +127,7 @@ class Kinematics(ArmNode):
         if motion.event != Motion.REACHED or (now := self._arm.standing) is None:
             return
         model, q, context = now
-        if motion.joints.name:  # the last of `joint_states` may be of the way
+        if motion.joints.name:  # the last of `joint_states` may be from before the arrival
             try:
                 q = joints_of(motion.joints, self._arm.arm, "motion: joints")
             except InputError as error:
@@ -139,7 +136,7 @@ class Kinematics(ArmNode):
         self._arm.worker.submit(partial(self._monitor.judge_servos, model, q, context))
 
     def _graph_report(self) -> Report:
-        """Report a second `kinematics`, and publishers of targets that cannot be received."""
+        """Report a second `kinematics`, or nodes whose targets cannot be received."""
         if self._twins.refusal:
             return Report(ERROR, self._twins.refusal)
         ends = self.get_publishers_info_by_topic(self.resolve_topic_name(graph.TARGET_POSE.name))

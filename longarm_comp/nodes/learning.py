@@ -1,4 +1,4 @@
-"""Lets the model at work learn from rest poses, and keeps what it learned in a file."""
+"""Updates the model in use from rest poses during ordinary work, and saves it in a file."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ PARAMS = (
 
 
 class Learning:
-    """Replaces the model in use by the learned one, and keeps that in a file beside it.
+    """Replaces the model in use by the learned one, and saves this in a file beside model.yaml.
 
-    All methods but `report` are called on the worker.
+    All methods except `report` must be called on the worker.
     """
 
     def __init__(self, state: ArmState) -> None:
@@ -52,16 +52,16 @@ class Learning:
         self.begin()
 
     def begin(self) -> None:
-        """Continue from the file, if it belongs to the model that was loaded.
+        """Continue from the file of what was learned, if it belongs to the loaded model.
 
         Raises:
-            InputError: nothing can be learned of that model, or the file is damaged. Then the model
-                is served as it was loaded, and nothing is learned.
+            InputError: nothing can be learned with this model, or the file is damaged or used by
+                another process. The model is then used as it was loaded.
         """
         if not self._state.p["learning"]:
             self._told.publish(String())
             return
-        from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
+        from longarm_comp.core.at_work import file  # imports SciPy: only where it is needed
 
         loaded, step_m = self._files.given, self._state.p["learning_step_m"]
         try:
@@ -77,7 +77,10 @@ class Learning:
         self._tell(self.learner)
 
     def learn_from(self, rest: RestPose, context: Context, learned: np.ndarray | None) -> None:
-        """Learn from a rest pose, less the error (3,) m that a predictor expects there."""
+        """Learn from the tip at a rest pose; nothing while frozen.
+
+        ``learned``: error (3,), m, that the predictor expects there; it is subtracted from the tip.
+        """
         if self.learner is None or self.learner.frozen:
             return
         tip = rest.tip if learned is None else rest.tip - learned
@@ -94,7 +97,7 @@ class Learning:
         return True, self._with_fault("frozen" if frozen else "learning")
 
     def undo(self) -> tuple[bool, str]:
-        """Serve the version before the last change, and stop learning."""
+        """Use the version before the last change, and stop learning; return success and message."""
         if self.learner is None:
             return False, _OFF
         self._take_over(self.learner.undo())
@@ -102,7 +105,7 @@ class Learning:
         return True, self._with_fault(done)
 
     def _with_fault(self, done: str) -> str:
-        """Say what was done, and that it ends with this process where it could not be written."""
+        """Return ``done``; if it could not be written, add that it ends with this process."""
         return f"{done}; until this node ends: {self._fault}" if self._fault else done
 
     def _take_over(self, after: Learner) -> None:
@@ -112,7 +115,7 @@ class Learning:
         self._tell(after)
 
     def _tell(self, learner: Learner) -> None:
-        """Write what is known to the file, and tell other nodes which one it is."""
+        """Save what was learned in the file, and publish the file's path."""
         from longarm_comp.core.at_work import file
 
         try:
@@ -127,7 +130,7 @@ class Learning:
             self._state.worker.submit_once(self._keep_again)
 
     def _keep_again(self) -> None:
-        """Write what could not be written: a frozen learner has no next change to write."""
+        """Try again to save, because a frozen learner has no next change that would save."""
         if self.learner is not None and self._fault:
             self._tell(self.learner)
 
@@ -165,7 +168,10 @@ class Learning:
 
 
 _AGAIN_S = 5.0
-"""Time between two attempts to write what could not be written, s."""
+"""Time between two attempts to save after a failure, s."""
 _MANY = 5
-"""Of the last twenty sightings: so many seem wrong by chance once in 700,000 times (`DOUBT`)."""
+"""This many wrong ones among the last twenty sightings are a warning.
+
+By chance it happens once in 700,000 times (`DOUBT`).
+"""
 _OFF = "nothing is learned at work: its parameter `learning` is false"

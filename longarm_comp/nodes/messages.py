@@ -1,4 +1,7 @@
-"""Conversions between messages and records. Records hold arrays in the order of the joints."""
+"""Conversions between ROS messages and the arrays and records of the core.
+
+Arrays (n,) are in the order of the arm's joints, rad (revolute) and m (prismatic).
+"""
 
 from __future__ import annotations
 
@@ -36,14 +39,17 @@ from longarm_interfaces.msg import DriverState, Motion
 
 FARTHEST = range_of("_m")[1]
 STRONGEST = 1e6
-"""Largest force (N) or torque (N m) that is believed of a sensor."""
+"""Largest force (N) or torque (N m) of a sensor that is taken as possible."""
 
 
 Message = TypeVar("Message")
 
 
 def fill(blank: Message, **fields: Any) -> Message:
-    """Return a copy of a message with other fields; its class would make all their defaults too."""
+    """Return a copy of a message with the given fields replaced.
+
+    This is faster than the message's class, which would first make the defaults of all fields.
+    """
     made = copy(blank)
     for name, value in fields.items():
         setattr(made, name, value)
@@ -54,7 +60,7 @@ _JOINTS = JointState()
 
 
 def pose_message(target: np.ndarray) -> Pose:
-    """Make the message of a (4, 4) pose, or of a (3,) position with the identity as orientation."""
+    """Make the message of a pose (4, 4), or of a position (3,) with the identity as orientation."""
     x, y, z = position_of(target).tolist()
     message = Pose(position=Point(x=x, y=y, z=z))
     if target.ndim == 2:
@@ -74,7 +80,7 @@ def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
 
 
 def error_message(error: Vector3, stamp: Time, frame: str) -> Vector3Stamped:
-    """Make the message of a predicted error."""
+    """Make the message of a predicted error, m."""
     return Vector3Stamped(header=Header(stamp=stamp, frame_id=frame), vector=error)
 
 
@@ -86,7 +92,13 @@ def joints_message(arm: Arm, q: np.ndarray, stamp: Time | None = None) -> JointS
 
 
 def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
-    """Return joints (n,) in the order of the arm. Names of other joints are ignored."""
+    """Return joint positions (n,) in the order of the arm, rad and m.
+
+    Other joints of the message are ignored.
+
+    Raises:
+        InputError: a joint is missing, named twice or not finite; ``where`` names the source.
+    """
     if len(message.name) != len(message.position):
         found = f"{len(message.name)} names, {len(message.position)} positions"
         raise InputError(where, "position", found, "one position a name")
@@ -101,7 +113,10 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
 
 
 def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
-    """Return efforts (n,) in the order of the arm, N m and N; NaN where missing or impossible."""
+    """Return efforts (n,) in the order of the arm, N m and N; NaN if missing or above `STRONGEST`.
+
+    The message must name every joint of the arm.
+    """
     if len(message.effort) != len(message.name):
         return np.full(arm.n, np.nan)
     at = dict(zip(message.name, message.effort, strict=True))
@@ -110,7 +125,13 @@ def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
 
 
 def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str) -> np.ndarray:
-    """Return the side (n,) of -1, 0, +1 that each joint arrives from, in the order of the arm."""
+    """Return the side (n,) that each joint arrives from, -1, 0 (unknown) or +1, in the arm's order.
+
+    ``approach`` has one side per name, one for all joints, or none (all unknown).
+
+    Raises:
+        InputError: another value or number of sides; ``where`` names the source.
+    """
     sides = [float(side) for side in approach]
     if any(side not in (-1.0, 0.0, 1.0) for side in sides):
         raise InputError(where, "approach", sides, "-1, 0 or +1")
@@ -135,7 +156,11 @@ def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
 
 
 def motion_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """Return start (n,) and way-points (k, n) of an accepted trajectory."""
+    """Return start (n,) and way-points (k, n) of an accepted trajectory, rad and m.
+
+    Raises:
+        InputError: joints are missing or outside their limits.
+    """
     start = joints_of(message.start, arm, "start of motion")
     check_inside(start, arm, "start of motion")
     way = JointTrajectory(joint_names=message.start.name, points=message.points)
@@ -143,7 +168,7 @@ def motion_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
 
 
 def duration(value_s: float) -> Duration:
-    """Make a duration of some seconds, 0 or more."""
+    """Return the message of a duration in s, which must be 0 or more."""
     whole, rest = divmod(round(value_s * 1e9), 10**9)
     return Duration(sec=whole, nanosec=rest)
 
@@ -159,10 +184,11 @@ def trajectory_message(
     stamp: Time,
     velocities: np.ndarray | None = None,
 ) -> JointTrajectory:
-    """Make a message of way-points (k, n) that are due at times (k,), s, or at a constant interval
-    (s).
+    """Make the message of a trajectory through way-points (k, n), rad and m.
 
-    ``velocities``: (k, n) rad/s and m/s; None: left to the driver.
+    Args:
+        times: (k,) s after the start, or one number: a constant interval, s.
+        velocities: (k, n) rad/s and m/s; None: left to the driver.
     """
     message = JointTrajectory(header=Header(stamp=stamp), joint_names=list(arm.joint_names))
     due = times * np.arange(1, len(points) + 1) if np.ndim(times) == 0 else np.asarray(times)
@@ -173,7 +199,7 @@ def trajectory_message(
 def points_message(
     points: np.ndarray, times: np.ndarray, velocities: np.ndarray | None = None
 ) -> list[JointTrajectoryPoint]:
-    """Make way-points (k, n) that are due at times (k,), s, perhaps with velocities (k, n)."""
+    """Make the messages of way-points (k, n) at times (k,), s, with velocities (k, n) if given."""
     speeds = np.zeros((len(points), 0)) if velocities is None else velocities
     return [
         JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
@@ -182,9 +208,9 @@ def points_message(
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
-    """Convert a trajectory to the record of the servo side.
+    """Convert a trajectory to the record that the devices use.
 
-    It starts when the driver accepts it.
+    The stamp is not used: the motion starts when the driver accepts the trajectory.
     """
     points = tuple(
         devices.TrajectoryPoint(
@@ -196,7 +222,11 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
 
 
 def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
-    """Return the frame that the sensor is mounted on, and a session's columns of its tilt (rad)."""
+    """Return the frame of a tilt sensor, and its tilt (rad) by name of a session's column.
+
+    Raises:
+        InputError: the message holds no orientation, or no unit quaternion.
+    """
     if message.orientation_covariance[0] < 0:
         where = "orientation_covariance[0]"
         raise InputError("inclination", where, "-1: no orientation", "a sensor that gives one")
@@ -209,7 +239,11 @@ def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
 
 
 def wrench_of(message: WrenchStamped, arm: Arm) -> tuple[int, np.ndarray]:
-    """Return the row in whose axes a wrist sensor measures, and its force (3,), N."""
+    """Return the row of arm.yaml in whose axes a wrist sensor measures, and its force (3,), N.
+
+    Raises:
+        InputError: no such row, or a force that is not finite or above `STRONGEST`.
+    """
     name, f = message.header.frame_id, message.wrench.force
     rows = [str(row) for row in range(len(arm.joints) + 1)]
     if name not in rows:
@@ -221,14 +255,18 @@ def wrench_of(message: WrenchStamped, arm: Arm) -> tuple[int, np.ndarray]:
 
 
 def sighting_of(message: PoseWithCovarianceStamped) -> tuple[np.ndarray, np.ndarray]:
-    """Return the tip (3,) m and its variance (3,) m^2. The tip is NaN where the marker was lost."""
+    """Return the tip (3,), m, and its variance (3,), m^2. The tip is NaN if the marker was lost."""
     p = message.pose.pose.position
     covariance = np.asarray(message.pose.covariance, dtype=float)
     return np.array([p.x, p.y, p.z]), covariance[[0, 7, 14]]
 
 
 def check_sighting(tip: np.ndarray, variance: np.ndarray) -> None:
-    """Refuse an impossible sighting (m, m^2); that of a lost marker, NaN, is allowed."""
+    """Refuse an impossible tip (3,), m, or variance (3,), m^2. A lost marker (NaN) is allowed.
+
+    Raises:
+        InputError: naming the position or the covariance.
+    """
     if (np.abs(tip) > FARTHEST).any():
         raise InputError("tip_measured", "position", tip.tolist(), f"NaN, or up to {FARTHEST:g} m")
     sure = (variance >= 0.0) & (variance <= FARTHEST**2)
@@ -240,7 +278,7 @@ def check_sighting(tip: np.ndarray, variance: np.ndarray) -> None:
 def tip_message(
     tip: np.ndarray, covariance: np.ndarray, stamp: Time, frame: str
 ) -> PoseWithCovarianceStamped:
-    """Make a message of a tip (3,), m, with its pose's covariance (6, 6), for `sighting_of`."""
+    """Make the message of a tip (3,), m, with the covariance (6, 6) of its pose, m and rad."""
     message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=frame))
     x, y, z = tip.tolist()
     message.pose.pose.position = Point(x=x, y=y, z=z)
@@ -251,7 +289,12 @@ def tip_message(
 def express_sighting(
     message: PoseWithCovarianceStamped, place: np.ndarray, frame: str
 ) -> PoseWithCovarianceStamped:
-    """Express a sighting in another frame, in which its own frame has the pose ``place`` (4, 4)."""
+    """Return a sighting expressed in another frame.
+
+    Args:
+        place: (4, 4) pose of the sighting's own frame in the other frame, m.
+        frame: name of the other frame.
+    """
     tip, o = sighting_of(message)[0], message.pose.pose.orientation
     turn = np.array([o.x, o.y, o.z, o.w])
     seen = quaternion.compute_pose(tip, turn) if quaternion.is_unit(turn) else tip
@@ -278,7 +321,7 @@ def driver_words(state: int) -> str:
 
 
 def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> JointState:
-    """Make a message of the read-back of joints, by name; with efforts where any is known."""
+    """Make the message of the joints' read-back; with efforts if at least one is known."""
     joints = readings.values()
     efforts = [joint.effort for joint in joints]
     return JointState(

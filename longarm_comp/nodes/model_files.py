@@ -23,19 +23,27 @@ from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 class _LoadedModel:
     model: Model
     file_hash: str = ""  # SHA-256; empty for the declared arm
-    learned: int = 0  # models that were put in its place since
+    learned: int = 0  # number of learned models that have replaced the loaded one since
 
     @cached_property
     def stands(self) -> Placement:
-        """The place of the graph's base for the model."""
+        """The graph's base frame as the model places it."""
         return base_of_graph(self.model)
 
 
 class ModelFiles:
-    """The files of the arm and its model: arm.yaml, read once, and model.yaml, read again on
-    demand.
+    """The arm, read once from arm.yaml, and its model, read again from model.yaml on demand.
 
-    Effects of circumstances that no topic tells are left out, as in the expected error of commands.
+    Effects that depend on circumstances which no topic publishes are left out of the model.
+
+    Args:
+        trimmed: whether the driver trims the joints: errors that encoders see are left out too.
+
+    Attributes:
+        rigid: the model of the declared arm without effects.
+        loaded: the model in use, which may be a learned one.
+        given: the model as read from the file, or the declared one.
+        loads: number of times that model.yaml was read successfully.
     """
 
     def __init__(self, arm_path: str, model_path: str, trimmed: bool = False) -> None:
@@ -51,7 +59,7 @@ class ModelFiles:
         self.reload()
 
     def reload(self) -> tuple[bool, str]:
-        """Read model.yaml again; on failure the old model stays. Return success and message."""
+        """Read model.yaml again; return success and a message. On failure the old model stays."""
         if not self._path:
             return True, "the arm as declared: no model.yaml is configured"
         try:
@@ -70,16 +78,17 @@ class ModelFiles:
         return True, f"{self._path} {self.loaded.file_hash[:12]}"
 
     def replace_model(self, model: Model) -> None:
-        """Serve a learned model in the place of the file's model."""
+        """Use a learned model instead of the file's model."""
         if model is not self.loaded.model:
             self.loaded = replace(self.loaded, model=model, learned=self.loaded.learned + 1)
 
     def follow_learned(self, path: str) -> None:
-        """Serve what another node learned at work and keeps in a file; none: the file's model.
+        """Use the model that another node learned at work and saved in a file.
 
-        While that file cannot be read here, `refusal` says so: what the arm is like is not known.
+        An empty ``path`` means: use the model of model.yaml. If the file cannot be read, `refusal`
+        gives the reason, because the present state of the arm is then unknown.
         """
-        from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
+        from longarm_comp.core.at_work import file  # imports SciPy: only where it is needed
 
         self._unread = ""
         if not path:
@@ -95,10 +104,11 @@ class ModelFiles:
 
     @property
     def refusal(self) -> str:
-        """The reason why no target is computed; empty where targets are computed.
+        """The reason why no target may be computed; empty if targets may be computed.
 
-        If model.yaml exists but could not be loaded, the declared arm does not take its place: the
-        tip would go elsewhere. Targets are also refused while the learned model cannot be read.
+        It is set if model.yaml exists but no version of it could be loaded: the declared arm is no
+        substitute, because the tip would go elsewhere. It is also set while the learned model
+        cannot be read.
         """
         lost = self._fault and not self.loaded.file_hash and Path(self._path).exists()
         return f"the model cannot be used: {self._fault}" if lost else self._unread

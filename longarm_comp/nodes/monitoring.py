@@ -1,4 +1,4 @@
-"""Monitors of the tip, by the joints' readings and as seen, beside prediction and target."""
+"""Monitors of the tip: compares joint readings and sightings with predictions and targets."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ PARAMS = (
 
 
 class ReadingsTeller:
-    """Publishes the tip by the joints' readings at a constant interval while the arm rests.
+    """Publishes the tip, computed from the joints' readings, at an interval while the arm rests.
 
-    It is computed on the worker's thread.
+    The tip is computed on the worker's thread.
     """
 
     def __init__(self, state: ArmState) -> None:
@@ -58,7 +58,7 @@ class ReadingsTeller:
         state.node.every("readings.period_s", self._queue_tip)
 
     def _queue_tip(self) -> None:
-        """Queue the computation if the arm rests; one waits at most: no target is delayed."""
+        """Queue the computation if the arm rests; at most one waits, so targets are not delayed."""
         now = self._state.standing
         q, before = None if now is None else now[1], self._before
         self._before = q
@@ -67,7 +67,7 @@ class ReadingsTeller:
             self._state.worker.submit_once(self.tell)
 
     def tell(self) -> TipByReadings | None:
-        """Compute and publish the tip now; None while joints or circumstances are not known."""
+        """Compute, publish and return the tip; None while joints or circumstances are not known."""
         now = self._state.standing
         if now is None:
             return None
@@ -86,14 +86,14 @@ class ReadingsTeller:
 
 
 _LEAST_M = 1e-3
-"""Expected error per axis, m, below which nobody needs a warning who did not say so."""
+"""Smallest expected error per axis, m, of the monitor if `monitor.sigma_m` is not set."""
 
 EVIDENCE = "evidence (1 warns)"
-"""Name of the fact on /diagnostics that says how near to a warning the test is."""
+"""Name of the fact on /diagnostics that says how close a test is to a warning."""
 
 
 def _test_facts(counted: str, verdict: Verdict) -> dict[str, object]:
-    """Return the facts of a sequential test; ``counted``: what its samples are."""
+    """Return the facts of a sequential test; ``counted``: name of its samples."""
     return {counted: verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
 
 
@@ -103,7 +103,13 @@ def _format_mm(vector: np.ndarray) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Sighted:
-    """The tip seen at rest at a target: joints (n,) sent, tip (3,) m, and tip - target (3,) m."""
+    """The tip seen at rest at a target.
+
+    Attributes:
+        q: (n,) joints of the command, rad and m.
+        tip: (3,) m, in the base frame.
+        miss: (3,) m, tip - target, without biases.
+    """
 
     q: np.ndarray
     tip: np.ndarray
@@ -111,11 +117,13 @@ class Sighted:
 
 
 class TipMonitor:
-    """Collects rest poses and tests their residuals; `sighted` is the last one at a target.
+    """Collects rest poses and tests their residuals.
 
-    Sightings come in the frame of the model. `unplaced`: why none come.
+    The ``on_...`` methods may be called from any thread; `judge` only on the worker's.
 
-    The ``on_...`` methods may be called from any thread; `judge` on the worker's.
+    Attributes:
+        sighted: the last tip seen at rest at a target.
+        unplaced: why sightings cannot be expressed in the frame of the model; empty if they can.
     """
 
     def __init__(self, state: ArmState) -> None:
@@ -137,7 +145,7 @@ class TipMonitor:
         self._monitor = self._at_target = self._servos = Monitor(self._run_length)
 
     def aim_at(self, q: np.ndarray, target: np.ndarray) -> None:
-        """Note a command for a target: joints (n,) that bring the tip to it, (3,) m."""
+        """Note a command: joints (n,), rad and m, that bring the tip to ``target`` (3,), m."""
         self._aim = q, target
 
     def on_command(self, q: np.ndarray, history: History) -> None:
@@ -147,9 +155,9 @@ class TipMonitor:
             self._watch.on_command(q, history)
 
     def on_motion(self, motion: Motion) -> None:
-        """Note what the driver says of the command under way.
+        """Note a message of the driver about the present command.
 
-        The arm arrived before this was heard, whatever the driver's clock says.
+        An arrival counts from now, not from the message's stamp, because clocks may differ.
         """
         if motion.event == Motion.ACCEPTED:
             self._under_way = motion.id
@@ -162,15 +170,15 @@ class TipMonitor:
                 self._watch.forget()
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
-        """Take in a joint reading (n,) of a time (ROS clock, s)."""
+        """Add a joint reading (n,), rad and m, of the time ``at_s`` (ROS clock, s)."""
         with self._feeding:
             self._watch.joints(q, at_s)
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> RestPose | None:
-        """Take in a sighting; return the rest pose that it completes, if any.
+        """Add a sighting, in the model's frame; return the rest pose that it completes, if any.
 
-        It counts for the time of its images, which may come late: a picture of the arm on its way
-        is no rest pose. Without a stamp, or with one of a clock that is ahead, it counts for now.
+        The sighting belongs to the time of its stamp, because images of a moving arm may come late.
+        Without a stamp, or with one in the future, it belongs to the present time.
         """
         tip, variance = sighting_of(message)
         try:
@@ -185,7 +193,9 @@ class TipMonitor:
     def judge(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """Add a rest pose to the sequential tests.
 
-        Return the learned error (3,) m that was expected there; None where no predictor answers.
+        Returns:
+            The error (3,), m, that the predictor expects there; None if no predictor answers, or if
+            the rest pose is not used (outside the domain, or a residual that is not finite).
         """
         missed = self._miss_at_target(rest, model, context)
         learned, sigma = None, self._promised_sigma(model, rest.q, context)
@@ -210,7 +220,10 @@ class TipMonitor:
         return learned
 
     def _promised_sigma(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
-        """Return the standard deviation (3,) m expected at joints: a parameter or the model's."""
+        """Return the standard deviation (3,), m, of the tip that is expected at joints ``q``.
+
+        It is the parameter `monitor.sigma_m` if set, else the model's, at least `_LEAST_M`.
+        """
         if self._sigma_m:
             return np.full(3, self._sigma_m)
         promised = expected_miss(model, q, context, model.tip(q, context)).covariance
@@ -218,7 +231,7 @@ class TipMonitor:
         return np.full(3, max(float(each), _LEAST_M))
 
     def _miss_at_target(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
-        """Return tip - target (3,) m without biases; None where the arm rests elsewhere."""
+        """Return tip - target (3,), m, without biases; None if the arm rests at no target."""
         if self._aim is None or np.abs(rest.q - self._aim[0]).max() >= SAME_POSE:
             return None
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
@@ -228,9 +241,9 @@ class TipMonitor:
         return missed
 
     def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:
-        """Add the readings (n,) at the end of a move to the test of the servos.
+        """Add the joint readings (n,) at the end of a move to the test of the servos.
 
-        The tip by the readings is compared with that of the command, without a sighting.
+        The tip computed from the readings is compared with the tip computed from the command.
         """
         if self._sent is None:
             return
@@ -239,7 +252,7 @@ class TipMonitor:
         self._servos = self._servos.seen(off, np.full(3, self._sigma_m or _LEAST_M))
 
     def servo_report(self) -> Report:
-        """Report whether the joints stand where they were sent."""
+        """Report whether the joints' readings agree with the commands."""
         verdict = self._servos.verdict()
         facts = _test_facts("moves", verdict)
         if verdict.drifted:
@@ -262,7 +275,7 @@ class TipMonitor:
 
     @property
     def _advised_commands(self) -> str:
-        """Shell commands that find out what has changed: plan poses, collect, diagnose."""
+        """The shell commands that find the cause of a drift: plan poses, collect, diagnose."""
         state = self._state
         arm, model = (shlex.quote(state.p[name]) for name in ("arm", "model"))
         where = state.node.get_namespace().strip("/")
@@ -286,7 +299,7 @@ class TipMonitor:
 
 
 class RingTeller:
-    """Computes the ring of the arm on the worker, after a move and once nothing else waits.
+    """Computes how the arm rings after a move, on the worker when no other job waits.
 
     ``shaped``: whether the driver splits moves so that they leave little ring.
     """
@@ -323,7 +336,7 @@ class RingTeller:
         try:
             start, points = motion_of(move, state.arm)
         except InputError:
-            return  # the link to the driver has said so
+            return  # `DriverLink` has reported it
         times = np.array([seconds(point.time_from_start) for point in move.points])
         self._last = ring_after(state.files.loaded.model, context, start, points, times)
         if self._last is None:
@@ -334,7 +347,7 @@ class RingTeller:
             self._said = self._last.describe()
 
     def report(self) -> Report:
-        """Return a report on the last ring; first begin the work on a ring that is due."""
+        """Return a report on the last ring; first queue the computation of a ring that is due."""
         self._begin_ring()
         facts: dict[str, object] = {}
         if (ring := self._last) is not None and not self._shaped:

@@ -1,4 +1,4 @@
-"""The base of all nodes: checked parameters, workers, health, and the process that runs them."""
+"""The base class of all nodes, and the function that runs a node as a process."""
 
 from __future__ import annotations
 
@@ -32,24 +32,26 @@ from longarm_comp.nodes.worker import Worker
 WATCH = Param(
     "watch_period_s", 1.0, "time between two checks whether the file changed", 0.1, 3600.0
 )
-"""A parameter of every node that reads files again."""
+"""A parameter of every node that reads a file again when it changes."""
 
 _LAST_WORDS_S = 2.0
-"""Time that the subscribers of a node that ends have to take its last messages, s."""
+"""Longest wait at a node's end for its subscribers to receive the last messages, s."""
 
 
 class ArmNode(Node):
     """A node of an arm's graph.
 
     Args:
-        executor: the executor that the node will be in.
+        executor: the executor to which the node will be added.
+        table: the parameters of the node.
         sections: prefixes of parameters that are not in the ``table`` and are checked elsewhere.
 
     Attributes:
         p: values of the parameters, by name.
-        health: its ``parts`` are reported on /diagnostics.
-        abandoned: whether it ends because its terminal or its supervisor is gone.
-        exit_code: of its process, where nothing else ends it.
+        tally: counts of events, such as refused messages.
+        health: the reports in its ``parts`` are published on /diagnostics.
+        abandoned: whether the node ends because its terminal or its supervisor is gone.
+        exit_code: exit code of the process unless an error gives another one.
     """
 
     def __init__(
@@ -68,7 +70,7 @@ class ArmNode(Node):
         self.abandoned, self.exit_code = False, 0
 
     def worker(self, capacity: int) -> Worker:
-        """Make a worker thread, which ends with the node."""
+        """Make a worker thread that ends with the node; ``capacity`` jobs may wait for it."""
         self._workers.append(Worker(self, self._made_for, capacity, self.health.fault))
 
         def report() -> Report:
@@ -79,17 +81,17 @@ class ArmNode(Node):
         return self._workers[-1]
 
     def close(self) -> bool:
-        """Stop what the node started, and return whether all of it has ended; must not raise."""
+        """Stop the node's threads; return whether all of them have ended. Must not raise."""
         ended = [worker.close() for worker in self._workers]
         return all(ended)
 
     def every(self, name: str, callback: Callable[[], Any]) -> None:
-        """Call back at the interval (s) that a parameter gives; never where it is 0."""
+        """Call ``callback`` at the interval, s, of the parameter ``name``; never if it is 0."""
         if self.p[name]:
             steady_timer(self, self.p[name], callback)
 
     def on_change(self, files: Sequence[str], worker: Worker, job: Callable[[], Any]) -> None:
-        """Have a worker do a job when one of the files was made, changed, replaced or removed."""
+        """Give a job to a worker whenever one of the files is made, changed or removed."""
 
         def signature(file: str) -> tuple[int, int, int] | None:
             try:
@@ -111,7 +113,10 @@ class ArmNode(Node):
     def on_request(
         self, service: Service, worker: Worker, job: Callable[[Any], tuple[bool, str]]
     ) -> None:
-        """Offer a service of std_srvs: a worker does the job, given the request."""
+        """Offer a service of std_srvs whose requests a worker handles.
+
+        ``job`` gets the request and returns success and a message for the response.
+        """
 
         async def serve(request: Any, response: Any) -> Any:
             future = worker.ask(partial(job, request))
@@ -124,19 +129,19 @@ class ArmNode(Node):
 
 
 def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] = ()) -> int:
-    """Run a node until a signal comes.
+    """Run a node until a signal is received or its supervisor is gone.
 
-    Signals only set an event, so a second one does not interrupt the clean-up.
+    Signals only set an event, so a second signal does not interrupt the clean-up.
 
     Args:
         make: makes the node.
         words: ``--effects FILE`` and ``--network FILE`` of the command line, as often as needed.
-            No parameter names such a file, because parameters come from files of data.
+            No parameter may name such a file, because it is executed.
 
     Returns:
-        The exit code: 0, 2 for bad parameters or files, or the node's.
+        The exit code: 0, the code of an error (2 for bad parameters or files), or the node's own.
     """
-    # Interval in which the threads of a node are switched, s. Python's default is 5 ms
+    # Interval at which Python switches between threads, s. The default is 5 ms
     sys.setswitchinterval(2e-4)
     stop, gone = threading.Event(), threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -190,13 +195,13 @@ def _execute_files(words: Sequence[str]) -> None:
         if option == EFFECTS:
             catalogue.load_file(file)
         else:
-            from longarm_comp.core.learn import others  # with torch: where it is wanted
+            from longarm_comp.core.learn import others  # imports torch: only where it is needed
 
             others.load_file(file)
 
 
 def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event) -> None:
-    """Serve callbacks until the event is set or the node's supervisor, if it has one, is gone."""
+    """Run callbacks until the event is set, or the node's supervisor (if any) is gone."""
     guard = os.environ.get(GUARD)
     while not stop.is_set() and guard in (None, str(os.getppid())):
         try:
@@ -208,5 +213,5 @@ def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event)
 
 
 def program(make: Callable[[SingleThreadedExecutor], ArmNode]) -> Callable[[], None]:
-    """Make the main function of a module: a process that runs the node that ``make`` makes."""
+    """Return the main function of a node's module. ``make`` makes the node."""
     return lambda: sys.exit(run(make, remove_ros_args(sys.argv)[1:]))

@@ -1,8 +1,8 @@
-"""Orders that move joints: their stamp, id and age, and which of them a driver carries out.
+"""Orders that move joints: trajectories on `joint_trajectory` and goals of an action.
 
-They come on `joint_trajectory`, or as goals of `follow_joint_trajectory`, as joint trajectory
-controllers offer it. A goal is treated like a message: it passes the same checks, and its result is
-what the driver publishes on `motion` about its id.
+The action is `follow_joint_trajectory`, as ROS's joint trajectory controllers offer it. A goal
+passes the same checks as a message. Its result follows from the events that the driver publishes on
+`motion` for its id.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from longarm_interfaces.msg import Motion
 
 
 def order_id(message: JointTrajectory) -> str:
-    """Return the id of a trajectory, the same for its sender and for whoever receives it."""
+    """Return the id of a trajectory: its stamp and a hash, so sender and receiver get the same."""
     content = hashlib.blake2s("\n".join(message.joint_names).encode(), digest_size=6)
     for point in message.points:
         after = point.time_from_start
@@ -43,7 +43,10 @@ def order_id(message: JointTrajectory) -> str:
 
 
 class Stamps:
-    """The stamps of a node's orders: now; while its clock stands, 1 ns after the one before."""
+    """The stamps of a node's orders, each different.
+
+    A stamp is the present time. While the clock does not run, it is 1 ns after the last stamp.
+    """
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self._read, self._last = clock, 0, 0
@@ -56,7 +59,7 @@ class Stamps:
 
 
 def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
-    """Say why a message with the time stamp `stamp` (ns) is too old or from the future, else ""."""
+    """Say why a message with the stamp ``stamp``, ns, is too old or from the future; "" if not."""
     age = 1e-9 * (clock.now().nanoseconds - stamp)
     if abs(age) <= max_age_s:
         return ""
@@ -64,16 +67,19 @@ def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
 
 
 _UNTOLD_S = 1.0
-"""A request waited for so long at most, s, where nothing tells how long."""
+"""Assumed longest wait of a request, s, if the sender's clock does not tell it."""
 _DELIVERED_S = 60.0
 
 
 class Freshness:
-    """A limit on the age of the orders that a node takes.
+    """A limit on the age of the orders that a node accepts.
 
-    If an order has a stamp and the clock runs, these tell its age. Otherwise it waited at most for
-    as long as the node was away, stopped or overloaded: a timer on the node's executor watches
-    that.
+    The age of an order is known from its stamp and the node's clock. It is unknown without a stamp,
+    or in simulated time. Then the age is at most the time for which the node did not run, because
+    it was stopped or overloaded. A timer on the node's executor measures this time.
+
+    Args:
+        max_age_s: largest age, s.
     """
 
     def __init__(self, node: Node, max_age_s: float) -> None:
@@ -91,22 +97,26 @@ class Freshness:
 
     @property
     def away_s(self) -> float:
-        """The longest time that an order taken now may have waited, s.
+        """The longest time, s, that an order received now may have waited.
 
-        It stays so for as long after an absence as the absence lasted, a minute at most: by then
-        all has been delivered.
+        An absence of the node counts until as much time has passed after it, at most a minute: by
+        then all waiting orders have been delivered.
         """
         now = sleepless_s()
         late = self._away_s if now - self._back < min(self._away_s, _DELIVERED_S) else 0.0
         return max(now - self._turned, late)
 
     def waited_s(self, sent_ns: int) -> float:
-        """Return how long a request waited; at most, where its sender's clock does not tell."""
+        """Return how long a request has waited, s.
+
+        ``sent_ns``: time of sending by the sender's clock, ns. If it is 0 or in the future, the
+        longest possible wait is returned.
+        """
         late_s = 1e-9 * (time.time_ns() - sent_ns)
         return late_s if sent_ns and late_s >= 0.0 else max(self.away_s, _UNTOLD_S)
 
     def too_old(self, stamp: Time) -> str:
-        """Say why an order is too old to be carried out; empty if it is not."""
+        """Say why an order with this stamp is too old to be carried out; empty if it is not."""
         ns = stamp_ns(stamp)
         why = describe_untimely(self._clock, ns, self.max_age_s) if ns else ""
         if not why and (not ns or self._clock.ros_time_is_active) and self.away_s > self.max_age_s:
@@ -136,18 +146,26 @@ class Driver(Protocol):
 
 
 class Intake:
-    """Receives `joint_trajectory` and `withdrawn`."""
+    """Receives `joint_trajectory` and `withdrawn`, and passes trajectories to the driver.
+
+    Args:
+        site: the driver.
+        unstamped: accept also trajectories without a stamp.
+    """
 
     def __init__(self, node: Node, site: Driver, fresh: Freshness, *, unstamped: bool) -> None:
         self._site, self._unstamped, self._fresh = site, unstamped, fresh
-        # Withdrawn ids that are remembered: more than can wait
+        # Withdrawn ids that are remembered: more than trajectories can wait
         self._withdrawn: deque[str] = deque(maxlen=100)
         graph.WITHDRAWN.subscription(node, self._on_withdrawn)
         # Trajectories that may wait: a later one replaces those before it anyway
         graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, depth=10)
 
     def too_old(self, message: JointTrajectory) -> str:
-        """Say why a trajectory is too old to move the arm; empty if it is not. A stop never is."""
+        """Say why a trajectory is too old to move the arm; empty if it is not.
+
+        A trajectory without points, which stops the arm, is never too old.
+        """
         return self._fresh.too_old(message.header.stamp) if message.points else ""
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
@@ -167,7 +185,7 @@ class Intake:
 
 
 class FollowServer:
-    """Serves goals. A new goal replaces the one before, as a new message does."""
+    """Serves goals of `follow_joint_trajectory`. A new goal replaces the present one."""
 
     def __init__(self, node: Node, site: Driver) -> None:
         self._node, self._site = node, site
@@ -177,7 +195,7 @@ class FollowServer:
         self._server = graph.FOLLOW.server(node, self._serve_goal)
 
     def on_event(self, event: int, name: str, why: str) -> None:
-        """Note what the driver publishes about a trajectory: an event of `Motion`."""
+        """Note an event of `Motion` that the driver publishes about the trajectory ``name``."""
         if name in self._told and event != Motion.ACCEPTED:
             self._told[name] = self._told[name] or (event, why)
 
@@ -229,7 +247,7 @@ class FollowServer:
         return result(error_code=result.SUCCESSFUL)
 
     async def _halt_motion(self, name: str) -> None:
-        """Stop smoothly, and wait until the arm is at rest or does not obey."""
+        """Stop smoothly, and wait until the arm is at rest or the driver reports another end."""
         if self._told[name] is None:
             self._told[f"{name} halt"] = None
             self._site.take(JointTrajectory(), f"{name} halt")
@@ -237,7 +255,10 @@ class FollowServer:
                 await self._ticks.next()
 
     def _find_violation(self, limits: Any, where: str) -> str:
-        """Say which joint is farther from its set-point than is allowed; empty if none is."""
+        """Say which joint is farther from its set-point than ``limits`` allow; empty if none.
+
+        ``where``: part of the motion, in words.
+        """
         wanted, readings = self._site.set_points, self._site.readings
         for limit in limits:
             if limit.name in wanted and limit.name in readings:
@@ -266,13 +287,13 @@ class FollowServer:
 
 
 def abort_goal(goal: Any, code: int, why: str) -> Any:
-    """Abort a FollowJointTrajectory goal; return its result with an error code of that action."""
+    """Abort a FollowJointTrajectory goal; return its result with an error code and the reason."""
     goal.abort()
     return graph.FOLLOW.type.Result(error_code=code, error_string=why)
 
 
 def _not_offered(asked: Any, names: Sequence[str]) -> str:
-    """Say which part of a goal a driver of joints ``names`` cannot do; empty if none."""
+    """Say which part of a goal a driver of the joints ``names`` does not support; empty if none."""
     if asked.multi_dof_trajectory.points:
         return "multi_dof_trajectory: joints of several degrees of freedom; allowed: none"
     for kind in ("path_tolerance", "goal_tolerance"):

@@ -1,4 +1,4 @@
-"""Parameters of a node: declared with description and range; unknown ones are refused."""
+"""Parameters of a node: declared with description and range; unknown names are refused."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Param:
     """One parameter of a node.
 
     Attributes:
-        default: its default; its type is the parameter's.
-        lower, upper: allowed range of a number, or of each of several.
+        default: default value; its type is the type of the parameter.
+        lower, upper: allowed range of a number, or of each number of a list.
         choices: allowed texts.
         live: whether it may be set while the node runs; all others are read-only.
     """
@@ -57,7 +57,7 @@ class Param:
 
     @property
     def is_bounded(self) -> bool:
-        """True where not every value of the type is allowed."""
+        """True if only some values of the type are allowed."""
         return bool(self.choices) or self.lower > -1e9 or self.upper < 1e9
 
     @property
@@ -74,7 +74,12 @@ class Param:
         return self.description + (f" ({self.allowed_values})" if self.is_bounded else "") + live
 
     def check(self, value: Any) -> Any:
-        """Return the value in the parameter's own type. Raises ValueError."""
+        """Return a value converted to the parameter's type.
+
+        Raises:
+            ValueError: the value is not allowed.
+            TypeError: the value is no list, or no number, where one is needed.
+        """
         if isinstance(self.default, float) and type(value) is int:
             value = float(value)
         if isinstance(self.default, list):
@@ -93,10 +98,14 @@ class Param:
 
 
 def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) -> dict[str, Any]:
-    """Declare a node's parameters, including those that it was given already; return values by
-    name.
+    """Declare and check a node's parameters; return their values by name.
 
-    ``sections``: prefixes of names that are checked elsewhere.
+    Args:
+        table: all parameters of the node.
+        sections: prefixes of given parameters that are checked elsewhere.
+
+    Raises:
+        InputError: a given parameter is unknown, or its value is not allowed.
     """
     known = {param.name: param for param in table}
     given = {k: v for k, v in given_parameters(node).items() if k.split(".")[0] not in sections}
@@ -113,7 +122,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
         values[name] = value
 
     def check_set(asked: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse, in words, what a parameter does not allow while the node runs."""
+        """Refuse values that a parameter does not allow, while the node runs."""
         for given in asked:  # others are of ROS, or of a section that is checked elsewhere
             if given.name in known:
                 param = known[given.name]
@@ -129,17 +138,17 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
 
 
 def _declare_again(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
-    """Declare a parameter with a description, even if it was declared from an override."""
+    """Declare a parameter with a description, even if ROS declared it from an override before."""
     if node.has_parameter(name):
         node.undeclare_parameter(name)
     node.declare_parameter(name, value, descriptor, ignore_override=True)
 
 
 def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
-    """Declare the given parameters below some prefixes, each with its description and range.
+    """Declare the given parameters whose first prefix is a section, with description and range.
 
     Returns:
-        Their values as nested dictionaries, not yet checked by the section's model.
+        The values as nested dictionaries, not yet checked by the section's model.
     """
     tree: dict[str, Any] = {}
     for name, value in given_parameters(node).items():
@@ -175,11 +184,11 @@ _LIMITS = (
     ("maximum", "to"),
     ("exclusiveMaximum", "below"),
 )
-"""Limits of a number in JSON Schema, in words."""
+"""Keywords of JSON Schema for limits of a number, and words for them."""
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
-    """Return the parameters given on the command line and in its files, without ROS's own."""
+    """Return the given parameters by name: of the command line and its files, without ROS's own."""
     names = node.list_parameters([], 0).names
     own = [name for name in names if name.split(".")[0] not in ROS_OWN]
     return {name: node.get_parameter(name).value for name in own}

@@ -1,4 +1,4 @@
-"""Weighs the payload by what the servos, or a wrist sensor, feel of it at rest."""
+"""Weighs the payload at rest, from the loads of the servos or the force at a wrist sensor."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PARAMS = (
 
 
 class Weigher:
-    """Weighs the payload once per move, after the driver has reported its end."""
+    """Weighs the payload once per move, after the driver has reported the move's end."""
 
     def __init__(self, state: ArmState) -> None:
         self._arm, self._state, p = state.arm, state, state.p
@@ -55,7 +55,7 @@ class Weigher:
             self._due = time.monotonic() + self._settle_s
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
-        """Weigh if it is due, and publish the result."""
+        """Queue the weighing if it is due; once a second, enter the result in the circumstances."""
         now = time.monotonic()
         standing = self._state.standing if now >= self._due else None
         if standing is not None:
@@ -63,7 +63,7 @@ class Weigher:
             self._state.worker.submit(
                 partial(self._weigh_rest, *standing, self._state.effort, self._wrist)
             )
-        if self._tells and now - self._last_s >= 1.0:  # as often as a payload is told
+        if self._tells and now - self._last_s >= 1.0:  # as often as a payload is published
             self._last_s = now
             self._tell_payload(now)
 
@@ -89,7 +89,7 @@ class Weigher:
         self._weighing = self._weighing.with_rest(rest)
 
     def _tell_payload(self, now: float) -> None:
-        """Publish the weighed payload, unless somebody else publishes one."""
+        """Enter the weighed payload in the circumstances, unless a payload is published."""
         found, readings = self._weighing.payload, self._state.readings
         if found is None or not found.tells(self._assumed_kg):
             return
@@ -122,7 +122,10 @@ class Weigher:
 
 
 def drives(servos: str, arm: Arm) -> Drives:
-    """Read how a driver's servos measure loads; NaN for joints of which this is not known."""
+    """Return how the servos measure loads, from servo_driver.yaml; NaN for joints without data.
+
+    ``servos``: path of the file; empty: NaN for all joints.
+    """
     config = ServoConfig.load(servos).joints if servos else {}
     friction, step = np.full((2, arm.n), np.nan)
     for k, name in enumerate(arm.joint_names):
