@@ -74,9 +74,9 @@ _DELIVERED_S = 60.0
 class Freshness:
     """A limit on the age of the orders that a node accepts.
 
-    The age of an order is known from its stamp and the node's clock. It is unknown without a stamp,
-    or in simulated time. Then the age is at most the time for which the node did not run, because
-    it was stopped or overloaded. A timer on the node's executor measures this time.
+    The age of an order follows from its stamp and the node's clock. Without a stamp, or in
+    simulated time, which may stand still, the order may have waited as long as the node did not run
+    (stopped or overloaded). A timer on the node's executor measures this time.
 
     Args:
         max_age_s: largest age, s.

@@ -1,4 +1,4 @@
-"""The learned error: computed from the file that `error_predictor` serves, or asked of it."""
+"""The learned error: computed from the file of `error_predictor`, or requested from this node."""
 
 from __future__ import annotations
 
@@ -25,29 +25,31 @@ Found = TypeVar("Found")
 
 
 class NoAnswer(JobError):  # noqa: N818
-    """No predictor answered in time, or it has no file loaded."""
+    """No predictor answered in time, it has no file, or it was trained for another method."""
 
 
 _SERVED_S = 5.0 * BEAT_S
-"""What was not told for so long need not be true any more, s: then `predict_error` is asked."""
+"""Age, s, up to which the last message about the served file counts; then `predict_error` is
+called."""
 _PROBE_S = 0.5, 4.0
-"""First and longest patience with a probe, s: it doubles, as a busy machine answers late."""
+"""First and longest wait for the answer to a probe, s. It doubles: a busy machine answers late."""
 
 
 class PredictorClient:
-    """Computes as `error_predictor` would, or calls `predict_error` in the thread of the caller.
+    """Computes the learned error here, or calls the service `predict_error`.
 
-    While `error_predictor` tells which file it serves, and this file can be read here, there is no
-    question to another process. Else a predictor *answers* once it has answered a question, until
-    a question is not answered in time or it leaves the graph. While it does not, `probe` asks for
-    it in the background, so that the very next target after its return is compensated with it.
+    While `error_predictor` publishes which file it uses, and this file can be read here, the error
+    is computed in this process. Otherwise the service is called in the thread of the caller. The
+    predictor then counts as answering from its first answer until it is late once or leaves the
+    graph. While it does not answer, `probe` sends requests in the background, so that the first
+    target after its return is compensated with it.
 
     Args:
-        timeout_s: without an answer within this time there is no predictor.
-        tell: called with every error (3,) m that is computed here, inside the domain.
+        timeout_s: longest wait for an answer, s.
+        tell: called with every error (3,), m, that is computed here inside the domain.
 
     Attributes:
-        file_hash: hash of the file of the predictor that answered last.
+        file_hash: SHA-256 of the file of the predictor that answered last.
     """
 
     def __init__(
@@ -67,30 +69,35 @@ class PredictorClient:
         self.file_hash = ""
 
     def on_served(self, message: String, sent: float) -> None:
-        """Read the file that `error_predictor` serves, if it is another one than before."""
+        """Process a message about the served file: read the file if it is another than before.
+
+        ``sent``: when the message was sent (monotonic s).
+        """
         if message.data != self._told:
             self._told, self._read = message.data, ServedPredictor.find(message.data, self._arm)
         self._told_s = sent
 
     @property
     def _served_now(self) -> ServedPredictor | None:
-        """The predictor that is served, if it is known here and now."""
+        """The served predictor, if its file was read here and the last message is recent."""
         return self._read if time.monotonic() - self._told_s <= _SERVED_S else None
 
     @property
     def answers(self) -> bool:
-        """True if the next question will be answered, by all that is known."""
+        """True if an answer to the next request is to be expected."""
         return self._answers or self._served_now is not None
 
     def compensate_with(
         self, method: Method, compensate: Callable[[Nearby | None], Found]
     ) -> tuple[Found, str, str]:
-        """Compensate with a predictor that answers; without, if none answers or the method needs
-        none.
+        """Compensate with the predictor, or without if none answers or the method needs none.
+
+        Args:
+            compensate: computes the compensation; gets the predictor, or None.
 
         Returns:
-            What was found; the `file_hash` of the predictor that was asked or ""; and the reason
-            why a predictor that the method needs was not used.
+            The compensation; the `file_hash` of the predictor used, or ""; and the reason why no
+            predictor was used though the method needs one, or "".
         """
         why = ""
         if method.uses_predictor and (self._served_now or self._caller.present):
@@ -104,13 +111,14 @@ class PredictorClient:
         return compensate(None), "", why
 
     def ask(self, q: np.ndarray, context: Context, *, deflection: bool = True) -> Expansion:
-        """Return the expected error at joints (n,) and its expansion around them, for one context.
+        """Return the expected error at joints (n,), rad and m, and its expansion around them.
 
         Args:
-            deflection: whether the physics that it is added to includes link deflection.
+            deflection: whether the physics to which the error is added includes link deflection.
 
         Raises:
-            NoAnswer: no predictor runs, it has no file, or it does not answer in time.
+            NoAnswer: no predictor runs, it has no file, it does not answer in time, or it was
+                trained with other physics.
         """
         known = [float(context.column(k, math.nan)) for k in ("temperature_c", "payload_kg")]
         if (served := self._served_now) is not None:
@@ -152,7 +160,7 @@ class PredictorClient:
         )
 
     def probe(self) -> None:
-        """Ask a predictor that does not answer whether it does now, without waiting."""
+        """Send a request to a predictor that did not answer so far; do not wait for the answer."""
         if not self._look_for_answer() or self.answers:
             return
         now = time.monotonic()
@@ -164,7 +172,7 @@ class PredictorClient:
             self._probe = self._caller.send(anywhere)
 
     def _look_for_answer(self) -> bool:
-        """Look for the answer to a probe, and return whether a predictor is on the graph."""
+        """Take the answer to a probe, if it has come; tell whether a predictor is on the graph."""
         if not self._caller.present:
             self._note_state(answers=False, silent=False)
             return False
@@ -178,7 +186,10 @@ class PredictorClient:
 
 
 def _check_physics(beside_deflection: bool, deflection: bool) -> None:
-    """Raise `NoAnswer` where a predictor learned what another physics leaves."""
+    """Raise `NoAnswer` if the predictor was trained with other physics.
+
+    Both arguments tell whether the physics includes link deflection: in training, and now.
+    """
     if beside_deflection != deflection:
         fits = Method.BOTH if beside_deflection else Method.NETWORK
         raise NoAnswer(f"its predictor was trained for method {fits.value!r}")

@@ -1,4 +1,4 @@
-"""The action `reach`: takes a target, gives feedback on the way, and tells where the tip rests."""
+"""The action `reach`: moves the tip to a target, gives feedback, and reports where it rests."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ class ReachServer:
         self._look_s, self._period_s = state.p["reach.look_s"], state.p["reach.feedback_s"]
         self._turns: deque[object] = deque()
         self._ticks = Ticks(node, self._period_s)
-        self._told: dict[str, Motion] = {}  # by trajectory, since the goal at hand was begun
+        self._told: dict[str, Motion] = {}  # by trajectory id, since the present goal began
         self._server = graph.REACH.server(node, self._serve_goal)
 
     def on_motion(self, motion: Motion) -> None:
-        """Note what the driver publishes about a trajectory; may be called from any thread."""
+        """Note a message of the driver about a trajectory; may be called from any thread."""
         if self._turns and motion.event != Motion.ACCEPTED:
             self._told.setdefault(motion.id, motion)
 
     @property
     def _no_driver(self) -> str:
-        """The reason why no driver will report the end of a move; empty where one does."""
+        """The reason why no driver will report the end of a move; empty if one will."""
         if not self._state.driver.acknowledged:
             return "the driver does not report what is reached: acknowledged is false"
         return self._state.driver.refusal
@@ -67,7 +67,7 @@ class ReachServer:
                     return _make_unseen("cancelled before it began")
                 self._give_feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
-            if fresh:  # waiting for its turn, of which the client is told, makes it no older
+            if fresh:  # waiting for other goals, which the feedback reports, makes it no older
                 target = replace(target, sent_s=time.monotonic())
             return await self._reach_target(goal, target)
         finally:
@@ -104,14 +104,17 @@ class ReachServer:
     async def _follow_move(
         self, goal: Any, name: str, command: np.ndarray, result: Reach.Result
     ) -> bool:
-        """Wait until the driver reports the end of the move; return whether it was reached."""
+        """Wait until the driver reports the end of the move; tell whether the target was reached.
+
+        If not, the goal is ended as cancelled or aborted.
+        """
         halted = False
         while (motion := self._told.get(name)) is None and not self._no_driver:
             if goal.is_cancel_requested and not halted:
                 halted, name = True, self._targets.halt()
             self._give_feedback(goal, Reach.Feedback.MOVING, command)
             await self._ticks.next()
-        # Where the joints are: by the driver's word, else by the last of their readings
+        # The joints as the driver reports them with the end, else their last readings
         if motion is not None and motion.joints.name:
             result.reached = motion.joints
         elif (q := self._state.joints) is not None:
@@ -129,7 +132,10 @@ class ReachServer:
     async def _look_for_tip(
         self, goal: Any, command: np.ndarray, before: Sighted | None, result: Reach.Result
     ) -> None:
-        """Wait until the tip is seen at rest, if anything measures it."""
+        """Wait until the tip is seen at rest, and enter tip and miss in the result.
+
+        Without a publisher of `tip_measured` there is no wait.
+        """
         node = self._state.node
         seen_by = node.count_publishers(node.resolve_topic_name(graph.TIP_MEASURED.name))
         if seen_by and self._monitor.unplaced:
@@ -159,7 +165,7 @@ class ReachServer:
 
 
 def _make_unseen(message: str, status: int = 0) -> Reach.Result:
-    """Make a result without a sighting: tip and miss are NaN."""
+    """Make the result of a goal without a sighting: tip and miss are NaN."""
     result = Reach.Result(message=message, status=status, miss=vector_message([math.nan] * 3))
     result.tip.x = result.tip.y = result.tip.z = math.nan
     return result

@@ -1,4 +1,4 @@
-"""The predictor that `error_predictor` serves: whoever reads the same file answers the same."""
+"""The predictor of `error_predictor`: other nodes that read the same file compute the same."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import load
 
 BEAT_S = 0.2
-"""Interval at which `error_predictor` tells which file it serves, s."""
+"""Interval at which `error_predictor` publishes which file it uses, s."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,13 @@ class ServedPredictor:
 
     @classmethod
     def read(cls, path: str, arm: Arm, model_hash: str | None = None) -> ServedPredictor:
-        """Read a file that is not changed meanwhile; it must belong to the arm and the model."""
+        """Read a predictor file; read it again if it changes meanwhile.
+
+        ``model_hash``: SHA-256 of the model with which it must have been trained.
+
+        Raises:
+            InputError: the file cannot be read, or belongs to another arm or model.
+        """
         digest, model = "", f"the model in use: {(model_hash or 'none')[:12]}"
         load_of_arm = partial(load, path, arm_hash=arm.hash, joint_names=arm.joint_names)
         try:
@@ -42,7 +48,10 @@ class ServedPredictor:
 
     @classmethod
     def find(cls, told: str, arm: Arm) -> ServedPredictor | None:
-        """Read the file that `describe` told of; None where it is not here, or needs torch."""
+        """Read the file that ``told``, a result of `describe`, names.
+
+        None if the file cannot be read here, has another hash, or needs torch (no ``.npz``).
+        """
         digest, _, path = told.partition(" ")
         if Path(path).suffix != ".npz":
             return None
@@ -53,7 +62,7 @@ class ServedPredictor:
         return found if found.file_hash == digest else None
 
     def describe(self, path: str) -> str:
-        """Tell other nodes which file it is."""
+        """Return hash and absolute path of the predictor's file, for other nodes (`find`)."""
         return f"{self.file_hash} {Path(path).absolute()}"
 
     @property
@@ -63,7 +72,10 @@ class ServedPredictor:
     def expand(
         self, q: np.ndarray, sides: tuple[float, ...], temperature_c: float, payload_kg: float
     ) -> Expansion:
-        """Predict at joints (n,) that arrive from sides (n,); circumstances: NaN if not known."""
+        """Predict the error at joints (n,), rad and m, that arrive from sides (n,): -1, 0 or +1.
+
+        Unknown circumstances are NaN. All three axes get the largest sigma.
+        """
         columns = {"temperature_c": temperature_c, "payload_kg": payload_kg}
         found = self.predictor.expand(q, Context(sides, columns))
         return replace(found, sigma=np.full(3, found.sigma.max()))

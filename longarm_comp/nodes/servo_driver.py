@@ -1,9 +1,10 @@
 """`servo_driver` (lifecycle): sends joint trajectories to a servo bus, publishes joint states.
 
-When configured, the port is open and the servos are read. When active, their torque is on. It is
-switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process. A stop
-or hold outlasts the process (`StopLatch`): while it stands, no torque is switched on, and no
-trajectory is taken, in any state.
+When configured, the port is open and the servos are read. When active, their torque is on. Torque
+is switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process, but
+it stays on if the process ends because its terminal or supervisor is gone. An emergency stop or a
+hold outlasts the process (`StopLatch`): while it is in force, the driver switches no torque on and
+accepts no trajectory, in any state.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
 
 
 _BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
-"""Events after which the joints are not where they were sent."""
+"""Events that break off a motion: the joints are not where they were sent."""
 
 _FAILED = TransitionCallbackReturn.FAILURE
 
@@ -82,9 +83,9 @@ Change = Callable[[ChangeState.Request, ChangeState.Response], Any]
 
 
 def reporting_faults(transition: Transition) -> Transition:
-    """Wrap a transition so that it reports an exception.
+    """Wrap a lifecycle transition so that an exception in it is reported.
 
-    rclpy drops the exception, and the driver would wait for ever for a reason that nobody sees.
+    rclpy drops the exception: the driver would stay in its state without any visible reason.
     """
 
     @wraps(transition)
@@ -100,9 +101,9 @@ def reporting_faults(transition: Transition) -> Transition:
 
 
 def _refuse_missing(change: Change) -> Change:
-    """Wrap a service so that it refuses a transition that the state does not have.
+    """Wrap the service of transitions so that one not possible in the present state is refused.
 
-    rclpy raises there and answers nothing, so the client would wait for ever.
+    rclpy raises an exception there and sends no response, so the client would wait for ever.
     """
 
     @wraps(change)
@@ -142,7 +143,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
         self._stops = Stops(self, self, p["state"], p["arm"], self._config, fresh)
         self._timer = steady_timer(self, self._period_s, self._run_cycle)
-        # Pause between two messages of the state, s. It is also told when it changes
+        # Pause between two messages of the state, s. It is also published when it changes
         steady_timer(self, 0.5, self._tell_state)
         self.health.parts |= {"servo bus": self._bus_report, "arm": self._arm_report}
         self._start_up()
@@ -151,7 +152,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def close(self) -> bool:
         if self.abandoned and (arm := self.arm) is not None and not arm.owing_off:
-            # The torque stays as it is: a heavy arm must not fall by itself
+            # The torque stays as it is: a heavy arm must not fall without a command
             arm.follower.break_off(EventKind.HELD, "its supervisor is gone: it stays where it is")
             end = time.monotonic() + 2.0 * self._config.follower.blend_s + 1.0
             while self.following and time.monotonic() < end:
@@ -167,7 +168,11 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().close()
 
     def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
-        """Check the servos against the arm; return how moves are kept out of boxes and shaped."""
+        """Check the servos against arm.yaml; return the checks of moves and their shaping.
+
+        The first value refuses moves into keep-out boxes; the second splits moves against ringing.
+        Either is None if the parameters do not ask for it.
+        """
         file, names = p["arm"], list(self._config.joints)
         if not file:
             if p["shaping"]:
@@ -200,13 +205,13 @@ class _ServoDriver(ArmNode, LifecycleNode):
         for said in self.arm.said:
             self.get_logger().info(said)
         self.fault = ""
-        self._stops.owe_off(False)  # the arm owes it now
+        self._stops.owe_off(False)  # from now on `self.arm` switches the torque off
         self._stops.let_go()
         return super().on_configure(state)
 
     @reporting_faults
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Switch torque on, unless a stop stands; the arm holds its present position."""
+        """Switch torque on unless a stop is in force; the arm holds its present position."""
         try:
             if not self._stops.standing:
                 self._known_arm.power(True)
@@ -305,22 +310,22 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def readings(self) -> Mapping[str, ServoReading]:
-        """The last read-back by joint; empty where a servo was silent."""
+        """The last read-back by joint; empty if a servo was silent, or before the first."""
         return self._last.joints if self._last is not None else {}
 
     @property
     def set_points(self) -> Mapping[str, float]:
-        """The place where each joint should be now, rad or m; empty while none is driven."""
+        """The position where each joint should be now, rad or m; empty while none is driven."""
         return self.arm.follower.set_points if self.arm is not None else {}
 
     @property
     def following(self) -> str:
-        """Id of the trajectory that is being followed; empty while none is."""
+        """Id of the trajectory that is being followed; empty if none is."""
         moving = self.arm is not None and self.arm.follower.state is FollowerState.TRACKING
         return self._motion if moving else ""
 
     def take(self, message: JointTrajectory, name: str) -> None:
-        """Check and follow a trajectory; its progress is published under its id ``name``."""
+        """Check a trajectory and follow it; its events are published under its id ``name``."""
         if self._stops.standing:
             self.refuse(name, self._stops.standing)
             return
@@ -374,7 +379,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def state(self) -> tuple[int, str]:
-        """The state as in `DriverState`, and the reason."""
+        """The state, a constant of `DriverState`, and the reason."""
         unready = "" if self.arm else self.fault or self._waiting or "not configured"
         follower = self.arm.follower.state if self.arm else None
         held, owed, (stopped, why) = self._stops.standing, self._stops.owed, self._stops.state

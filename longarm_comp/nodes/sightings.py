@@ -1,7 +1,8 @@
-"""Sightings of the tip, and the arm's base: the only module that converts between their frames.
+"""Converts sightings of the tip from the tracker's frame to the arm's base.
 
-A tracker may stand anywhere. Once a model knows where its frame lies, sightings are published in
-the base on `tip_seen`, and tf gets its frame, so that targets may be given in it.
+A tracker may stand anywhere. Once a model knows the pose of the tracker's frame, sightings are
+published in the base frame on `tip_seen`. The tracker's frame is also published on tf, so that
+targets may be given in it. No other module converts between these frames.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ from longarm_comp.nodes.messages import express_sighting
 
 
 class TipSightings:
-    """Receives the sightings on `tip_measured`, and publishes where their frame lies.
+    """Receives the sightings on `tip_measured`, and publishes the pose of their frame.
 
     Attributes:
-        unplaced: why they are not compared, where the place of their frame is not known.
+        unplaced: why sightings are not compared with predictions: the pose of their frame is not
+            known. Empty if it is known.
     """
 
     def __init__(self, state: ArmState, frames: FrameListener, drawn: ArmFrames) -> None:
@@ -36,7 +38,7 @@ class TipSightings:
         self.tell()
 
     def tell(self) -> None:
-        """Publish where the measurements' frame lies, if a model knows it and it has changed."""
+        """Publish the pose of the measurements' frame, if the model knows it and it is new."""
         stands = self._state.files.loaded.stands
         if stands is self._told or not stands.solved:
             return
@@ -49,7 +51,7 @@ class TipSightings:
 
     @property
     def _is_unknown(self) -> bool:
-        """True where tf does not know where the sightings' frame lies."""
+        """True if tf does not know the pose of the sightings' frame."""
         try:
             self._frames.place(self._seen_in, self._state.base_frame, 0)
         except UnknownPlace:
@@ -62,8 +64,8 @@ class TipSightings:
         """Publish a sighting on `tip_seen`.
 
         Returns:
-            The sighting as published, in the base, or unchanged where its place is unknown; and the
-            sighting in the frame of the model, or None.
+            The sighting as published: in the base frame, or unchanged if the pose of its own frame
+            is unknown. Then the sighting in the frame of the model, or None if this is unknown.
         """
         frame, base = message.header.frame_id.lstrip("/"), self._state.base_frame
         if frame not in (self._seen_in, self._measured, *self._own):

@@ -1,6 +1,7 @@
-"""`simulated_arm`: the simulated plant as a process, so that the four real nodes run unchanged.
+"""`simulated_arm`: simulates arm, servos and cameras, so that the real nodes run unchanged.
 
-It offers a servo bus on a pseudo-terminal and publishes images of two cameras and the temperature.
+It offers a servo bus on a pseudo-terminal. It publishes the images of two cameras, temperature and
+payload.
 """
 
 from __future__ import annotations
@@ -75,13 +76,17 @@ PARAMS = (
 
 
 def sizes(text: str) -> dict[str, float]:
-    """Read effects and sizes, mm, from ``name=mm name=mm``."""
+    """Read the sizes of hidden effects, mm, by name, from ``name=mm name=mm``."""
     found = numbers("hidden", text, 1, "name=mm, for instance backlash=2.0")
     return {name: size for name, (size,) in found.items()}
 
 
 def numbers(field: str, text: str, count: int, allowed: str) -> dict[str, list[float]]:
-    """Read `count` numbers by name from ``name=number,number name=...``."""
+    """Read ``count`` numbers for each name from ``name=number,number name=...``.
+
+    Raises:
+        InputError: another number of numbers; ``field`` and ``allowed`` are for its message.
+    """
     by_name = {}
     for part in text.split():
         name, _, said = part.partition("=")
@@ -95,7 +100,7 @@ def numbers(field: str, text: str, count: int, allowed: str) -> dict[str, list[f
 
 
 def _check_names(field: str, text: str, known: Iterable[str]) -> list[str]:
-    """Return the words of a text; each must be known."""
+    """Return the words of a text; raise InputError if one is not ``known``."""
     for word in text.split():
         if word not in known:
             raise InputError("parameters of simulated_arm", field, word, ", ".join(known))
@@ -103,9 +108,9 @@ def _check_names(field: str, text: str, known: Iterable[str]) -> list[str]:
 
 
 class _SimulatedArm(ArmNode):
-    """The node, which renders images on a thread.
+    """The node. It renders images on a worker thread.
 
-    A frame is skipped while the last one is being rendered.
+    A pair of images is skipped while an earlier one waits to be rendered.
     """
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
@@ -209,9 +214,9 @@ class _SimulatedArm(ArmNode):
             self._late += 1
 
     def _publish_frame(self) -> None:
-        """Render and publish both images, if anybody subscribes, on the worker's thread.
+        """Publish true tip and camera calibrations; also both images if they have a subscriber.
 
-        Both carry the same time.
+        All have the same time stamp. Runs on the worker's thread.
         """
         ns = self.get_clock().now().nanoseconds
         t_s = self._t_s
@@ -231,7 +236,7 @@ class _SimulatedArm(ArmNode):
         self._frames += 1
 
     def _spoil_reply(self) -> None:
-        """Make the next reply of one servo get lost, damaged or cut."""
+        """Let the next reply of a random servo be lost, damaged or cut short."""
         faults = self._plant.emulator.faults
         ways = (faults.drops, faults.corrupt, faults.cuts)
         servos = [joint.servo_id for joint in self._plant.config.servos.joints]
