@@ -15,15 +15,23 @@ from longarm_comp.math.shaper import Shaper
 
 _WHERE = "joint trajectory"
 _MOST_POINTS = 1000
-"""Points after time 0 at most: the driver does nothing else while it takes them, 25 us each."""
+"""Most points after time 0: while the driver processes them, 25 us each, it does nothing else."""
 
 
 def check_trajectory(
     trajectory: JointTrajectory, config: ServoConfig, start: Array
 ) -> tuple[Array, Array, Array | None]:
-    """Check way-points: times (k,) s, positions and perhaps velocities (k, n), one at least.
+    """Check a trajectory of at least one point and return its way-points for all n joints.
 
-    They are in the order of ``config``; joints not named stay at ``start`` (n,).
+    Args:
+        start: (n,) rad and m: where joints stay that the trajectory does not name.
+
+    Returns:
+        Times (k,), s; positions (k, n), rad and m; and velocities (k, n), or None if it has none.
+        Joints are in the order of ``config``.
+
+    Raises:
+        InputError: naming the field that is not allowed.
     """
     if len(trajectory.points) > _MOST_POINTS + (trajectory.points[0].time_from_start_s == 0.0):
         found = f"{len(trajectory.points)} points"
@@ -75,7 +83,7 @@ def _check_rows(trajectory: JointTrajectory, field: str) -> Array:
 
 @dataclass(frozen=True)
 class TrajectoryPoint:
-    """One way-point: seconds from the start, positions (rad, m) and perhaps velocities."""
+    """One way-point: time from the start, s, positions (rad, m) and optionally velocities."""
 
     time_from_start_s: float
     positions: tuple[float, ...]
@@ -92,21 +100,21 @@ class JointTrajectory:
 
 @dataclass(frozen=True)
 class TakenOver:
-    """A path taken up in the middle of a motion: at first it is blended with braking.
+    """A path that begins during another motion: first, braking of this motion is blended with it.
 
-    Both lie within the joint box, so their blend does; position and velocity are continuous.
+    Both are within the joint limits, so the blend is too. Position and velocity are continuous.
     """
 
-    path: CubicPath  # what is followed after the blend
+    path: CubicPath  # the path that is followed alone after the blend
     start: Array
-    """start, speed: (n,) set-point and its velocity at the take-over; rad or m, and a second."""
+    """start, speed: (n,) set-point (rad, m) and its velocity (rad/s, m/s) at the take-over."""
     speed: Array
     blend_s: float  # duration of the blend, s
-    lower: Array  # lower, upper: (n,) the joint box
+    lower: Array  # lower, upper: (n,) joint limits, rad and m
     upper: Array
 
     def at(self, time_s: npt.ArrayLike) -> Array:
-        """Return positions (..., n) at times (...), s, after the take-over."""
+        """Return positions (..., n), rad and m, at times (...), s, after the take-over."""
         t = np.asarray(time_s, float)[..., None]
         u = np.clip(t / self.blend_s, 0.0, 1.0)
         brake = np.clip(self.start + self.speed * t * (1.0 - 0.5 * u), self.lower, self.upper)
@@ -116,26 +124,26 @@ class TakenOver:
 
     @property
     def duration(self) -> float:
-        """The time that it takes, s."""
+        """Duration of the path, s."""
         return self.path.duration
 
     @property
     def looked_at(self) -> Array:
-        """(N,) s, sorted, from 0 on: joints move straight from one to the next."""
+        """Times (N,), s, sorted, from 0 on, between which the joints move nearly straight."""
         blend = np.linspace(0.0, self.blend_s, 16 + 1)
         return np.sort(np.concatenate((blend, self.path.chords(STRAIGHT))))
 
     def postures(self) -> Array:
-        """Return joints (N, n) on the way."""
+        """Return joints (N, n) along the path, at the times `looked_at`."""
         return self.at(self.looked_at)
 
 
 @dataclass(frozen=True)
 class InParts:
-    """A path from rest, sent in parts so that the arm does not ring at its end.
+    """A path from rest that is sent in delayed parts, so that the arm does not ring at its end.
 
-    The joints are at a mean of where the parts have them: inside the joint box and the limits of
-    velocity, and on the path where it is straight.
+    The position is a weighted mean of the parts. So it is within the limits of joints and velocity,
+    and on the path where this is straight.
     """
 
     way: TakenOver
@@ -147,17 +155,17 @@ class InParts:
 
     @property
     def duration(self) -> float:
-        """The time that it takes, s."""
+        """Duration of the shaped path, s."""
         return self.way.duration + self.shaper.duration
 
     def at(self, time_s: npt.ArrayLike) -> Array:
-        """Return positions (..., n) at times (...), s."""
+        """Return positions (..., n), rad and m, at times (...), s, after the start."""
         times = np.asarray(time_s, float)
         shaped = self.shaper.shape_motion(self.way.at, self.way.duration)
         return shaped(times.ravel()).reshape(*times.shape, -1)
 
     def postures(self) -> Array:
-        """Return joints (N, n) on the way, for every part those at which the path is looked at."""
+        """Return joints (N, n) along the path, at the times `looked_at` of every part."""
         begins, ends = self.shaper.begins, self.shaper.ends
         paces = 1.0 + (ends - begins) / self.way.duration
         return self.at(np.unique(np.outer(self.way.looked_at, paces) + begins))
@@ -165,21 +173,22 @@ class InParts:
 
 @dataclass
 class Turn:
-    """The end of a run-up: a move's time stops there until the joints that turn have come.
+    """The end of a run-up, where some joints reverse.
 
-    However late a cycle is, they rest there on the way.  A joint that does not come is waited for
-    for a limited time.
+    The time along the move stops there until these joints have arrived, at most for `patience_s`.
+    No step skips this point, however late a cycle is.
     """
 
-    time_s: float  # on the way
-    joints: Array  # (n,) bool: those that turn
+    time_s: float  # time of the point along the move, s
+    joints: Array  # (n,) bool: the joints that reverse there
     patience_s: float  # longest wait, s
-    waited_s: float = 0.0
+    waited_s: float = 0.0  # time waited so far, s
 
     def time_after(self, time_s: float, dt: float, have_come: Callable[[], bool]) -> float:
-        """Return the time on the way (s) a step of ``dt`` (s) after ``time_s``.
+        """Return the time along the move, s, after a step of ``dt``, s, from ``time_s``.
 
-        ``have_come`` says, asked at the turn only, whether the joints that turn are there.
+        ``have_come``: called only at the end of the run-up; tells whether the joints that reverse
+        have arrived.
         """
         if time_s > self.time_s or time_s + dt < self.time_s:
             return time_s + dt
@@ -195,13 +204,16 @@ def plan_path(
 ) -> CubicPath:
     """Plan from rest at ``start`` through the way-points to rest, within the velocity limits.
 
-    Segments whose mean velocity is too high are lengthened, then all by one factor until the peak
-    velocity is allowed. A first point at time 0 away from ``start`` is reached at the velocity
-    limit. Without given velocities the slopes are `monotone_slopes`.
+    Segments whose mean velocity is too high are lengthened. Then all segments are lengthened by one
+    factor until the peak velocity is allowed. If the first point is at time 0 but not at ``start``,
+    a segment at the velocity limit leads there.
 
     Args:
-        start: (n,). times: (k,) s, increasing, from 0 or later. positions, velocities: (k, n).
-        max_velocity: (n,).
+        start: (n,) rad and m.
+        times: (k,) s, increasing, from 0 or later.
+        positions: (k, n) rad and m.
+        velocities: (k, n) rad/s and m/s at the way-points; None: `monotone_slopes`.
+        max_velocity: (n,) rad/s and m/s.
     """
     away = float(np.max(np.abs(positions[0] - start) / max_velocity))
     points, requested = positions, np.diff(times)

@@ -1,4 +1,4 @@
-"""Checks whether a servo's memory lets it be commanded: what registers must be, and why."""
+"""Checks of the registers in a servo's memory, before the servo is commanded."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ _CURE = "set it with the maker's tool"
 
 
 def check_memory(name: str, joint: JointConfig, kept: ServoMemory) -> None:
-    """Refuse registers with which a goal or a speed means something else, or is not taken.
+    """Check the registers that decide how the servo understands goals and speeds.
 
     Raises:
-        JobError: naming the register, its value and what is allowed.
+        JobError: naming a register with which commands would be misunderstood or limited, its
+            value, and the allowed values.
     """
     for register in kept.registers:
         if register.allowed and kept.values[register.name] not in register.allowed:
@@ -37,7 +38,11 @@ def check_memory(name: str, joint: JointConfig, kept: ServoMemory) -> None:
 
 
 def check_placed(name: str, joint: JointConfig, kept: ServoMemory) -> None:
-    """Refuse a servo whose positions mean something else than when ``zero_ticks`` was measured."""
+    """Check that the registers that decide the meaning of positions have not changed.
+
+    Raises:
+        JobError: a register differs from its value when ``zero_ticks`` was measured.
+    """
     for register in kept.registers:
         wanted = joint.stored.get(register.name, register.factory)
         if register.places and kept.values[register.name] != wanted:
@@ -49,7 +54,11 @@ def check_placed(name: str, joint: JointConfig, kept: ServoMemory) -> None:
 
 
 def check_reach(name: str, joint: JointConfig, kept: ServoMemory) -> None:
-    """Refuse limits of a joint that its servo does not let it reach."""
+    """Check that the servo's own limits let the joint reach its configured limits.
+
+    Raises:
+        JobError: they do not.
+    """
     low, high = joint.goal_range
     if kept.goals is not None and not joint.multi_turn:
         low, high = max(low, kept.goals[0]), min(high, kept.goals[1])
@@ -65,7 +74,7 @@ def check_reach(name: str, joint: JointConfig, kept: ServoMemory) -> None:
 
 
 def _is_narrower(joint: JointConfig, kept: ServoMemory) -> bool:
-    """Return whether the servo's own limits leave less than one turn."""
+    """Tell whether the servo's own goal limits are narrower than one turn."""
     low, high = joint.servo.single_turn
     return kept.goals is not None and (kept.goals[0] > low or kept.goals[1] < high)
 

@@ -1,8 +1,9 @@
 """Configuration of the servos and the joints they drive, read from YAML and checked.
 
-``bus``: the port; ``joints``: one entry a joint, in the order of the arm; ``follower``: limits of
-the trajectory follower. Joint values are rad (revolute) or m (prismatic), all else as the key says.
-A ROS parameter file with these keys under ``ros__parameters`` is read as well.
+Keys are ``bus`` (the port), ``joints`` (one entry per joint, in the order of the arm) and
+``follower`` (limits of the trajectory follower). Joint values are in rad (revolute) or m
+(prismatic); other units are in the names of the keys. A ROS parameter file with these keys under
+``ros__parameters`` can be read too.
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ class BusConfig(ServoSettings):
 
 
 class FollowerConfig(ServoSettings):
-    """Limits that hold for every joint; ticks are the servo's own, half a turn at most.
+    """Limits for every joint. Ticks are encoder ticks of the servo, at most half a turn.
 
-    Times that guard against a fault are of the order of the harm, seconds at most: in ms they would
-    guard against nothing.
+    All times are in s. Their upper bounds are a few seconds, so that a value given in ms by mistake
+    is refused.
     """
 
     blend_s: Positive = Field(
@@ -124,7 +125,7 @@ class ServoConfig(ServoSettings):
                 raise Misdeclared(
                     f"{where}.upper", joint.upper, "at least one encoder tick above lower"
                 )
-        # Beyond half a turn a servo that stands still, or lost a turn, passes for one that follows
+        # With limits beyond half a turn, a servo that stands still or lost a turn would pass
         half = min(joint.servo.ticks_per_turn for joint in self.joints.values()) / 2
         for field, value in self.follower:
             if field.endswith("_ticks") and value > half:
@@ -138,7 +139,7 @@ class ServoConfig(ServoSettings):
 
     @property
     def ids(self) -> dict[str, int]:
-        """Servo id of each joint, in order."""
+        """Servo id by joint name, in the order of the file."""
         return {name: joint.servo_id for name, joint in self.joints.items()}
 
     def open_bus(self) -> SerialServoBus:
@@ -157,7 +158,7 @@ class ServoConfig(ServoSettings):
     def parse(cls, data: Any, where: str) -> ServoConfig:
         """Check nested mappings; ``where`` names the source. Raises InputError naming the field.
 
-        Of a ROS parameter file, parameters that are checked elsewhere are left out.
+        In the content of a ROS parameter file, all other parameters are ignored.
         """
         if isinstance(data, Mapping) and len(data) == 1:
             (node,) = data.values()

@@ -1,4 +1,4 @@
-"""`stereo_bridge`: turns left and right images into the tip in the base frame, with covariance."""
+"""`stereo_bridge`: measures the tip, with covariance, in left and right images (base frame)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _TRANSPORTS = {
 }
 
 MARKER_LOST = "marker lost: "
-"""What the report of the part `stereo` begins with while no tip is measured."""
+"""The beginning of the report of the part `stereo` while no tip is measured."""
 
 
 PARAMS = (
@@ -73,13 +73,13 @@ PARAMS = (
 
 
 _ENOUGH = 10
-"""Sightings from which on their mean size counts."""
+"""Number of sightings from which the mean of the marker's seen size is judged."""
 
 
 class _StereoBridge(ArmNode):
-    """The node that measures pairs of images, on a worker thread.
+    """The node. It measures pairs of images on a worker thread.
 
-    A pair that arrives during a measurement is dropped.
+    Two pairs may wait for a measurement; a further one is dropped.
     """
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
@@ -104,7 +104,7 @@ class _StereoBridge(ArmNode):
             self._files = {s: read_camera(Path(folder) / f"{s.name.lower()}.yaml") for s in Side}
         self._eye: StereoEye | None = None
         self._sightings = 0
-        self._sizes: deque[float] = deque(maxlen=50)  # seen in declared size, of the last ones
+        self._sizes: deque[float] = deque(maxlen=50)  # seen size / declared size, last sightings
         self._last = "no pair of images yet"
         self._lost = True
         if self._files:
@@ -123,7 +123,7 @@ class _StereoBridge(ArmNode):
             for side, topic in zip(Side, topics, strict=True)
         }
         for inlet in self._inlets.values():
-            # Pause between two looks at who publishes images
+            # Interval, s, at which the publishers' reliability is checked
             steady_timer(self, 0.5, inlet.adapt)
         for side, topic in zip(Side, (graph.LEFT_INFO, graph.RIGHT_INFO), strict=True):
             topic.subscription(self, partial(self._on_info, side))
@@ -144,7 +144,7 @@ class _StereoBridge(ArmNode):
             self._refuse_pair(error, None)
 
     def _use_calibration(self, cameras: Mapping[Side, Calibration]) -> None:
-        """Use this calibration from now on.
+        """Use this calibration from now on, and publish the cameras' frames.
 
         Raises:
             StereoRefusal, InputError: the calibration cannot be used.
@@ -153,7 +153,7 @@ class _StereoBridge(ArmNode):
             cameras[Side.LEFT], cameras[Side.RIGHT], rectified=self._rectified
         )
         self._eye = StereoEye(rig, self._target, self._hand_eye, self._tip_in_marker, self._limits)
-        # Say where the cameras are, by the names that they give their frames
+        # Publish the cameras' poses, under the frame names in their camera_info
         told = {side: info.header.frame_id for side, info in self._infos.items()}
         names = [told.get(s) or f"{self._prefix}{s.name.lower()}_optical" for s in Side]
         placed = zip(names, self._eye.cameras, strict=True)
@@ -226,7 +226,7 @@ class _StereoBridge(ArmNode):
 
     @property
     def _size(self) -> float:
-        """The marker's seen size, in its declared one: the mean of the last sightings."""
+        """Seen / declared size of the marker, mean of the last sightings; 1 before the first."""
         return float(np.mean(self._sizes)) if self._sizes else 1.0
 
 

@@ -33,7 +33,7 @@ _ENDS: dict[graph.Service, tuple[frozenset[Stop], frozenset[FollowerState]]] = {
     graph.HOLD: (frozenset({Stop.HOLD}), frozenset()),
     graph.RESET: (frozenset(Stop), frozenset({FollowerState.ESTOP, FollowerState.FAULT})),
 }
-"""Which stops, and which states of the arm, an end by each service ends."""
+"""By service: the stops that a request to go on ends, and the states of the arm that it ends."""
 
 
 class Stoppable(Protocol):
@@ -48,9 +48,15 @@ class Stoppable(Protocol):
 
 
 class Stops:
-    """Stops the arm and lets it go on. A stop also stands for the driver's next process.
+    """Stops the arm and lets it go on. A stop also remains in force for the driver's next process.
 
-    While one stands the driver switches no torque on and takes no trajectory.
+    While a stop is in force, the driver switches no torque on and accepts no trajectory.
+
+    Args:
+        site: the driver.
+        folder: folder that keeps stops, an absolute path; empty: the user's.
+        arm: path of arm.yaml; empty if not known.
+        fresh: the limit on the age of requests that end a stop.
     """
 
     def __init__(
@@ -63,24 +69,25 @@ class Stops:
         fresh: Freshness,
     ) -> None:
         kept = Path(folder) if folder else state_folder()
-        if not kept.is_absolute():  # another working folder would not know of a stop
+        if not kept.is_absolute():  # from another working folder a stop would not be found
             raise InputError(where(node), "state", folder, "an absolute path")
         self._site, self._servos = site, servos
         self._was_on = False  # the torque, when the emergency stop was asked for
         self._latch = StopLatch(kept, node.get_namespace(), arm, servos.bus.port)
         if self.standing:
             node.get_logger().warning(self._latch.words)
-        self._owed = self.estop  # torque off, while there is no `ServoArm` that owes it
+        self._owed = self.estop  # torque must still go off, while there is no `ServoArm` to do it
         steady_timer(node, 0.5, self._try_again)
         self._fresh, self._stopped = fresh, -math.inf  # when a stop was last answered
         Together(node, (graph.ESTOP, graph.HOLD, graph.RESET), self.serve)
 
     def serve(self, waiting: Sequence[Asked]) -> None:
-        """Answer requests that waited together: stops first.
+        """Answer all waiting requests, those to stop first.
 
-        A stop that came after an end was asked stands: who asked did not know of it.
+        A request to go on is then refused if it was sent before a stop: its sender did not know of
+        the stop.
         """
-        with ExitStack() as answers:  # whatever one of them raises; the last that is put first
+        with ExitStack() as answers:  # runs all, last in first out, even if one raises
             for asked in sorted(waiting, key=_is_end, reverse=True):
                 answers.callback(self._answer, asked)
 
@@ -112,28 +119,31 @@ class Stops:
 
     @property
     def standing(self) -> str:
-        """The reason why the arm is stopped or held; empty where it is not."""
+        """The reason why the arm is stopped or held; empty if it is not."""
         return self._latch.words
 
     @property
     def estop(self) -> bool:
-        """True while an emergency stop stands."""
+        """True while an emergency stop is in force."""
         return Stop.ESTOP in self._latch.standing
 
     @property
     def unkept(self) -> bool:
-        """True where a standing stop would end with this process; `StopLatch` says why."""
+        """True if a stop could not be saved, so that it ends with this process.
+
+        `StopLatch.trouble` has the reason.
+        """
         return bool(self._latch.trouble)
 
     @property
     def state(self) -> tuple[int, str]:
-        """The state as in `DriverState` while a stop stands, and the reason."""
+        """The driver's state while a stop is in force, and the reason: ESTOP or HOLDING."""
         torque = self.owed or ("torque is off" if self.estop else self._torque_yet(Stop.HOLD))
         why = "; ".join(filter(None, (self.standing, torque)))
         return (DriverState.ESTOP if self.estop else DriverState.HOLDING), why
 
     def let_go(self) -> None:
-        """Switch torque off under an emergency stop, also where the driver is not configured."""
+        """Switch torque off under an emergency stop, also if the driver is not configured."""
         if not self.estop:
             return
         if self._site.arm is None:
@@ -144,18 +154,21 @@ class Stops:
 
     @property
     def owed(self) -> str:
-        """That not every servo has confirmed torque off, in words; empty where none is to."""
+        """The message that some servo has not confirmed torque off yet; empty if none is due."""
         arm = self._site.arm
         owed = self._owed if arm is None else arm.owing_off
         return "torque off: not every servo confirms it" if owed else ""
 
     def owe_off(self, owed: bool) -> None:
-        """Send torque off until every servo has confirmed it, while no arm is configured."""
+        """Set whether torque must be switched off while no arm is configured.
+
+        If so, it is sent now, and repeatedly until every servo has confirmed it.
+        """
         self._owed = owed
         self._pay()
 
     def _try_again(self) -> None:
-        self._latch.keep()  # where it could not be written
+        self._latch.keep()  # writes only what could not be written before
         self._pay()
 
     def _pay(self) -> None:
@@ -181,22 +194,25 @@ class Stops:
         return self._write_down(Stop.HOLD, "held: torque on, trajectories refused")
 
     def _write_down(self, stop: Stop, done: str) -> str:
-        """Write a stop to the latch; return what was done, or which part of it was not."""
+        """Save a stop; return ``done``, or the driver's state if some part of it is not done."""
         self._latch.keep()
         return self.state[1] if self._torque_yet(stop) or self.unkept else done
 
     def _torque_yet(self, stop: Stop) -> str:
-        """Say how the torque still differs from what a stop wants; empty where it does not."""
+        """Say how the torque differs from the torque of a stop; empty if it does not.
+
+        An emergency stop wants torque off; a hold wants it on.
+        """
         if stop is Stop.ESTOP:
             return self.owed
         arm = self._site.arm
         return "" if arm is not None and arm.powered else "the driver has switched no torque on"
 
     def _end_stops(self, ends: frozenset[Stop], states: frozenset[FollowerState]) -> None:
-        """End those stops that stand, and the arm's state where it is one of some.
+        """End the given stops, and the state of the arm if it is one of ``states``.
 
-        Torque goes on where the driver is active and nothing stops the arm any more. Held on, it
-        goes on only if it was on when an emergency stop switched it off.
+        Torque then goes on if the driver is active and no other stop is in force. Under a hold that
+        remains, it goes on only if it was on before the emergency stop.
         """
         arm, active = self._site.arm, self._site.active
         stopped = arm is not None and arm.follower.state in states
@@ -212,5 +228,5 @@ class Stops:
 
 
 def _is_end(asked: Asked) -> bool:
-    """Return whether a request ends a stop; else it is one."""
+    """Tell whether a request ends a stop; otherwise it asks for one."""
     return asked.service is graph.RESET or not asked.request.data

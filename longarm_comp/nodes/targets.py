@@ -50,11 +50,11 @@ PARAMS = (
 
 
 class TargetInlet:
-    """Takes targets of the topic, the service and the action, and answers them on a worker.
+    """Receives targets from the topic, the service and the action, and answers them on a worker.
 
-    The latest target on the topic wins: one that waits is superseded when another one comes. Its
-    answer is published when nothing else waits. The service and the action come first, in their
-    order.
+    Targets of the service and the action come first, in the order of arrival. On the topic the
+    latest target wins: a waiting one is superseded by a later one. The answer to a superseded
+    target is published when nothing else waits.
     """
 
     def __init__(
@@ -84,13 +84,19 @@ class TargetInlet:
         seed: JointState | None = None,
         sent_s: float | None = None,
     ) -> TargetRequest:
-        """Give a target its id. ``sent_s``: when it was sent (monotonic s), where that is known."""
+        """Make the request of a target, with an id.
+
+        ``sent_s``: when it was sent (monotonic s). If not known, the longest possible wait counts.
+        """
         since = time.monotonic() - self._fresh.away_s if sent_s is None else sent_s
         name = f"{self._run}-{next(self._numbers)}"
         return TargetRequest(name, pose, position_only, execute, since, seed or JointState())
 
     def stale(self, target: TargetRequest) -> str:
-        """Say why a target is too old to be carried out now; empty if it is not."""
+        """Say why a target is too old (or its stamp in the future); empty if it is not.
+
+        The time since it was sent counts only for a target that is executed.
+        """
         stamp = stamp_ns(target.pose.header.stamp)
         why = describe_untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
         age_s = time.monotonic() - target.sent_s
@@ -107,9 +113,9 @@ class TargetInlet:
         self._latest = message, sent
 
     def serve_topic(self) -> bool:
-        """Serve the latest target of the topic, else answer one that it has superseded.
+        """Answer the latest target of the topic, else one superseded target.
 
-        Return whether there was one.
+        Return whether there was a target to answer.
         """
         latest = self._latest is not None
         if not latest and not self._superseded:
@@ -140,13 +146,19 @@ class TargetInlet:
             respond(refused)
 
     def execute(self, target: TargetRequest) -> Future | None:
-        """Queue a target to compute and send; return its future `Answer`; None if too many wait."""
+        """Queue a target to compute and send; return the future of its `Answer`.
+
+        None if too many targets wait.
+        """
         return self._worker.ask(partial(self._serve_target, target))
 
     def _serve_target(
         self, target: TargetRequest, respond: Callable[[Answer], None] = lambda answer: None
     ) -> Answer:
-        """Compute a target, send its joints, respond, then publish; on the worker's thread."""
+        """Compute a target, send its joints if it is executed, respond, then publish the answer.
+
+        Runs on the worker's thread.
+        """
         answer: Answer | None = None
         try:
             if why := self.stale(target):
@@ -155,10 +167,10 @@ class TargetInlet:
                 answer = self._compensator.answer(target)
             arrival = answer.arrival if target.execute and answer.status.success else None
             if arrival is not None:
-                stamp = self._stamps.next()  # before it is judged: later the driver judges
+                stamp = self._stamps.next()  # before the age check: from here the driver counts
                 if why := self.stale(target):
                     answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
-                elif why := self._state.doubt:  # it came while the joints were computed
+                elif why := self._state.doubt:  # it arose while the joints were computed
                     answer = self._compensator.refuse(target, Status.NOT_READY, why)
                 else:
                     message = self._make_order(arrival.move.points, stamp)
@@ -180,9 +192,10 @@ class TargetInlet:
                 self._publish_answer(answer)
 
     def _make_order(self, points: np.ndarray, stamp: Time) -> JointTrajectory:
-        """Make the trajectory through points (k, n); a driver that is not ours is told how slowly.
+        """Make the trajectory through points (k, n), rad and m.
 
-        It may know no limits of speed.
+        Another driver than `servo_driver` may know no velocity limits, so it gets times at which no
+        part of the arm exceeds the parameter `arm_speed`.
         """
         move_s, now = self._state.p["move_time_s"], self._state.joints
         if self._driver.acknowledged or now is None:
@@ -192,7 +205,7 @@ class TargetInlet:
         return trajectory_message(self._arm, points, due, stamp, np.zeros_like(points))
 
     def _publish_answer(self, answer: Answer) -> None:
-        """Count the answer, then publish it, so that a receiver finds it counted."""
+        """Count the answer, then publish it, so that it is counted when a receiver sees it."""
         if answer.status is Status.INTERNAL_ERROR:
             self._broken = answer.message
         elif answer.status.success:

@@ -1,7 +1,8 @@
 """`trajectory_compensator`: compensates a planned trajectory and sends it to the controller.
 
-It offers the action `follow_joint_trajectory` and forwards each goal to another one of that type:
-of our driver, or of any joint trajectory controller. Nothing is sent of a goal that is refused.
+It offers the action `follow_joint_trajectory`. It forwards each goal, compensated, to the action of
+the same type of `servo_driver` or of any joint trajectory controller. It sends nothing for a goal
+that it refuses.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ PARAMS = (
 
 
 class _TrajectoryCompensator(ArmNode):
-    """The node, which computes on a worker thread, so that the executor stays free."""
+    """The node. It computes on a worker thread, so that the executor stays free."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "trajectory_compensator", PARAMS)
@@ -114,7 +115,12 @@ class _TrajectoryCompensator(ArmNode):
         self._worker.start()
 
     def _limits_of(self, p: Mapping[str, Any]) -> PathLimits:
-        """Return the limits. Those by joint are required for a controller that is not ours."""
+        """Return the limits from the parameters.
+
+        Raises:
+            InputError: a wrong number of limits, or a missing limit of a joint, which any other
+                controller than `servo_driver` needs.
+        """
         found = []
         for name in ("max_velocity", "max_acceleration"):
             given = p[name] * self._arm.n if len(p[name]) == 1 else p[name]
@@ -160,12 +166,12 @@ class _TrajectoryCompensator(ArmNode):
         return self._fresh.too_old(asked.header.stamp) or why
 
     async def _forward_path(self, goal: Any, made: CompensatedPath) -> Any:
-        """Send the path to the controller, and return its result."""
+        """Send a path to the controller, and return the result of the controller's action."""
         timed = made.timed
         message = trajectory_message(
             self._arm, timed.joints, timed.times, self._stamps.next(), timed.velocities
         )
-        out = copy(goal.request)  # what else it asks, the controller grants or refuses
+        out = copy(goal.request)  # its other fields are left to the controller
         out.trajectory = message
         start = self._state.joints
         sent = await self._out.send_goal_async(
@@ -197,7 +203,7 @@ class _TrajectoryCompensator(ArmNode):
         return answer.result
 
     def _compensate_request(self, request: Any) -> tuple[CompensatedPath | None, str]:
-        """Compute the path to send, or say why there is none."""
+        """Compute the path to send. Return it and "", or None and the reason why there is none."""
         start = self._state.joints
         assert start is not None
         loaded = self._files.loaded
@@ -223,14 +229,21 @@ class _TrajectoryCompensator(ArmNode):
         return found, ""
 
     def _longest_share(self, request: Any) -> float:
-        """Return the share by which a path may take longer: within the goal's time tolerance."""
+        """Return the share of its duration by which a path may take longer.
+
+        It is the parameter `max_longer`, but no more than the goal's time tolerance allows.
+        """
         late = seconds(request.goal_time_tolerance)
         lasts = seconds(request.trajectory.points[-1].time_from_start)
         most = self._limits.max_longer
         return min(most, late / lasts) if late > 0.0 < lasts else most
 
     def _plan_of(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
-        """Make a path of all joints from a trajectory; those not named stay at ``start``."""
+        """Make a planned path of all joints from a trajectory.
+
+        Joints that it does not name stay at ``start`` (n,), rad and m. If its first time is above
+        0 s, the path begins at ``start``.
+        """
         names = self._arm.joint_names
         at = [names.index(name) for name in asked.joint_names]
         fast = all(len(point.velocities) == len(at) for point in asked.points)
@@ -250,9 +263,9 @@ class _TrajectoryCompensator(ArmNode):
         return PlannedPath.of_joints(self._arm, np.array(times), joints, speeds if fast else None)
 
     def _tell_planned(self) -> None:
-        """Publish the joints at which the declared arm's tip is where the real one is.
+        """Publish the joints at which the declared arm's tip is where the real tip is expected.
 
-        This also compiles what the next path needs.
+        This also compiles the programs that the next path needs.
         """
         q, loaded = self._state.joints, self._files.loaded
         model = physics_of(loaded.model, self._method)

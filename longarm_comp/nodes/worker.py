@@ -1,9 +1,9 @@
 """A worker thread, which keeps long computations out of the executor.
 
-Through rclpy's executor each message costs a wait set of all entities of the node, built in
-Python, and a switch of threads.  Together these take longer than computing a target.  So a worker
-takes the messages, requests and responses of its jobs itself, with the calls that the executor
-uses.  They are beyond rclpy's documented interface; nothing else in this package uses them.
+For each message, rclpy's executor builds a wait set of all entities of the node in Python, and then
+the thread is switched.  Together these take longer than computing a target.  So a worker itself
+takes the messages, requests and responses for its jobs, with the calls that the executor uses.
+These calls are not in rclpy's documented interface; nothing else in this package uses them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from longarm_comp.nodes.interfaces import Service as ServiceName
 from longarm_comp.nodes.interfaces import Topic
 
 CHECKED = "7.1"
-"""Version of rclpy (Jazzy) that these calls were checked against, by the tests."""
+"""Version of rclpy (Jazzy) with which the tests check these calls."""
 
 _USED: dict[str, tuple[str, ...]] = {
     "WaitSet": (
@@ -47,23 +47,24 @@ _USED: dict[str, tuple[str, ...]] = {
 
 Job = Callable[[], Any]
 Hear = Callable[[Any, float], None]
-"""Takes a message, and when it was sent (monotonic s)."""
+"""Callback that gets a message, and the time at which it was sent (monotonic s)."""
 
 Reply = Callable[[Any], None]
 """Sends the response to a request."""
 
 _LAST_JOB_S = 2.0
-"""Time that the current job has when the node ends, s: a node has three in all."""
+"""Time, s, that the current job has to finish when the node ends."""
 _WAIT_S = 0.05
-"""The longest wait at once, s: a longer one is a process that was stopped."""
+"""Longest single wait in `Worker.wait_until`, s. A wait that took longer shows that the process was
+stopped."""
 _PAUSE_S = 0.01
 """Pause after an exception, s, so that a repeating one does not use the whole processor."""
 _FAILING_S = 60.0
-"""A job that failed and is not done again is held against the worker for so long, s."""
+"""Time for which a failed job counts in `Worker.failing` unless it succeeds later, s."""
 
 
 def check_rclpy(implementation: Any = rclpy_implementation) -> None:
-    """Raise `JobError` where this rclpy lacks a call that is needed."""
+    """Raise `JobError` if this rclpy lacks a call that the worker needs."""
     for kind, names in _USED.items():
         for name in names:
             if not hasattr(getattr(implementation, kind, None), name):
@@ -71,11 +72,14 @@ def check_rclpy(implementation: Any = rclpy_implementation) -> None:
 
 
 class SequenceWatch:
-    """Finds gaps in the numbers that publishers give their messages.
+    """Counts lost messages by gaps in the sequence numbers that publishers give their messages.
 
-    A message tells its number, not its publisher. Each number is taken to follow the nearest one
-    below it. Gaps count only where the queue was full; elsewhere they mean a publisher that was
-    heard for the first time.
+    A message has a number, but does not name its publisher. So each number is assigned to the
+    publisher with the nearest lower last number. A gap counts as a loss only if the queue was full;
+    otherwise it may come from a publisher that was received for the first time.
+
+    Attributes:
+        lost: number of lost messages.
     """
 
     def __init__(self) -> None:
@@ -83,11 +87,11 @@ class SequenceWatch:
         self.lost = 0
 
     def count(self, numbers: list[int], *, full: bool) -> None:
-        """Enter the numbers of messages taken at once.
+        """Add the numbers of messages that were taken from the queue together.
 
         Args:
-            numbers: from 1 for each publisher; the oldest first.
-            full: the queue may have been full.
+            numbers: sequence numbers, from 1 on for each publisher; the oldest message first.
+            full: whether the queue may have been full.
         """
         for number in numbers:
             before = max((last for last in self._last if last < number), default=None)
@@ -109,7 +113,11 @@ class _NotOfTheExecutor(CallbackGroup):
 
 
 def _take_requests(service: Service, most: int) -> Iterator[tuple[Any, Reply, int]]:
-    """Take the requests that wait; each with its reply, and when it was sent (ns; 0: not told)."""
+    """Take up to ``most`` waiting requests from a service.
+
+    Yields:
+        The request, the function that replies to it, and its time of sending, ns (0: not known).
+    """
     for _ in range(most):
         with service.handle:
             request, header = service.handle.service_take_request(service.srv_type.Request)
@@ -125,17 +133,17 @@ class Asked:
     service: ServiceName
     request: Any
     reply: Reply
-    sent_ns: int  # by its sender's clock; 0: not told
+    sent_ns: int  # time of sending by the sender's clock, ns; 0: not known
 
 
 class Together(Waitable):
-    """Offers services whose waiting requests are served together, in the executor's thread.
+    """Offers services whose waiting requests are handled together, in the executor's thread.
 
-    The executor by itself takes one request of each service in turn, in the order in which the
-    services were made, whichever was sent first.
+    The executor alone would take one request of each service in turn, in the order in which the
+    services were made, not in the order of sending.
 
     Args:
-        serve: gets all requests that wait, and replies to each.
+        serve: gets all waiting requests, and must reply to each.
     """
 
     def __init__(
@@ -168,13 +176,15 @@ class Together(Waitable):
 
 
 class Worker:
-    """One thread with a bounded queue of jobs, worked off in the order of arrival.
+    """A thread with a bounded queue of jobs, which it does in the order of arrival.
 
-    Before each job it runs the callbacks of topics and services declared before `start`.
+    Before each job it runs the callbacks of received messages and requests. Their topics and
+    services must be declared (`hear`, `serve`) before `start`.
 
     Args:
-        executor: woken when an awaited job is done.
+        executor: executor that is woken when an awaited job is done.
         capacity: number of jobs that may wait; further ones are refused.
+        on_error: called with every exception of a job or a callback.
     """
 
     def __init__(
@@ -198,21 +208,25 @@ class Worker:
         self._topics.append((made, SequenceWatch(), callback))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Reply, float], None]) -> None:
-        """Offer a service; its callback gets request, reply function and time of sending (s)."""
+        """Offer a service.
+
+        The callback gets the request, the function that replies, and the time of sending
+        (monotonic s).
+        """
         self._services.append(service.server(self._node, callback, self._group))
 
     def caller(self, service: ServiceName) -> ServiceCaller:
-        """Make a client of a service, for this thread."""
+        """Make a client of a service for use in the worker's thread."""
         return ServiceCaller(service.client(self._node, self._group), self._node)
 
     @property
     def lost_messages(self) -> int:
-        """Number of messages that were lost, by the numbers of those that came."""
+        """Number of lost messages of all topics, by gaps in the received sequence numbers."""
         return sum(watch.lost for _, watch, _ in self._topics)
 
     @property
     def failing(self) -> str:
-        """The failure of a job that has not succeeded since; empty if there is no recent one."""
+        """A failure in the last minute of a job that has not succeeded since; empty if none."""
         recent = time.monotonic() - _FAILING_S
         return next((why for why, at_s in self._failed.values() if at_s > recent), "")
 
@@ -224,7 +238,7 @@ class Worker:
         """Start the thread.
 
         Args:
-            idle: called while no job waits; does work that can wait, and returns whether it did.
+            idle: called while no job waits. It may do less urgent work; it returns whether it did.
         """
         with self._node.context.handle:
             self._wait_set = rclpy_implementation.WaitSet(
@@ -234,7 +248,7 @@ class Worker:
         self._thread.start()
 
     def submit(self, job: Job) -> bool:
-        """Queue a job; False when too many wait already."""
+        """Queue a job; return False if too many jobs wait already."""
         if self.waiting >= self._capacity:
             return False
         self._jobs.append(job)
@@ -243,12 +257,12 @@ class Worker:
         return True
 
     def submit_once(self, job: Job) -> None:
-        """Queue a job unless it waits already, or too many do."""
+        """Queue a job unless the same job waits already, or too many jobs wait."""
         if job not in tuple(self._jobs):
             self.submit(job)
 
     def ask(self, job: Job) -> Future | None:
-        """Queue a job whose result a coroutine can await; None when too many wait already."""
+        """Queue a job; return a future of its result to await; None if too many jobs wait."""
         future = Future(executor=self._executor)
 
         def answer() -> None:
@@ -261,9 +275,10 @@ class Worker:
         return future if self.submit(answer) else None
 
     def wait_until(self, until: Callable[[], bool], within_s: float) -> bool:
-        """Take messages and requests, inside a job, until a condition holds, and return it.
+        """Wait inside a job until a condition holds, and meanwhile process messages and requests.
 
-        Time in which this process was stopped does not count: what came meanwhile is still heard.
+        Return whether it holds after at most ``within_s``, s. Time in which this process was
+        stopped does not count, so that messages of that time are still processed.
         """
         left = within_s
         while not self._closing:
@@ -278,7 +293,7 @@ class Worker:
         return until()
 
     def close(self) -> bool:
-        """Finish the current job, drop the others, and return whether the thread has ended."""
+        """Let the current job finish, drop the others, and return whether the thread has ended."""
         self._closing = True
         self._woken.trigger()
         if self._thread is None:
@@ -318,7 +333,7 @@ class Worker:
                 time.sleep(_PAUSE_S)
 
     def _take_all(self) -> None:
-        """Run the callbacks of everything received, so that no middleware queue overflows."""
+        """Run the callbacks of all received messages and requests, so that no queue overflows."""
         for service in self._services:
             for request, reply, sent_ns in _take_requests(service, self._capacity):
                 service.callback(request, reply, sent_s(sent_ns))
@@ -336,7 +351,7 @@ class Worker:
 
 
 class ServiceCaller:
-    """A service client that waits in its thread, as `rclpy.wait_for_message` does for a topic."""
+    """A service client that blocks its thread while it waits, without an executor."""
 
     def __init__(self, client: Client, node: Node) -> None:
         self._client = client
@@ -354,7 +369,10 @@ class ServiceCaller:
             return int(handle.send_request(request))
 
     def answer(self, number: int, within_s: float) -> Any:
-        """Wait for the response to a request; None after ``within_s``. Earlier ones are dropped."""
+        """Wait for the response to the request ``number``, a result of `send`.
+
+        None if it does not come within ``within_s``, s. Responses to earlier requests are dropped.
+        """
         handle = self._client.handle
         end = time.monotonic() + within_s
         while True:
