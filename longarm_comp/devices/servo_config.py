@@ -43,8 +43,8 @@ class BusConfig(ServoSettings):
 class FollowerConfig(ServoSettings):
     """Limits for every joint. Ticks are encoder ticks of the servo, at most half a turn.
 
-    All times are in s. Their upper bounds are a few seconds, so that a value given in ms by mistake
-    is refused.
+    Times that guard against a fault may be a few seconds at most, so that a value given in ms by
+    mistake is refused.
     """
 
     blend_s: Positive = Field(

@@ -1,8 +1,8 @@
 """Follows a joint trajectory: computes bounded servo goals step by step from the read-back.
 
 It uses neither ROS nor a port. The caller reads the bus, calls ``step`` with the states and sends
-the goals that it returns (`ServoArm.cycle`). On a fault every servo holds its position and no more
-goals are sent.
+the goals that ``step`` returns (`ServoArm.cycle`). On a fault every servo is told once to hold its
+position; then no more goals are returned.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.math.shaper import Shaper, Way
 
 KeepsOut = Callable[[Array], str]
-"""Says why an arm must not go through joints (N, n); empty where it may."""
+"""Says why the arm must not pass through postures (N, n), rad and m; empty if it may."""
 Shapes = Callable[[Way, float], Shaper | None]
-"""How a move from rest at joints (n,) to others is sent in parts; None: as it is."""
+"""Returns how to split a move (joints over time, and its duration, s); None: not at all."""
 
 
 class FollowerState(Enum):
@@ -65,7 +65,7 @@ class EventKind(Enum):
 
 @dataclass(frozen=True)
 class Event:
-    """One event to report to the user. ``finding`` is set only with FAULT."""
+    """One event to report to the user. ``finding`` is set only for FAULT."""
 
     kind: EventKind
     message: str
@@ -74,13 +74,13 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A trajectory as it was taken up."""
+    """An accepted trajectory, as it will be followed."""
 
     start: np.ndarray
-    """(n,) set-point that it starts from, in the order of the configuration (rad, m)."""
-    points: np.ndarray  # (k, n) its way-points, also of the joints that it does not name
-    times: np.ndarray  # (k,) s from now at which they are passed
-    replaces: bool  # whether another one was under way
+    """(n,) set-point from which it starts, in the order of the configuration (rad, m)."""
+    points: np.ndarray  # (k, n) way-points of all joints, rad and m
+    times: np.ndarray  # (k,) s, from now on, at which the way-points are passed
+    replaces: bool  # whether it replaces a trajectory that is still being followed
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,12 @@ class TrajectoryFollower:
     """Follows one trajectory at a time within the limits of ``config``.
 
     Call ``step`` at a steady rate, also while idle, so that the read-back stays up to date.
-    ``now`` is monotonic seconds everywhere.
+    ``now`` is monotonic seconds in every method.
 
     Args:
-        keeps_out: asked of every trajectory; None: nothing is kept out of.
-        shapes: asked of every trajectory that begins at rest; None: none is shaped.
-        trim: whether moves end with the readings where they were sent (`Trim`).
+        keeps_out: called for every trajectory, and may refuse it; None: no such check.
+        shapes: called for every trajectory that replaces none; None: no trajectory is shaped.
+        trim: whether goals are corrected at the end of a move until the readings agree (`Trim`).
     """
 
     def __init__(
@@ -146,17 +146,20 @@ class TrajectoryFollower:
         return dict(zip(self._names, self._trim.offset.tolist(), strict=True))
 
     def is_fresh(self, now: float) -> bool:
-        """Return whether every servo was read, and believed, in the last step, just now."""
+        """Tell whether the last step was recent and had a trusted reading of every servo."""
         late = self._now is None or now - self._now > self._config.follower.silence_s
         return self._fresh and not late
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Accept a trajectory. It starts with the next step, from the present set-point.
 
-        Joints that it does not name stay where they are; without points it means to stop smoothly.
-        One that is too fast is slowed down (`plan_path`), which an event SLOWED reports. It always
-        ends at rest: then an event ARRIVED follows, or SHORT where a joint stands still and is not
-        where it was sent.
+        Joints that it does not name stay where they are. A trajectory without points stops the arm
+        smoothly. A trajectory that is too fast is slowed down (`plan_path`), with an event SLOWED.
+        It always ends at rest, with an event ARRIVED, or SHORT if a joint came to rest elsewhere.
+
+        Raises:
+            InputError: the trajectory is invalid, or leaves the limits.
+            JobError: it leads into a keep-out box, or the state of the arm does not allow motion.
         """
         if self.state in (FollowerState.FAULT, FollowerState.ESTOP):
             raise JobError("no trajectory is taken until the arm is reset", state=self.state.value)
@@ -201,12 +204,12 @@ class TrajectoryFollower:
         return accepted
 
     def _take_over(self, path: CubicPath, start: Array) -> TakenOver:
-        """Return a path as it is followed from the present set-point and velocity."""
+        """Return the path blended with braking from the present set-point and velocity."""
         blend_s = self._config.follower.blend_s
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 
     def _find_turn(self, accepted: Accepted) -> Turn | None:
-        """Return the end of the run-up of a move; None where there is none after the blend."""
+        """Return the end of a move's run-up; None if it has none, or one within the blend."""
         limits = self._config.follower
         if len(accepted.times) != 2 or accepted.times[0] < limits.blend_s:
             return None
@@ -214,13 +217,13 @@ class TrajectoryFollower:
         return Turn(float(accepted.times[0]), legs[0] * legs[1] < 0.0, limits.stall_time_s)
 
     def _plan_braking(self, start: Array) -> CubicPath:
-        """Plan from a set-point to the nearest rest."""
+        """Plan from a set-point to the nearest position of rest."""
         brake = start + 0.5 * self._config.follower.blend_s * self._velocity
         rest = np.clip(brake, self._lower, self._upper)[None]
         return CubicPath(np.zeros(1), rest, np.zeros_like(rest))
 
     def break_off(self, kind: EventKind, why: str) -> None:
-        """Stop smoothly. The trajectory is not followed to its end."""
+        """Stop smoothly before the end of the trajectory, with an event ``kind`` and its reason."""
         if self.state is FollowerState.TRACKING and self._set is not None:
             self._way = self._take_over(self._plan_braking(self._set), self._set)
             self._way_time, self._turn = 0.0, None
@@ -228,11 +231,11 @@ class TrajectoryFollower:
         self._note_event(kind, why)
 
     def hold_at(self, goals: Mapping[int, int]) -> None:
-        """Begin the next trajectory at the goals, ticks by id, that hold the arm by now."""
+        """Set the goals, ticks by servo id, that hold the arm. The next trajectory begins there."""
         self._held = dict(goals)
 
     def let_go(self) -> None:
-        """Drive nothing any more, because the torque is off. A fault or an emergency stop stays."""
+        """Drop any motion, because the torque is off. A fault or an emergency stop stays."""
         self._held = {}
         if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
             self.state = FollowerState.IDLE
@@ -256,10 +259,12 @@ class TrajectoryFollower:
     def step(
         self, now: float, states: Mapping[int, ServoState], driven: Mapping[int, bool] | None = None
     ) -> Step:
-        """Process one read-back, by servo id without silent servos, and return goals to send.
+        """Process one read-back, and return the goals to send.
 
-        ``driven``, given now and then, is the result of ``SerialServoBus.driven``. It reveals a
-        servo that lost power for a moment: it answers as before, but its torque is off.
+        Args:
+            states: read-back by servo id, of the servos that answered.
+            driven: result of ``SerialServoBus.driven``, given only from time to time. It reveals a
+                servo that lost power for a moment: it answers as before, but its torque is off.
         """
         limit = self._config.follower.max_step_s
         dt = 0.0 if self._now is None else min(max(now - self._now, 0.0), limit)
@@ -277,7 +282,10 @@ class TrajectoryFollower:
         return Step(self.state, goals, self.set_points, events)
 
     def _move_on(self, dt: float) -> dict[int, int] | None:
-        """Take a bounded step along the path; return goals, None while a read-back is doubtful."""
+        """Take a bounded step of ``dt``, s, along the path; return goals, ticks by servo id.
+
+        None while the read-back of a servo is missing or doubtful.
+        """
         if not self._fresh:
             if not self._doubting:
                 self._note_event(EventKind.DOUBTFUL, "waiting for a trusted reading of every servo")
@@ -303,7 +311,7 @@ class TrajectoryFollower:
         return self._goals
 
     def _time_after(self, dt: float) -> float:
-        """Return the time on the way (s) after a step, which does not pass over a turn."""
+        """Return the time along the path, s, after a step, which does not skip a run-up's end."""
         way, turn = self._way, self._turn
         if turn is None:
             return self._way_time + dt
@@ -323,7 +331,7 @@ class TrajectoryFollower:
         """Trim a resting arm by one step.
 
         Returns:
-            None while trimming goes on; then what could not be corrected, or "".
+            None while trimming goes on; then the joints that could not be corrected, or "".
         """
         if not self._trims:
             return self._untrimmed
@@ -337,7 +345,7 @@ class TrajectoryFollower:
         return self._untrimmed
 
     def _settle_joints(self, dt: float) -> None:
-        """Report once that the arm has come to rest: at the end of its trajectory, or short."""
+        """Report once that the arm rests, at the end of its trajectory or short of it."""
         read = {name: self._watch.state(name) for name in self._names}
         states = {name: state for name, state in read.items() if state is not None}
         still = all(abs(s.velocity_ticks_s) < STILL_TICKS_S for s in states.values())
@@ -361,7 +369,10 @@ class TrajectoryFollower:
         self._settled = True
 
     def _find_away(self, wanted: Array, among: Array) -> str:
-        """Say which joints among some (n,) stand away from values (n,), and how far."""
+        """Say which joints stand away from ``wanted`` (n,), rad and m, and how far; or "".
+
+        ``among``: (n,) bool, the joints that are checked.
+        """
         far = []
         for name, value in zip(np.array(self._names)[among], wanted[among].tolist(), strict=True):
             state, joint = self._watch.state(name), self._config.joints[name]
@@ -372,7 +383,10 @@ class TrajectoryFollower:
         return ", ".join(far)
 
     def _enter_fault(self, findings: list[JointFault]) -> dict[int, int]:
-        """Stop at the present positions, once. A silent servo keeps its last goal."""
+        """Enter the fault state; return goals that hold the present positions, ticks by servo id.
+
+        A silent servo keeps its last goal.
+        """
         self.state = FollowerState.FAULT
         for finding in findings:
             what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
@@ -382,9 +396,10 @@ class TrajectoryFollower:
         return goals
 
     def find_holding_goals(self) -> dict[int, int]:
-        """Return goals, ticks by id, that hold the joints of trusted readings just now.
+        """Return goals, ticks by servo id, that hold all joints with a trusted reading just now.
 
-        A joint stays within its limits where that moves it by no more than a stall's error.
+        A joint beyond its limits is held at the limit if it is nearer than `stall_error_ticks`,
+        else where it is.
         """
         goals, near = {}, self._config.follower.stall_error_ticks
         for name, joint in self._config.joints.items():
@@ -401,9 +416,13 @@ class TrajectoryFollower:
         self._velocity = np.zeros_like(self._velocity)
 
     def _start_path(self) -> Array:
-        """Return the present set-point (n,); when idle, the goals that hold the arm.
+        """Return the set-point (n,), rad and m, from which a trajectory starts.
 
-        Where no goal is known, or the joint does not stand by it, it is the present position.
+        While idle it is the goal that holds each joint. If this goal is not known, or does not
+        explain where the joint stands, it is the present position.
+
+        Raises:
+            InputError: a joint stands too far outside its limits.
         """
         if self._set is not None:
             return self._set

@@ -1,4 +1,4 @@
-"""One joint and its servo: exact conversions between joint value and encoder ticks."""
+"""One joint and its servo: configuration, and conversions between joint value and ticks."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from longarm_comp.devices.servo_bus.state import ServoModel
 
 Positive = Annotated[float, Field(gt=0.0)]
 _Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]
-"""Ratio, or travel per turn in m, of any gear, screw or pinion: beyond it the unit is wrong."""
+"""A gear ratio, or a length in m of a screw or pinion; a value out of range has a wrong unit."""
 
 
 class ServoSettings(Declared):
-    """Base of the configuration records; a number in quotes is an error too."""
+    """Base of the configuration records. Types are strict: a number in quotes is an error."""
 
     model_config = ConfigDict(strict=True)
 
@@ -127,7 +127,7 @@ class JointConfig(ServoSettings):
 
     @property
     def si_per_tick(self) -> float:
-        """rad or m the joint moves for one encoder tick, without the sign."""
+        """Motion of the joint, rad or m, for one encoder tick; always positive."""
         per_turn = 2.0 * math.pi
         if self.screw_lead_m is not None:
             per_turn = self.screw_lead_m
@@ -136,12 +136,15 @@ class JointConfig(ServoSettings):
         return per_turn / (self.gear_ratio * self.servo.ticks_per_turn)
 
     def stands_at(self, step: float) -> bool:
-        """Return whether the servo can stand at all ``step k`` (rad or m), to 0.15 of a step."""
+        """Tell whether the servo can stand at every multiple of ``step``, rad or m.
+
+        The error may be up to 0.15 of a step over the range of the joint.
+        """
         ticks = step / self.si_per_tick
         farthest = max(abs(self.lower), abs(self.upper)) / step
         drift = abs(ticks - round(ticks)) * farthest
         beside = abs(self.zero_ticks - round(self.zero_ticks))
-        # Share of a step to which it must be known where it is
+        # Largest error, as a share of a step
         return round(ticks) >= 1 and drift + beside <= 0.15 * ticks
 
     @property
@@ -151,24 +154,31 @@ class JointConfig(ServoSettings):
 
     @cached_property
     def tick_limits(self) -> tuple[int, int]:
-        """Lowest and highest goal, ticks, rounded inwards so that no limit is passed."""
+        """Lowest and highest goal within the joint's limits, ticks, rounded inwards."""
         ends = sorted(self._exact_ticks(limit) for limit in (self.lower, self.upper))
         return math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9)
 
     def check_inside(self, value: float, where: str, field: str) -> None:
-        """Refuse a joint value, rad or m, beyond the limits by more than half a tick."""
+        """Raise InputError for a joint value, rad or m, more than half a tick beyond the limits.
+
+        ``where`` and ``field`` name the source of the value.
+        """
         slack = 0.5 * self.si_per_tick
         if not self.lower - slack <= value <= self.upper + slack:
             allowed = f"{self.lower:g} to {self.upper:g} {self.unit}"
             raise InputError(where, field, value, allowed)
 
     def nearest_within_limits(self, ticks: float) -> int:
-        """Return the goal within the limits that is nearest to a number of ticks."""
+        """Return the goal, ticks, within the joint's limits that is nearest to ``ticks``."""
         low, high = self.tick_limits
         return min(max(round(ticks), low), high)
 
     def to_ticks(self, value: float) -> int:
-        """Return the goal, in ticks, that is nearest to a joint value, rad or m."""
+        """Return the goal, ticks, that is nearest to a joint value, rad or m.
+
+        Raises:
+            InputError: the value is outside the limits.
+        """
         self.check_inside(value, f"servo {self.servo_id}", "position")
         return self.nearest_within_limits(self._exact_ticks(value))
 
@@ -177,11 +187,14 @@ class JointConfig(ServoSettings):
         return self.direction * (ticks - self.zero_ticks) * self.si_per_tick
 
     def speed_to_si(self, ticks_s: float) -> float:
-        """Return the joint velocity (rad/s or m/s) of an encoder speed."""
+        """Return the joint velocity (rad/s or m/s) of an encoder speed in ticks/s."""
         return self.direction * ticks_s * self.si_per_tick
 
     def effort_to_si(self, load: float) -> float:
-        """Return the effort (N m, N) of a load, a signed share of full effort; NaN if not known."""
+        """Return the effort at the joint, N m or N; NaN if full effort is not configured.
+
+        ``load``: signed share of the servo's full effort.
+        """
         return math.nan if self.full_effort is None else self.direction * load * self.full_effort
 
     @property
@@ -190,11 +203,11 @@ class JointConfig(ServoSettings):
 
     @property
     def fastest_ticks_s(self) -> float:
-        """Highest speed of the servo without load, ticks/s; infinite where it is not known."""
+        """Highest speed of the servo without load, ticks/s; infinite if it is not known."""
         return self.top_speed_ticks_s or self.servo.top_speed_ticks_s or math.inf
 
     def with_values(self, **values: object) -> JointConfig:
-        """Return the same joint with other values, checked."""
+        """Return a checked copy of the joint with the given fields replaced."""
         return JointConfig.model_validate(self.model_dump() | values)
 
     def _exact_ticks(self, value: float) -> float:

@@ -1,4 +1,4 @@
-"""Checks the read-back of the servos: whether it is plausible and follows the goals."""
+"""Checks whether the read-back of the servos is plausible and follows the goals."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class JointFault:
 
 @dataclass
 class _Seen:
-    """Last read-back of one servo, and since which watched second it is off its goal."""
+    """Last read-back of one servo, and since when it is off its goal."""
 
-    state: ServoState | None = None
-    said: int | None = None
-    ill: tuple[JointFault, ...] = ()
-    at: float = 0.0
-    off_since: float | None = None
-    lost_since: float | None = None
+    state: ServoState | None = None  # the last trusted read-back
+    said: int | None = None  # position of the last read-back, trusted or not, ticks
+    ill: tuple[JointFault, ...] = ()  # alarm and temperature faults of the last plausible read-back
+    at: float = 0.0  # time of `state`, monotonic s
+    off_since: float | None = None  # since when it pushes off its goal, s of watched time
+    lost_since: float | None = None  # since when it is far from its goal, s of watched time
 
 
 class ServoWatch:
@@ -53,18 +53,19 @@ class ServoWatch:
     def update(
         self, now: float, states: Mapping[int, ServoState], goals: Mapping[int, int] | None
     ) -> tuple[bool, list[JointFault]]:
-        """Process one read-back, by servo id, without servos that did not answer.
+        """Process one read-back of all servos.
 
-        An alarm or a temperature that is too high is believed when the next read-back says so
-        too; until then the servo is doubtful: one damaged reply in 256 passes its checksum.
+        An alarm or too high a temperature is a fault only if the next read-back confirms it,
+        because one damaged reply in 256 passes its checksum.  Until then the servo is doubtful.
 
-        A servo may stand anywhere between the goal before the last and the last, which may have
-        been sent just now.  A late cycle counts as the longest step, so that one or two looks at a
-        moving arm are no fault.
+        A servo may stand anywhere between the last two goals, because the last may have been sent
+        just now.  A late cycle counts as `max_step_s` at most, so that few readings of a moving arm
+        make no fault.
 
         Args:
-            now: s, monotonic.
-            goals: last goals, ticks by id; None if nothing was commanded.
+            now: monotonic time, s.
+            states: read-back by servo id, of the servos that answered.
+            goals: last goals, ticks by servo id; None if nothing was commanded.
 
         Returns:
             Whether every joint had a trusted read-back this time, and the faults found.
@@ -95,7 +96,7 @@ class ServoWatch:
         return fresh, findings
 
     def find_standing_faults(self, now: float) -> list[JointFault]:
-        """Return the faults that depend on no command: silence, and those of the last read-back."""
+        """Return the present faults that depend on no command: silence, alarm, temperature."""
         findings: list[JointFault] = []
         for name, seen in self._seen.items():
             findings += self._find_silent(name, seen, now)
@@ -103,11 +104,11 @@ class ServoWatch:
         return findings
 
     def state(self, joint: str) -> ServoState | None:
-        """Return the last trusted read-back of a joint."""
+        """Return the last trusted read-back of a joint; None before the first."""
         return self._seen[joint].state
 
     def was_heard(self, joint: str) -> bool:
-        """Return whether a joint had a trusted read-back in the last update."""
+        """Tell whether a joint had a trusted read-back in the last update."""
         seen = self._seen[joint]
         return seen.state is not None and seen.at == self._now
 
@@ -119,11 +120,12 @@ class ServoWatch:
     def _is_doubtful(
         self, seen: _Seen, joint: JointConfig, state: ServoState, now: float, goal: int | None
     ) -> bool:
-        """Return whether the joint would have had to move faster than it can to be there.
+        """Tell whether a read-back is not plausible after the last trusted one.
 
-        A servo that lost its count of turns is off by whole ones, however long it was not heard. It
-        is believed on its way to a goal, where a whole turn would take it off that way.
-        Without a command it may be moved by hand: then two read-backs that agree are trusted.
+        A joint cannot have moved faster than four times its highest speed. A step of more than half
+        a turn may also be a lost count of turns. It is plausible only on the way to the goal, and
+        only if a whole turn would lead off this way. Without a command the joint may be moved by
+        hand: then two read-backs that agree are trusted.
         """
         jump = self._config.follower.jump_ticks
         said, seen.said = seen.said, state.position_ticks
@@ -154,7 +156,7 @@ class ServoWatch:
     def _find_disobedience(
         self, name: str, joint: JointConfig, seen: _Seen, sent: list[int | None]
     ) -> Iterator[JointFault]:
-        """Compare the last two goals and the read-back: a stalled joint, or one far from both."""
+        """Find a joint that is stalled, or too far from the last two goals (``sent``, ticks)."""
         goals = [goal for goal in sent if goal is not None]
         if len(goals) < 2 or seen.state is None:
             seen.off_since = seen.lost_since = None
@@ -179,16 +181,19 @@ class ServoWatch:
 
 
 STILL_TICKS_S = 30.0
-"""Speed below which a servo stands."""
+"""Speed below which a servo counts as standing still, ticks/s."""
 
 
 def stands_in_its_droop(
     state: ServoState, goal: int, joint: JointConfig, limits: FollowerConfig
 ) -> bool:
-    """Tell whether a driven servo stands away from its goal by what its load makes of it.
+    """Tell whether a driven servo rests away from its goal only because of its load (droop).
 
-    It then sinks if the goal becomes the present position. One that pushes against something, or is
-    still on its way, would go on.
+    Such a servo would sink if its present position became its goal. A servo that pushes against an
+    obstacle or is still moving is excluded, because its old goal would move it on.
+
+    Args:
+        goal: present goal of the servo, ticks.
     """
     off = abs(goal - state.position_ticks)
     pushes = off > limits.stall_error_ticks and abs(state.load) >= joint.max_load

@@ -1,4 +1,4 @@
-"""A file of what servos had stored before a setup, until that is written back or kept."""
+"""A file with the values that servos had stored before a setup, to write them back."""
 
 from __future__ import annotations
 
@@ -15,21 +15,25 @@ from longarm_comp.devices.state_folder import state_folder
 
 
 class SetupJournal:
-    """The journal of one port. It is written before the first servo is."""
+    """The journal of the servos on one port. It is written before the first servo is changed."""
 
     def __init__(self, port: str) -> None:
         slug = re.sub(r"[^A-Za-z0-9]+", "-", os.path.realpath(port)).strip("-")
         self.path = state_folder() / "servo_setup" / f"{slug}.json"
 
     def read(self, protocol: str) -> dict[int, Change]:
-        """Read what is to be written back, by servo id. Raises JobError: the file is damaged."""
+        """Return the changes to undo, by servo id; none if they are for another protocol.
+
+        Raises:
+            JobError: the file is damaged.
+        """
         try:
             data = json.loads(self.path.read_text("utf-8"))
             changes = {
                 int(i): (bytes.fromhex(had), bytes.fromhex(new))
                 for i, (had, new) in data["turns"].items()
             }
-            return changes if data["protocol"] == protocol else {}  # of other servos on this port
+            return changes if data["protocol"] == protocol else {}  # else of other servos
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -40,13 +44,13 @@ class SetupJournal:
             ) from error
 
     def begin(self, protocol: str, changes: Mapping[int, Change]) -> None:
-        """Note what is about to be changed; what is noted already stays."""
+        """Add changes that are about to be made, by servo id; earlier entries are kept."""
         changes = dict(changes) | self.read(protocol)
         turns = {str(i): [had.hex(), new.hex()] for i, (had, new) in changes.items()}
         write_text(self.path, json.dumps({"protocol": protocol, "turns": turns}) + "\n")
 
     def end(self, protocol: str, ids: Collection[int]) -> None:
-        """Note that nothing of these servos is to be written back any more."""
+        """Remove the entries of these servos; nothing of them will be written back."""
         left = {i: change for i, change in self.read(protocol).items() if i not in ids}
         try:
             self.path.unlink(missing_ok=True)
@@ -56,10 +60,12 @@ class SetupJournal:
             self.begin(protocol, left)
 
     def write_back(self, bus: SerialServoBus) -> list[int]:
-        """Store what servos had, where they still have what was written; their torque goes off.
+        """Write the old values back to the servos that still hold the new ones.
+
+        The torque of these servos is switched off.
 
         Returns:
-            Ids of those that do not answer: they stay in the journal.
+            Ids of the servos that do not answer. They stay in the journal.
         """
         silent = []
         for servo_id, (had, new) in self.read(bus.protocol).items():

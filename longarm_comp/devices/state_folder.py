@@ -1,4 +1,4 @@
-"""The user's folder for what outlasts a process, by the XDG base directories."""
+"""The user's folder for files that outlast a process (XDG Base Directory Specification)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from longarm_comp.core.errors import InputError
 
 
 def state_folder() -> Path:
-    """Return this package's folder. Raises InputError where there is none."""
+    """Return this package's folder for state files. Raises InputError if there is no home."""
     given = os.environ.get("XDG_STATE_HOME", "")
     if os.path.isabs(given):
         return Path(given) / "longarm_comp"

@@ -1,4 +1,4 @@
-"""A stop of an arm, kept in files until somebody resets it, whatever process dies meanwhile."""
+"""Stops of an arm, kept in files, so that they outlast every process until they are reset."""
 
 from __future__ import annotations
 
@@ -22,31 +22,35 @@ _AGAIN = ", asked for again at "
 
 
 class Stop(Enum):
-    """The stops that a person asks for; a name is that of the service."""
+    """The kinds of stop that a person asks for, with the names of the services."""
 
     ESTOP = "emergency stop"
     HOLD = "held"
 
 
 class StopLatch:
-    """The stops of an arm, also those that an earlier process was asked for.
+    """The stops of an arm that are in force, also those asked of an earlier process.
 
-    That a file is there counts, not what it holds. Where files cannot be read, or none could be
-    written, the arm is held.
+    A stop is in force if its file exists, whatever the file contains. If the files cannot be read
+    or written, the arm is held.
+
+    An arm has several names, each with its own file: its arm.yaml in its namespace, its port as
+    given, and the device to which a link at this port leads.
 
     Args:
-        folder: of the files.
-        namespace, arm, port: of the arm's graph; its file, if known; its servos' port. An arm is
-            known by its file in its namespace, and by its port, as given and where a link leads.
+        folder: folder of the files.
+        namespace: namespace of the arm's graph.
+        arm: path of arm.yaml; empty if not known.
+        port: serial port of the servos.
 
     Attributes:
-        standing: what stops the arm, in words.
-        trouble: why that would not outlast this process; empty where it would.
-        names: of the arm's files, without suffix, and what each stands for.
+        standing: description of each stop in force.
+        trouble: why these stops would not outlast this process; empty if they would.
+        names: what each file of the arm stands for, by its name without suffix.
     """
 
     def __init__(self, folder: Path, namespace: str, arm: str, port: str) -> None:
-        # The number of a pseudo-terminal is another's tomorrow
+        # The number of a pseudo-terminal is soon reused for another one
         ports = (port, os.path.realpath(port))
         known_by = [f"port {name}" for name in ports if name == port or "/pts/" not in name]
         known_by += [_of_arm(namespace, arm)] if arm else []
@@ -65,7 +69,7 @@ class StopLatch:
 
     @property
     def words(self) -> str:
-        """The reason why the arm is stopped, in a sentence; empty where it is not."""
+        """The reasons why the arm is stopped, in one line; empty if it is not."""
         if not self.standing:
             return ""
         said = [
@@ -76,9 +80,10 @@ class StopLatch:
         return "; ".join((*said, *lasts))
 
     def ask(self, stop: Stop, why: str = "") -> None:
-        """Stop the arm from now on; `keep` writes it.
+        """Put a stop in force; `keep` then writes it.
 
-        Asked for again, it says so: who ends a stop of his own sees that it is another's too.
+        If the stop is in force already, its description says that it was asked for again: a person
+        who wants to end his own stop sees that another person asked for it too.
         """
         words = self.standing.get(stop, "")
         now = _describe_stop(stop, time.time(), why)
@@ -87,7 +92,10 @@ class StopLatch:
         self._owing = True
 
     def keep(self) -> None:
-        """Write what is not written, or gone. `trouble` says why that fails: call it again."""
+        """Write the files that are not written yet or are gone.
+
+        If this fails, `trouble` gives the reason; call it again then.
+        """
         try:
             files = (file for stop in self.standing for file in self._list_files(stop))
             if not self._owing and all(os.path.lexists(file) for file in files):
@@ -97,7 +105,7 @@ class StopLatch:
                     write_text(file, f"{words}\n{of}\n")
             folder = os.open(self._folder, os.O_RDONLY)
             try:
-                os.fsync(folder)  # the names too outlast a loss of power
+                os.fsync(folder)  # so that the names, too, outlast a loss of power
             finally:
                 os.close(folder)
             self._owing, self.trouble = False, ""
@@ -106,7 +114,13 @@ class StopLatch:
 
     @contextmanager
     def lift_stops(self, *stops: Stop) -> Iterator[None]:
-        """End stops. They stand again where their files cannot be removed, or the block raises."""
+        """End stops for the block and after it.
+
+        They are in force again if the block raises an exception.
+
+        Raises:
+            JobError: their files cannot be removed; the stops remain in force.
+        """
         before = dict(self.standing)
         if not any(stop in before for stop in stops):
             yield
@@ -133,13 +147,18 @@ class StopLatch:
         write_text(self._folder / "README.txt", _EXPLAINED)
 
     def _list_files(self, stop: Stop) -> dict[Path, str]:
-        """List the files of a stop, and whose each is."""
+        """Return the files of a stop, each with the name of the arm for which it stands."""
         return {self._folder / f"{n}.{stop.name.lower()}": of for n, of in self.names.items()}
 
 
 @dataclass(frozen=True)
 class KeptStop:
-    """A file of a stop. ``of``: whose, in words; where it is damaged, the file's name says it."""
+    """A file of a stop.
+
+    Attributes:
+        of: the arm or port that is stopped, in words; the file's name if the file is damaged.
+        words: the kind of stop, and since when.
+    """
 
     file: Path
     of: str
@@ -150,7 +169,7 @@ class KeptStop:
 
 
 def kept_stops(folder: Path) -> list[KeptStop]:
-    """List all stops that are kept in a folder and those below, where arms are simulated."""
+    """List all stops that are kept in a folder and in its subfolders (of simulated arms)."""
     kept = []
     for stop in Stop:
         for file in sorted(folder.rglob(f"*.{stop.name.lower()}")):
@@ -165,13 +184,15 @@ def kept_stops(folder: Path) -> list[KeptStop]:
 
 
 def refuse_under_stop(folder: Path, ports: Collection[str], arm: Path | None = None) -> None:
-    """Refuse to move or power servos without a driver while a stop of them stands.
+    """Raise an error if a stop forbids to move or power servos without a driver.
 
     Args:
-        arm: the arm's file, in whatever namespace.
+        folder: folder of the stops.
+        ports: serial ports of the servos.
+        arm: path of arm.yaml. Its stops count in every namespace.
 
     Raises:
-        JobError: saying what stands, and how it is ended. Also where stops cannot be read.
+        JobError: a stop is in force (the message says how to end it), or stops cannot be read.
     """
     latches = [StopLatch(folder, "/", str(arm or ""), port) for port in ports]
     for latch in latches:
@@ -192,7 +213,7 @@ def _of_arm(namespace: str, arm: str) -> str:
 
 
 def _file_name(text: str) -> str:
-    """Make a file's name for any text: its last letters, and a hash."""
+    """Return a file name for any text: its last 60 legible characters, and a hash."""
     legible = re.sub(r"[^A-Za-z0-9]+", "_", text)[-60:].strip("_")
     return f"{legible}-{hashlib.blake2s(text.encode(), digest_size=6).hexdigest()}"
 

@@ -1,9 +1,9 @@
-"""Trim: corrects the goals of a resting arm, in a few bounded steps, by its remaining error.
+"""Trim: corrects the goals of a resting arm, in a few bounded steps, by the error that remains.
 
 A servo with proportional control stops short of its goal under load.  Each step moves the goal by
-the error that is left; friction may absorb a step without a motion, so there are several.  The
-corrections found are the start of the next move.  Where a large error is left after the steps, as
-with an encoder that is frozen or has slipped, that joint's correction is undone and reported.
+the remaining error.  Friction may absorb a step without a motion, so there are several.  The next
+move starts with the corrections found.  If a large error remains after all steps, as with an
+encoder that is frozen or has slipped, this joint's correction is undone and reported.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from longarm_comp.devices.servo_bus.state import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 
 MOST_STEPS = 5
-"""Steps after a move: two of them find a droop, the others are for friction."""
+"""Most steps after a move: two of them correct a droop, the others are for friction."""
 
 
 class Trim:
     """Corrections of the goals, in ticks, in the order of the configuration.
 
     Args:
-        config: the joints, and the largest correction.
+        config: configuration of the joints, and the largest correction.
 
     Attributes:
-        offset: (n,) corrections that are wanted.
+        offset: (n,) corrections to be reached, ticks.
     """
 
     def __init__(self, config: ServoConfig) -> None:
@@ -38,28 +38,31 @@ class Trim:
         self.drop()
 
     def drop(self) -> None:
-        """Make no correction any more."""
+        """Set all corrections to 0 at once."""
         self.offset = np.zeros(len(self._joints))
         self._applied = self.offset.copy()
         self._steps = 0
 
     def begin(self, path: bool) -> None:
-        """Begin a move with the last corrections; a path has none."""
+        """Begin a motion: a move keeps the last corrections, a ``path`` returns to none."""
         self._steps = 0
         if path:
             self.offset = np.zeros(len(self._joints))
 
     def correction_now(self, dt: float) -> Array:
-        """Return the (n,) corrections after `dt` (s); they change no faster than joints may."""
+        """Return the corrections (n,), ticks, after a step of `dt`, s.
+
+        They approach `offset` no faster than the joints may move.
+        """
         step = np.clip(self.offset - self._applied, -self._rate * dt, self._rate * dt)
         self._applied = self._applied + step
         return self._applied
 
     def take_step(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> bool:
-        """Take another step from the readings of a resting arm; whether there was one to take.
+        """Correct `offset` by the readings of a resting arm; return whether it has changed.
 
         Args:
-            wanted: goal without correction by joint, ticks.
+            wanted: goal without correction, ticks, by joint.
             states: trusted read-back by joint.
         """
         missing = np.array([wanted[name] - states[name].position_ticks for name in self._joints])
@@ -76,10 +79,10 @@ class Trim:
         return bool((self.offset != before).any())
 
     def describe_failure(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> str:
-        """Say which joints no step brought near, and how far off they are; those lose theirs.
+        """Say which joints are still too far off after all steps, and undo their corrections.
 
-        What friction holds is off by so little that all steps together are no stall.  One that
-        would have to go beyond its limit is as near as it may be.
+        An error that friction can hold is allowed: up to a fifth of `stall_error_ticks`.  A joint
+        whose corrected goal is at its limit does not count, because it can come no nearer.
         """
         said = []
         for k, (name, joint) in enumerate(self._joints.items()):

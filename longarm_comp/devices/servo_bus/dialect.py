@@ -1,10 +1,10 @@
 """Interface of a wire protocol: frames, registers and units as bytes, without a port.
 
-The frames are our own for these faults of the vendors' libraries: both poll the port until a
-time-out of 34-50 ms on the wall clock, give up a sync read at the first silent servo and drop the
-status byte of the others (dynamixel-sdk), never empty the input so that a late answer is taken for
-the next one (scservo_sdk), and stay "busy" for ever after an exception from an unplugged port.
-The tests use them as an independent reference for every byte.
+This package makes its own frames because the vendors' libraries have these faults.  Both poll the
+port until a time-out of 34-50 ms on the wall clock, and stay "busy" for ever after an exception
+from an unplugged port.  dynamixel-sdk gives up a sync read at the first silent servo and drops the
+status byte of the others.  scservo_sdk never empties the input, so that it takes a late answer for
+the next one.  The tests use the libraries as an independent reference for every byte.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import ClassVar
 from longarm_comp.devices.servo_bus.memory import Register, ServoMemory
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
-BROADCAST = 0xFE  # id of all servos, which Feetech has taken over from Dynamixel
+BROADCAST = 0xFE  # id that addresses all servos, the same for Dynamixel and Feetech
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A received status frame; ``intact`` is False when its checksum failed."""
+    """A received status frame. ``intact`` is False if its checksum is wrong."""
 
     servo_id: int
     error: int
@@ -39,7 +39,10 @@ class Block:
 
 
 def limit_units(limit: float, unit: float, most: int) -> int:
-    """Return a limit in whole units of its register, where 0 means none: 0 only for none."""
+    """Return a limit in whole units of a register in which 0 means no limit.
+
+    A ``limit`` above 0 becomes 1 to ``most``; 0 or less becomes 0.
+    """
     return min(max(round(limit / unit), 1), most) if limit > 0.0 else 0
 
 
@@ -51,33 +54,36 @@ class Dialect(ABC):
     header: ClassVar[bytes]  # bytes that every status frame begins with
     overhead: ClassVar[int]  # bytes of a status frame besides its data
     alarm_bits: ClassVar[Mapping[int, ServoAlarm]]
-    """Alarm of each bit of the servo's alarm byte; any other bit is OTHER."""
+    """Alarm by bit number of the servo's alarm byte; any other bit means OTHER."""
     model: ClassVar[Block]  # the servo's model number
-    firmware: ClassVar[Block]  # its version
+    firmware: ClassVar[Block]  # the version of the servo's firmware
     baudrates: ClassVar[tuple[int, ...]]
-    """Rates that servos of this protocol are used at, the factory's first."""
+    """Usual rates of servos of this protocol, bit/s; the factory setting first."""
     state: ClassVar[Block]  # everything a ``ServoState`` needs, in one read
     goal: ClassVar[Block]  # goal position with its speed
     goal_position: ClassVar[Block]  # goal position alone, within ``goal``
     torque: ClassVar[Block]  # one byte, 0 free, 1 driven
     turns: ClassVar[Block]
-    """What decides between one turn and many, kept by the servo when unpowered."""
+    """Registers that decide between one turn and many; the servo keeps them without power."""
     turns_lock: ClassVar[Block | None] = None
     """Write 0 here before and 1 after changing ``turns`` or ``identity``; None: no lock."""
     identity: ClassVar[Block | None] = None  # the id itself; None: it is set with the maker's tool
     alarm: ClassVar[Block | None] = None
-    """Register of the alarms, for when the status byte only flags that there is one."""
+    """Register of the alarms, if the status byte only tells that there is one."""
     registers: ClassVar[tuple[Register, ...]] = ()
-    """What servos keep without power and what decides the meaning of goals; none: nothing does."""
+    """Registers that a servo keeps without power and that decide the meaning of goals; or none."""
     goal_limits: ClassVar[tuple[str, str] | None] = None
-    """Registers of the lowest and the highest goal within one turn, by name."""
+    """Names of the registers of the lowest and the highest goal within one turn."""
     speed_limit: ClassVar[tuple[str, float] | None] = None
-    """Register of the highest speed, by name, and ticks a second of its unit."""
+    """Name of the register of the highest speed, and the size of its unit, ticks/s."""
 
     def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
-        """Take every status frame off the front of ``buffer``; ``final``: no more bytes come.
+        """Remove all status frames from the front of ``buffer`` and return them.
 
-        Of a damaged frame only the first byte is taken: its length may be what is damaged.
+        Only the first byte of a damaged frame is removed, because its length may be wrong.
+
+        Args:
+            final: whether no more bytes will come, so that an incomplete frame is a damaged one.
         """
         replies: list[Reply] = []
         while (start := buffer.find(self.header)) >= 0:
@@ -97,26 +103,29 @@ class Dialect(ABC):
 
     @abstractmethod
     def frame_length(self, start: bytearray) -> int:
-        """Return the length of the status frame at ``start`` (``overhead`` or more); 0: none."""
+        """Return the length of the status frame that begins with ``start``; 0 if it is none.
+
+        ``start`` has at least ``overhead`` bytes.
+        """
 
     @abstractmethod
     def reply(self, frame: bytes) -> Reply:
-        """Decode a status frame; it is not intact where its checksum is wrong."""
+        """Decode a status frame; ``intact`` is False if its checksum is wrong."""
 
     @abstractmethod
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
-        """Make the frame that asks every id for ``block``; each answers in turn."""
+        """Make the frame that asks all ids for ``block``; the servos answer one after the other."""
 
     @abstractmethod
     def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
-        """Make the frame that writes ``block`` of every id at once; nobody answers."""
+        """Make the frame that writes ``block`` of all ids at once; no servo answers."""
 
     def refusal(self, error: int) -> int:
         """Return the refusal code in a status byte; 0 if the instruction was not refused."""
         return 0
 
     def alarms(self, error: int) -> ServoAlarm | None:
-        """Return the alarms in a status byte; None: there are some, and ``alarm`` must be read."""
+        """Return the alarms in a status byte; None: it flags one, and ``alarm`` must be read."""
         return self.alarm_flags(error)
 
     def alarm_flags(self, value: int) -> ServoAlarm:
@@ -129,31 +138,31 @@ class Dialect(ABC):
 
     @abstractmethod
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
-        """Make the contents of ``goal``; speed 0 is the servo's own maximum (`limit_units`)."""
+        """Return the bytes of the block ``goal``; speed 0 means the servo's own maximum."""
 
     def goal_position_bytes(self, ticks: int) -> bytes:
-        """Make the contents of ``goal_position``."""
+        """Return the bytes of the block ``goal_position``."""
         start = self.goal_position.address - self.goal.address
         return self.goal_bytes(ticks, 0.0)[start : start + self.goal_position.length]
 
     @abstractmethod
     def ticks_of(self, position: bytes) -> int:
-        """Decode a position or a goal position."""
+        """Decode a position or a goal position, ticks."""
 
     @abstractmethod
     def turns_bytes(self, many: bool) -> bytes:
-        """Make the contents of ``turns`` for one turn or many."""
+        """Return the bytes of the block ``turns`` for many turns, or for one."""
 
     def model_name(self, number: int) -> str:
-        """Name of the model with a number; empty where it is unknown."""
+        """Return the name of the model with this number; empty if unknown."""
         return next((model.name for model in self.models if model.model_number == number), "")
 
     def turns_of(self, data: bytes) -> bool | None:
-        """Return whether the bytes mean many turns; None where they mean another mode."""
+        """Tell whether the bytes of ``turns`` mean many turns; None if they mean another mode."""
         return {self.turns_bytes(True): True, self.turns_bytes(False): False}.get(data)
 
     def turns_said(self, data: bytes) -> str:
-        """Name the registers of ``turns`` with their values."""
+        """Return the registers of ``turns`` with their values, in words."""
         first, end = self.turns.address, self.turns.address + self.turns.length
         said = [
             f"{r.name} = {r.value(data[r.address - first :][: r.length])}"
@@ -164,13 +173,13 @@ class Dialect(ABC):
 
     @property
     def memory(self) -> Block:
-        """The block that holds every register and ``turns``."""
+        """The smallest block that holds all registers and ``turns``."""
         blocks = [*(Block(r.address, r.length) for r in self.registers), self.turns]
         start = min(block.address for block in blocks)
         return Block(start, max(block.address + block.length for block in blocks) - start)
 
     def memory_of(self, data: bytes) -> ServoMemory:
-        """Decode the contents of ``memory``."""
+        """Decode the bytes of the block ``memory``."""
         start = self.memory.address
 
         def cut(address: int, length: int) -> bytes:
@@ -187,4 +196,4 @@ class Dialect(ABC):
 
     @abstractmethod
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
-        """Decode the contents of ``state``."""
+        """Decode the bytes of the block ``state``."""
