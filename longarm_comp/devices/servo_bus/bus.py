@@ -1,4 +1,4 @@
-"""A bus of servos: reads states, sends goals, switches torque. Failures are typed errors."""
+"""A bus of servos: reads states, sends goals, switches torque. Each failure has its error class."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from longarm_comp.devices.servo_bus.state import (
 )
 
 GOAL_TICKS = 8
-"""A goal this near the one that was sent moves no servo far: 0.7 degrees."""
+"""Largest difference, ticks, of a read-back goal that counts as accepted: 0.7 degrees."""
 
 AGREE_TICKS = 40
-"""Two readings in succession so near each other are believed: 3.5 degrees."""
+"""Largest difference, ticks, of two successive readings that are trusted: 3.5 degrees."""
 
 Change = tuple[bytes, bytes]
-"""What is stored, and what is to be."""
+"""A change of a servo's memory: the bytes stored before, and the new bytes."""
 
 
 @dataclass(slots=True)
@@ -42,7 +42,7 @@ class _BusCounters:
 
 @dataclass(slots=True)
 class Answers:
-    """Replies by id, and the ids that sent none or a damaged one."""
+    """Replies by servo id, the ids without a reply or with a damaged one, and the attempts."""
 
     replies: dict[int, Reply] = field(default_factory=dict)
     silent: tuple[int, ...] = ()
@@ -54,8 +54,8 @@ class SerialServoBus:
     """Servos of one protocol on one serial port.
 
     Args:
-        models: model of each servo, by id. Only these ids may be read.
-        retries: how often a servo without a usable answer is read again.
+        models: model of each servo, by id. The method `read` is only for these ids.
+        retries: how often a servo without a usable answer is asked again.
 
     Every method raises :class:`BusUnplugged` when the port goes away. Not thread-safe.
     """
@@ -83,16 +83,19 @@ class SerialServoBus:
         return self._dialect.name
 
     def model_name(self, number: int) -> str:
-        """Name of the model with a number; empty where it is unknown."""
+        """Return the name of the model with this number; empty if unknown."""
         return self._dialect.model_name(number)
 
     def memory(self, ids: Sequence[int]) -> dict[int, ServoMemory]:
-        """Read what each servo keeps without power. Raises IncompleteReply."""
+        """Read the registers that each servo keeps without power. Raises IncompleteReply."""
         replies = self._fetch_block(ids, self._dialect.memory)
         return {i: self._dialect.memory_of(reply.data) for i, reply in replies.items()}
 
     def alarms(self, ids: Sequence[int]) -> dict[int, str]:
-        """Read the alarms that servos raise now, in words, with supply and temperature."""
+        """Read the present alarms, in words, with supply voltage and temperature.
+
+        Servos without an alarm, and those that do not answer, are left out.
+        """
         replies = self.ask(ids, self._dialect.state).replies
         said = {}
         for servo_id, flags in self._read_alarms(replies).items():
@@ -111,7 +114,7 @@ class SerialServoBus:
         """Read the state of the servos by sync read, with retries.
 
         Raises:
-            IncompleteReply: ``states`` holds those of the servos that did answer.
+            IncompleteReply: not all servos answered; its ``states`` has those that did.
             ServoFault: a servo refused the read.
         """
         answers = self.ask(ids, self._dialect.state)
@@ -129,16 +132,19 @@ class SerialServoBus:
     def write_goal(
         self, goals: Mapping[int, int], speeds_ticks_s: Mapping[int, float] | None = None
     ) -> None:
-        """Send goal positions (ticks) in one sync write; no speed, or 0: the servo's maximum.
+        """Send goal positions, ticks by id, in one sync write.
 
-        It is not acknowledged, so it can be lost (`hold` is read back).
+        Servos do not acknowledge it, so it can be lost (`hold` reads the goals back).
+
+        Args:
+            speeds_ticks_s: speeds by id; without one, or for 0, a servo moves as fast as it can.
         """
         speeds = speeds_ticks_s or {}
         values = {i: self._dialect.goal_bytes(t, speeds.get(i, 0.0)) for i, t in goals.items()}
         self._send_frame(self._dialect.sync_write(self._dialect.goal, values))
 
     def hold(self, goals: Mapping[int, int]) -> set[int]:
-        """Send goal positions (ticks); return the ids that did not read back their own."""
+        """Send goal positions, ticks by id; return the ids whose read-back goal is another one."""
         values = {i: self._dialect.goal_position_bytes(ticks) for i, ticks in goals.items()}
         wanted, _ = self._write_until(self._dialect.goal_position, values, self._is_near)
         return set(wanted)
@@ -153,18 +159,18 @@ class SerialServoBus:
         return {i: self._dialect.ticks_of(reply.data) for i, reply in replies.items()}
 
     def torque(self, ids: Sequence[int], on: bool, kept: Container[int] = ()) -> None:
-        """Switch the drives of ``ids`` and read back that it happened.
+        """Switch the drives of ``ids`` on or off, and confirm it by reading back.
 
         Before switching on, each goal is set to the present position and read back, so that no
-        servo jumps. One that stands beyond its own limits would: it takes no goal there.
-        Off is sent before any read, so that it also reaches a disturbed bus.
+        servo jumps. A servo beyond its own limits accepts no such goal, so it is refused. Off is
+        sent before anything is read, so that it also reaches a disturbed bus.
 
         Args:
-            kept: servos that are driven and keep the goal that they have.
+            kept: ids of driven servos that keep their present goal.
 
         Raises:
             IncompleteReply: some servos did not confirm, or their readings do not agree.
-            ServoFault: a servo with an alarm would not switch on, or one would jump.
+            ServoFault: a servo with an alarm does not switch on, or a servo would jump.
         """
         if on:
             goals = self._read_agreed(ids)
@@ -180,12 +186,12 @@ class SerialServoBus:
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
 
     def _read_agreed(self, ids: Sequence[int]) -> dict[int, int]:
-        """Read positions, ticks by id, until two in succession agree for each servo.
+        """Read positions, ticks by id, until two successive readings of each servo agree.
 
-        A damaged reply may pass its checksum, and a servo goes to what becomes its goal.
+        A damaged reply may pass its checksum, and the servo would move to a wrong goal.
 
         Raises:
-            IncompleteReply: a servo's do not agree however often they are read again.
+            IncompleteReply: the readings of a servo do not agree after all repetitions.
         """
         before, agreed = self.read(ids), dict[int, int]()
         for _ in range(self._retries + 2):
@@ -208,7 +214,7 @@ class SerialServoBus:
         return {servo_id: reply.data == b"\1" for servo_id, reply in replies.items()}
 
     def turns(self, ids: Sequence[int]) -> dict[int, bytes]:
-        """Read what each servo keeps about its turns, as it is stored. Raises IncompleteReply."""
+        """Read the stored bytes that decide between one turn and many. Raises IncompleteReply."""
         return {i: r.data for i, r in self._fetch_block(ids, self._dialect.turns).items()}
 
     def set_turns(
@@ -216,16 +222,17 @@ class SerialServoBus:
         many: Mapping[int, bool],
         before: Callable[[dict[int, Change]], None] = lambda changes: None,
     ) -> list[str]:
-        """Allow servos more than one turn, or not. The servos store it permanently.
+        """Set servos permanently for many turns, or for one.
 
-        Only servos set otherwise are written (their memory wears); their torque goes off.
+        Only servos that are set differently are written, because their memory wears. Their torque
+        is switched off.
 
         Args:
             many: by servo id, whether it may turn more than once.
-            before: called with the changes by servo id before the first is made; it may raise.
+            before: called with the changes, by servo id, before they are made; it may raise.
 
         Returns:
-            What was changed, in words: one sentence a servo.
+            One sentence about each changed servo.
         """
         dialect = self._dialect
         changes = {
@@ -243,9 +250,9 @@ class SerialServoBus:
         ]
 
     def store_turns(self, stored: Mapping[int, bytes]) -> None:
-        """Switch the torque off and write the register of turns of each servo.
+        """Switch the torque off and write the bytes that decide about turns, by servo id.
 
-        Where a lock protects the register, it is opened and then set as it was.
+        If a lock protects them, it is opened before and restored afterwards.
         """
         self.torque(list(stored), on=False)
         lock = self._dialect.turns_lock
@@ -264,7 +271,7 @@ class SerialServoBus:
         self._port.close()
 
     def ask(self, ids: Sequence[int], block: Block, retries: int | None = None) -> Answers:
-        """Ask for a block; again, ``retries`` times at most, where no good answer came."""
+        """Read a block from all ids; ask again, up to ``retries`` times, without a good answer."""
         answers = Answers()
         missing = tuple(ids)
         while missing and answers.attempts <= (self._retries if retries is None else retries):
@@ -282,7 +289,10 @@ class SerialServoBus:
     def _collect_replies(
         self, ids: Sequence[int], data_length: int, replies: dict[int, Reply]
     ) -> set[int]:
-        """Read until every id has answered or time is up; returns ids with a damaged answer."""
+        """Receive replies until every id has answered or the time is over.
+
+        Good replies are added to ``replies``. Return the ids with a damaged reply.
+        """
         frame_length = self._dialect.overhead + data_length
         deadline = self._port.deadline(frame_length * len(ids))
         wanted = set(ids)
@@ -305,7 +315,7 @@ class SerialServoBus:
         return damaged
 
     def _answers(self, reply: Reply, data_length: int) -> bool:
-        """Return whether a reply has the data that was asked for, or refuses to send any."""
+        """Tell whether a reply has the expected number of bytes, or refuses the instruction."""
         return len(reply.data) == data_length or self._dialect.refusal(reply.error) != 0
 
     def _send_frame(self, frame: bytes) -> None:
@@ -325,7 +335,7 @@ class SerialServoBus:
                 raise ServoFault("the servo refused the instruction", id=servo_id, code=code)
 
     def _read_alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
-        """Return alarms by id. If a status byte only flags that there is one, read the register."""
+        """Return alarms by id; if the status byte only flags an alarm, read its register."""
         known = {i: self._dialect.alarms(reply.error) for i, reply in replies.items()}
         unread = [i for i, flags in known.items() if flags is None]
         block = self._dialect.alarm
@@ -345,11 +355,15 @@ class SerialServoBus:
         harmless: bool = False,
         taken: Callable[[bytes, bytes], bool] = operator.eq,
     ) -> None:
-        """Write and read back; write again to servos that did not accept it.
+        """Write values by id and read them back; write again to servos that did not accept them.
 
         Args:
-            harmless: whether a servo with an alarm may ignore it.
-            taken: tells by what was read and what was sent whether a servo accepted it.
+            harmless: whether alarms are ignored: they are then not looked for as the cause.
+            taken: called with the bytes read and the bytes sent; tells whether they were accepted.
+
+        Raises:
+            ServoFault: a servo did not accept its value, and reports an alarm.
+            IncompleteReply: some servos did not accept or confirm their values.
         """
         wanted, answers = self._write_until(block, values, taken)
         if not wanted:
@@ -363,7 +377,7 @@ class SerialServoBus:
     def _write_until(
         self, block: Block, values: Mapping[int, bytes], taken: Callable[[bytes, bytes], bool]
     ) -> tuple[dict[int, bytes], Answers]:
-        """Return what servos did not accept, by id, and the last answers."""
+        """Write values with repetitions; return those not accepted, by id, and the last answers."""
         wanted, answers, tries = dict(values), Answers(), self._retries + 1
         while wanted and tries:
             tries -= 1

@@ -1,7 +1,8 @@
 """Dynamixel protocol 2.0: ``FF FF FD 00 id length instruction params... crc``, byte-stuffed.
 
-Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0" and the control tables of the X series; two's
-complement, low byte first; CRC-16 with polynomial 0x8005, initial value 0, not reflected.
+Numbers are in two's complement, low byte first.  The CRC-16 has the polynomial 0x8005 and the
+initial value 0, and is not reflected.  Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0" and the
+control tables of the X series.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoSt
 _HEADER = b"\xff\xff\xfd\x00"
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
 _SYNC_READ, _SYNC_WRITE, _STATUS = 0x82, 0x83, 0x55
-_LONGEST = 1024  # bytes that a frame may say it has: a larger number is damage
+_LONGEST = 1024  # largest length field of a frame, bytes: a larger one is damaged
 _ALERT = 0x80
 _VELOCITY_TICKS_S = 0.229 / 60.0 * 4096
-"""One unit of velocity is 0.229 turns a minute."""
+"""One unit of velocity, 0.229 turns a minute, in ticks/s."""
 
 
 def _x_model(
@@ -30,7 +31,7 @@ def _x_model(
 
 
 def _divide_by_crc(crc: int) -> int:
-    """Return the remainder after eight more bits of 0."""
+    """Return the CRC after eight more zero bits."""
     for _ in range(8):
         crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
     return crc

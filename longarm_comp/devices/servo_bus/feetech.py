@@ -1,7 +1,7 @@
 """Feetech STS/SMS serial protocol: ``FF FF id length instruction params... ~sum``.
 
-Source: Feetech, "SMS/STS series memory table" and "Communication protocol manual"; signed values
-are sign and magnitude, low byte first.
+Signed values have a sign bit and a magnitude, low byte first.  Source: Feetech, "SMS/STS series
+memory table" and "Communication protocol manual".
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoSt
 _HEADER = b"\xff\xff"
 _SYNC_READ, _SYNC_WRITE = 0x82, 0x83
 _position, _load = sign_magnitude(15), sign_magnitude(10)
-_LONGEST = 250  # bytes that a frame may say it has: a larger number is damage
+_LONGEST = 250  # largest length field of a frame, bytes: a larger one is damaged
 
 
 def _sts_model(name: str, number: int, top_rpm: float, friction: float | None = None) -> ServoModel:
@@ -105,7 +105,7 @@ class FeetechSts(Dialect):
         return low.to_bytes(2, "little") + high.to_bytes(2, "little")
 
     def turns_of(self, data: bytes) -> bool:
-        return data == self.turns_bytes(True)  # else what is stored are the limits of one turn
+        return data == self.turns_bytes(True)  # otherwise the bytes are the limits of one turn
 
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         return ServoState(

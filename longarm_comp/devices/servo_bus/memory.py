@@ -1,4 +1,4 @@
-"""A servo's memory without power: registers that decide what a command means to it."""
+"""The registers that a servo keeps without power and that decide what a command means to it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def decode_signed(data: bytes) -> int:
 
 
 def sign_magnitude(bit: int) -> Callable[[bytes], int]:
-    """Return a decoder of numbers with their sign in a bit and their size in the bits below."""
+    """Return a decoder of numbers whose sign is bit ``bit`` and whose size is in the bits below."""
 
     def value(data: bytes) -> int:
         raw = decode_unsigned(data)
@@ -33,15 +33,15 @@ def one_bit(bit: int) -> Callable[[bytes], int]:
 class Register:
     """One value in a servo's memory, as a protocol describes it."""
 
-    name: str  # the maker's; of a part of a register with the part behind it
+    name: str  # the maker's name; for a part of a register, followed by the part
     address: int
     length: int = 1
     value: Callable[[bytes], int] = decode_unsigned
     factory: int | None = None  # value from the factory; None: not the same in all models
     places: bool = False
-    """Whether it decides what a position means. Then it must be as it was at the setup."""
-    allowed: tuple[int, ...] = ()  # values with which goals mean what they say; none: any
-    otherwise: str = ""  # what another value does
+    """Whether it decides what a position means. If so, it must not change after the setup."""
+    allowed: tuple[int, ...] = ()  # values with which goals are understood correctly; empty: any
+    otherwise: str = ""  # the effect of another value, in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +49,10 @@ class ServoMemory:
     """The registers of one servo.
 
     Attributes:
-        many_turns: whether it turns more than once; None: it follows no goal positions.
-        goals: lowest and highest goal that it takes, by its own limits; None: any.
-        speed_ticks_s: highest speed that it takes; None: any.
+        values: value of each register, by name.
+        many_turns: whether it may turn more than once; None: it follows no goal positions.
+        goals: lowest and highest goal that its own limits allow, ticks; None: any.
+        speed_ticks_s: highest speed that it accepts, ticks/s; None: any.
     """
 
     registers: tuple[Register, ...]
@@ -61,7 +62,7 @@ class ServoMemory:
     speed_ticks_s: float | None
 
     def describe_jump(self, ticks: float) -> str:
-        """Say why a servo at ``ticks`` would jump when it is driven; empty where it would not."""
+        """Say why a servo at ``ticks`` would jump when its torque goes on; empty if not."""
         if self.goals is None or self.goals[0] <= ticks <= self.goals[1]:
             return ""
         return (
@@ -71,7 +72,7 @@ class ServoMemory:
 
     @property
     def placing(self) -> dict[str, int]:
-        """Registers that decide what a position means and are not as from the factory."""
+        """Values, by name, of registers that decide positions and are not as from the factory."""
         return {
             r.name: self.values[r.name]
             for r in self.registers
@@ -80,7 +81,7 @@ class ServoMemory:
 
     @property
     def changes(self) -> str:
-        """The registers that are not as from the factory, with addresses."""
+        """The registers that are not as from the factory, in words, with addresses."""
         own = [r for r in self.registers if r.factory not in (None, self.values[r.name])]
         return ", ".join(map(self.describe, own)) or "its registers are as from the factory"
 
@@ -91,5 +92,5 @@ class ServoMemory:
         return ", ".join(map(self.describe, own))
 
     def describe(self, register: Register) -> str:
-        """Write a register's name, value and address."""
+        """Return a register's name, value and address, in words."""
         return f"{register.name} = {self.values[register.name]} (register {register.address})"

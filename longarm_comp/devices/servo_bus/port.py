@@ -1,4 +1,4 @@
-"""The serial port of a servo bus: sends and receives bytes, one error when it is gone."""
+"""The serial port of a servo bus: sends and receives bytes; raises BusUnplugged if it fails."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from longarm_comp.devices.servo_bus.state import BusUnplugged
 
 
 class SerialPort:
-    """A serial port opened for this process alone.
+    """A serial port, opened exclusively for this process.
 
     Args:
-        reply_timeout_s: how long an answer may take after its bytes' own time on the wire.
+        reply_timeout_s: longest wait for an answer, s, beyond the time of its bytes on the wire.
 
     Raises:
         BusUnplugged: the port cannot be opened or another process holds it.
@@ -50,24 +50,24 @@ class SerialPort:
         return stale
 
     def receive(self, count: int) -> bytes:
-        """Read ``count`` bytes; fewer or none when the reply time-out passes first."""
+        """Read ``count`` bytes; return fewer or none if the reply time-out passes first."""
         try:
             return bytes(self._serial.read(count))
         except OSError as error:
             raise BusUnplugged(port=self.path, why=str(error)) from error
 
     def deadline(self, byte_count: int) -> float:
-        """Return the monotonic time, s, by which an answer of so many bytes must be complete."""
+        """Return the monotonic time, s, by which an answer of ``byte_count`` bytes is due."""
         return time.monotonic() + self.reply_timeout_s + 10.0 * byte_count / self.baudrate
 
     def close(self) -> None:
-        """Release the port; closing twice, or after an unplug, is fine."""
+        """Release the port. Closing it twice, or after an unplug, raises nothing."""
         with contextlib.suppress(OSError):
             self._serial.close()
 
 
 def _in_words(path: str, error: OSError | ValueError) -> str:
-    """Say why a port cannot be opened, and what to do about it."""
+    """Return the reason why a port cannot be opened, and a remedy."""
     number = getattr(error, "errno", None)
     if number in (errno.EACCES, errno.EPERM):
         with contextlib.suppress(OSError, KeyError):

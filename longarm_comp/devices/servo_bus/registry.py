@@ -1,4 +1,4 @@
-"""The protocols and servo models, of this package and of others; which servos are on a line."""
+"""The known protocols and servo models, and the search for servos on a serial line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from longarm_comp.devices.servo_bus.port import SerialPort
 from longarm_comp.devices.servo_bus.state import ServoModel
 
 GROUP = "longarm_comp.servo_protocols"
-"""Group of the entry points of protocols from other packages."""
+"""Entry-point group under which other packages register their protocols."""
 
 
 @cache
@@ -48,16 +48,22 @@ def open_bus(
     reply_timeout_s: float = 0.02,
     retries: int = 2,
 ) -> SerialServoBus:
-    """Open a port and speak a known protocol on it. Raises BusUnplugged."""
+    """Open a port for a known protocol. Raises BusUnplugged.
+
+    Args:
+        servos: model of each servo, by id.
+        reply_timeout_s: longest wait for a reply, s.
+        retries: repetitions of an instruction without a good reply.
+    """
     line = SerialPort(port, baudrate, reply_timeout_s)
     return SerialServoBus(line, protocols()[protocol](), servos, retries)
 
 
 _ALL_IDS = range(253)
 _PATIENCE_S = 0.2
-"""Longest wait for a servo that may have an id that is to be given."""
+"""Longest wait, s, for a servo that may already have the id that is to be given."""
 _LOOKS, _DAMAGED = 5, 2
-"""States read of a servo that answers, and damaged ones among them that are no accident."""
+"""Number of states that are read from a found servo; damaged replies that make it a clash."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +73,10 @@ class FoundServo:
     model: str  # its name; empty where the model number is unknown here
     firmware: str  # version, numbers with points
     clash: bool  # its answers are damaged or doubled, as when two servos have the same id
-    alarm: str = ""  # what it raises now, in words
+    alarm: str = ""  # its present alarms, in words
     memory: Mapping[str, int] = field(default_factory=dict)
-    """Registers that decide what a command means to it, by name."""
-    told: str = ""  # those of them that are not as from the factory, with addresses
+    """Registers that decide what a command means to the servo, by name."""
+    told: str = ""  # those that are not as from the factory or differ among models, with addresses
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +102,10 @@ def _ask_each(
     ids: Sequence[int],
     patience_s: float,
 ) -> dict[int, FoundServo]:
-    """Ask some ids one after the other, each so long; return the servos that answer, by id."""
+    """Ask ids one after the other; return the servos that answer, by id.
+
+    ``tell`` is called with a text and the share done. ``patience_s``: longest wait per id, s.
+    """
     found = {}
     with closing(SerialPort(port, baudrate, patience_s)) as line:
         for n, servo_id in enumerate(ids):
@@ -115,17 +124,19 @@ def scan_line(
     tell: Callable[[str, float], None],
     expected: Collection[int] = (),
 ) -> Scan | None:
-    """Find the first protocol and rate at which a servo answers, and all servos that answer then.
+    """Find the first protocol and rate at which a servo answers, and all servos that answer there.
 
     Args:
-        protocol, baudrate: only this one; None: all that are known, one after the other.
-        tell: told what is being asked and the share done, 0 to 1.
-        expected: ids that should be there. On the line that is found, those of them that are
-            silent, and all whose answers are not clear, are asked once more with ten times the
-            patience: an answer that comes late is not a second servo's.
+        protocol, baudrate: the only one to try; None: all known ones, one after the other.
+        ids: ids that are asked.
+        reply_timeout_s: longest wait per id, s.
+        tell: called with a text about the present id, and the share done, 0 to 1.
+        expected: ids that should be there. If one is silent, it is asked again with ten times the
+            wait. So is every servo whose answers were not clear, because a late answer looks like
+            that of a second servo.
 
     Returns:
-        None where nothing answered.
+        The servos found; None if nothing answered.
 
     Raises:
         BusUnplugged: the port cannot be opened, or does not have the rate.
@@ -152,16 +163,16 @@ def scan_line(
 
 
 def list_usable_ports() -> list[tuple[str, str]]:
-    """List this machine's serial ports that may lead to a bus: device and description."""
+    """List device and description of this machine's USB serial ports, which may lead to a bus."""
     found = sorted(list_ports.comports(), key=lambda port: port.device)
     return [(p.device, p.description or "") for p in found if p.vid is not None]
 
 
 def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None:
-    """Ask one id what servo has it; None where none answers.
+    """Ask which servo has an id; None if none answers.
 
-    An answer that comes too late from the id before hides one, or looks like a second servo.  So
-    where the line was disturbed, the id is asked once more when the line is quiet.
+    A late answer of the id asked before can hide this servo, or look like a second one.  So if the
+    line was disturbed, the id is asked once more when the line is quiet.
     """
     found, disturbed = _look_once(line, dialect, servo_id)
     if disturbed:
@@ -173,9 +184,10 @@ def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None
 
 
 def _look_once(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundServo | None, bool]:
-    """Return what answers, and whether anything came beside.
+    """Ask an id once; return the servo or None, and whether the line was disturbed.
 
-    A twin's model number is the same and its state is not, so both are read.
+    Both the model number and the state are read: two servos with the same id may have the same
+    model number, but their states differ.
     """
     bus = SerialServoBus(line, dialect, {}, retries=1)
     counters, first = bus.counters, bus.ask([servo_id], dialect.model)
@@ -205,16 +217,17 @@ def _look_once(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[Found
 
 
 def change_servo_id(found: Scan, servo_id: int) -> int:
-    """Write an id into the memory of the only servo of a scan; its torque goes off.
+    """Write a new id into the memory of the only servo of a scan; its torque is switched off.
+
+    The scan may have asked only some ids, so the new id is asked before and after the change.
 
     Returns:
-        The id that it had.
-
-    The scan may have asked only some ids, so the new one is asked before it is given, and after.
+        The id that the servo had before.
 
     Raises:
-        InputError: no id of a servo.
-        JobError: several servos are on the line, one has this id, or it does not answer to it.
+        InputError: the new id is not 0 to 252.
+        JobError: several servos are on the line, another servo has the new id, or the servo does
+            not answer to it.
     """
     if servo_id not in _ALL_IDS:
         raise InputError("servo set-id", "ID", servo_id, f"0 to {_ALL_IDS[-1]}")

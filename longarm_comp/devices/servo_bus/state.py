@@ -1,6 +1,6 @@
-"""State of a servo, its model and its faults, the same for every protocol.
+"""State, model and errors of servos, the same for every protocol.
 
-What is needed to act on an error is in its ``facts``.
+The ``facts`` of an error hold the data needed to act on it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from longarm_comp.core.errors import JobError
 
 
 class ServoAlarm(IntFlag):
-    """Alarms a servo raises by itself; each protocol maps its own bits onto these."""
+    """Alarms that a servo raises itself; each protocol maps its own bits to these."""
 
     NONE = 0
     VOLTAGE = 1
@@ -49,13 +49,13 @@ class ServoModel:
     model_number: int  # what it answers to a ping
     ticks_per_turn: int  # encoder ticks in one turn of the horn
     single_turn: tuple[int, int]  # lowest and highest goal in ordinary position mode, ticks
-    multi_turn: tuple[int, int]  # the same when it may turn more than once
+    multi_turn: tuple[int, int]  # lowest and highest goal if it may turn more than once, ticks
     full_load: float  # present-load (or present-current) reading at full effort
     friction: float | None = None
-    """Share of full effort that turns it free: its current then over that at a stall; None: its
-    data sheet does not say. It bounds what its load tells of a payload."""
+    """Friction as a share of full effort: current without load / current at stall, by the data
+    sheet; None: not known. It limits how well a payload can be estimated from the load."""
     top_speed_ticks_s: float | None = None
-    """Speed without load at the highest voltage of its data sheet; None: not known."""
+    """Speed without load at the highest voltage of the data sheet, ticks/s; None: not known."""
 
 
 class ServoBusError(JobError):
@@ -70,13 +70,13 @@ class BusUnplugged(ServoBusError):  # noqa: N818
 
 
 class IncompleteReply(ServoBusError):  # noqa: N818
-    """Some servos were silent after every retry, or their answers were damaged on the way.
+    """Some servos did not answer after all retries, or their answers were damaged.
 
-    ``facts`` has the ids of the silent, of those whose answer failed its checksum (``corrupt``),
-    and of those that answered.
+    ``facts`` usually has the ids of silent servos (``silent``), of servos whose answer failed its
+    checksum (``corrupt``), and of those that answered (``answered``).
 
     Attributes:
-        states: of the servos that did answer, by id.
+        states: states of the servos that answered, by id.
     """
 
     def __init__(

@@ -1,5 +1,7 @@
-"""Calibration of a stereo rig from pictures of a flat board (Zhang's method, through OpenCV),
-and its pose in the base frame from predicted and seen tips (`hand_eye`)."""
+"""Calibration of a stereo rig from pictures of a flat board (Zhang's method, by OpenCV).
+
+`hand_eye` finds the rig's pose in the base frame from predicted and seen tips.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView, list_ga
 from longarm_comp.math.points import kabsch
 
 _FEWEST_PAIRS = 4
-"""Zhang's method: a picture gives two equations for five numbers of a camera; one to spare."""
+"""Zhang's method: a picture gives two equations for a camera's five intrinsic parameters, so three
+pictures are enough; one more is required."""
 _FROM_GUESS = cv2.CALIB_USE_INTRINSIC_GUESS
 _ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-10)
 
@@ -36,8 +39,16 @@ def calibrate_stereo(
 ) -> StereoCalibration:
     """Fit intrinsics with plumb-bob distortion of both cameras and the transform between them.
 
-    Pairs whose triangulation residuals exceed twice the median are left out and the rest
-    fitted again: hand-held boards move between exposures that are not simultaneous.
+    Pairs whose triangulation residual exceeds twice the median are left out, and the rest is fitted
+    again: a hand-held board moves between exposures that are not simultaneous.
+
+    Args:
+        pairs: corners in the left and the right image of each pair.
+        size: (width, height) of the images, px.
+
+    Raises:
+        InputError: fewer than four pairs have enough common corners.
+        JobError: the fit fails, or its residual is 2 px or more.
     """
     common = [left.shared_corners(right) for left, right in pairs]
     views = {
@@ -81,23 +92,30 @@ def _flatten_points(points: np.ndarray) -> np.ndarray:
 
 
 _HELD_OUT_EVERY = 4
-"""Every fourth view is left out: three quarters calibrate nearly as well as all."""
+"""Every fourth view is held out: the other three quarters calibrate nearly as well as all."""
 
 
 @dataclass(frozen=True)
 class BoardCalibration:
     fit: StereoCalibration  # of all views
     held_out_mm: float
-    """Rms distance of the board's corners, triangulated with a calibration of the other views,
-    from a board of the declared size."""
-    held_out: int  # number of views left out for it
-    distances_m: tuple[float, float]  # nearest and farthest board, as calibrated
+    """Rms distance, mm, of corners in held-out views from a board of the declared size. They are
+    triangulated with a calibration from the other views."""
+    held_out: int  # number of held-out views
+    distances_m: tuple[float, float]  # distance of the nearest and the farthest board, m
 
 
 def calibrate_board(
     board: Target, views: Sequence[BoardView], size: tuple[int, int]
 ) -> BoardCalibration:
-    """Calibrate a head from views that cover image, distance and tilt."""
+    """Calibrate a camera pair from views that cover image, distance and tilt.
+
+    ``size``: (width, height) of the images, px.
+
+    Raises:
+        JobError: the views do not cover enough (the message says what is missing), a camera is
+            turned, the pictures are paired wrongly, or the fit fails.
+    """
     check_mounting(views)
     lacking = list_gaps(views, size)
     if lacking:
@@ -126,10 +144,13 @@ def _shared_points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.nd
 
 @dataclass(frozen=True)
 class HandEye:
-    """Pose (4, 4) of the camera in the base frame.
+    """Pose of the camera in the base frame, as fitted by `hand_eye`.
 
-    `covariance` is (6, 6) of the pose (``[d; delta]``, base axes); `residuals` (N, 3) m are seen -
-    predicted, in camera axes; `outliers` are the indices that were left out.
+    Attributes:
+        camera_in_base: (4, 4) pose, m.
+        covariance: (6, 6) of the pose (``[d; delta]``, base axes), m and rad.
+        residuals: (N, 3) m, seen - predicted, in camera axes.
+        outliers: indices of the rows that were left out.
     """
 
     camera_in_base: Array
@@ -139,24 +160,27 @@ class HandEye:
 
     @property
     def rms_m(self) -> float:
-        """Root mean square length of the residuals that count, m."""
+        """Root mean square length of the residuals without outliers, m."""
         kept = np.delete(self.residuals, self.outliers, axis=0)
         return float(np.sqrt(np.mean(np.sum(np.square(kept), axis=1))))
 
 
 def hand_eye(tips: Array, seen: Array, covariances: Array) -> HandEye:
-    """Fit the camera's pose Z: for every posture i ``base_tip_i = Z tip_i``, as the camera sees it.
+    """Fit the camera's pose Z in the base frame: ``tips_i = Z seen_i`` for every posture i.
 
     It is the translational half of the robot-world calibration AX = ZB (Zhuang, Roth & Sudhakar,
-    IEEE T-RA 10(4), 1994), all that a point measurement supports; least squares on 6 unknowns.
+    IEEE T-RA 10(4), 1994), because points have no orientation. Least squares on 6 unknowns.
 
-    An arm that sags by centimetres moves its predicted tips: the camera then takes part of the
-    error as its own pose. `covariance` covers noise, not that; calibrate arm and camera together.
+    Errors of the predicted tips, such as centimetres of sag, go partly into the camera's pose.
+    `covariance` covers the noise, not these errors; calibrate arm and camera together.
 
     Args:
-        tips: (N, 3) m predicted, base frame; N more than 2, not on one line.
-        seen: (N, 3) m the same in the camera frame.
+        tips: (N, 3) m, predicted tips, base frame; at least 3 that are not on one line.
+        seen: (N, 3) m, the same tips as measured, camera frame.
         covariances: (N, 3, 3) m^2 of `seen`, camera frame.
+
+    Raises:
+        JobError: the tips do not determine the pose.
     """
     from scipy.optimize import least_squares  # slow to import, and no node of the graph needs it
 
@@ -164,7 +188,7 @@ def hand_eye(tips: Array, seen: Array, covariances: Array) -> HandEye:
     turn, move = kabsch(seen, tips, np.ones(count))
 
     def off(unknown: Array) -> Array:
-        """Return seen - predicted (N, 3) m, camera axes, for a place and turn of the camera."""
+        """Return seen - predicted (N, 3), m, camera axes, for a position and rotation (6,)."""
         return seen - (tips - unknown[:3]) @ cv2.Rodrigues(unknown[3:])[0] @ turn
 
     def weigh_residuals(unknown: Array) -> Array:
@@ -180,7 +204,7 @@ def hand_eye(tips: Array, seen: Array, covariances: Array) -> HandEye:
         unknown, normal = fit.x, fit.jac.T @ fit.jac
         _check_condition(normal)
         distance = np.linalg.norm(weigh_residuals(unknown), axis=1)
-        # times the median normalised distance
+        # Outliers are farther than 5 times the median normalised distance
         inliers = np.flatnonzero(distance <= 5.0 * max(float(np.median(distance)), 1e-12))
         if np.array_equal(inliers, kept):
             break
@@ -193,7 +217,7 @@ def hand_eye(tips: Array, seen: Array, covariances: Array) -> HandEye:
 
 
 def _check_condition(normal: Array) -> None:
-    """Raise `JobError` for a normal matrix that leaves a combination of unknowns undetermined."""
+    """Raise `JobError` if a normal matrix leaves some combination of the unknowns undetermined."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     eigenvalues = np.linalg.eigvalsh(normal * scale * scale[:, None])
     if eigenvalues[0] < 1e-7:

@@ -1,7 +1,7 @@
 """Two calibrated pinhole cameras in one frame: projection with its Jacobian, and undistortion.
 
-The rig frame is the left optical frame: x right, y down, z forward, metres. With `CameraInfo` of
-a raw image it is the *rectified* left frame, because there K, D, R and P share one convention:
+The rig frame is the left optical frame: x right, y down, z forward, metres. For the `CameraInfo` of
+raw images it is the *rectified* left frame, because there K, D, R and P share one convention:
 ``X_camera = R' (X_rig + t)``, ``t = (P[0,3]/P[0,0], 0, 0)``, so the baseline is -P_right[3]/fx.
 """
 
@@ -26,8 +26,9 @@ class Camera:
     """One pinhole camera with Brown-Conrady (plumb bob or rational) distortion.
 
     Raises:
-        StereoRefusal: UNCALIBRATED, if k is zero, not finite, without focal length, or skewed
-            (OpenCV's camera is not).
+        StereoRefusal: UNCALIBRATED, if k is zero, not finite, has no focal length or is skewed
+            (OpenCV's model has no skew), or if `rotation` is no rotation.
+        InputError: more than 8 distortion coefficients are not zero.
     """
 
     k: Array  # (3, 3) intrinsic matrix, px
@@ -76,7 +77,7 @@ class Camera:
 
     @property
     def pose(self) -> Array:
-        """This camera's own frame in the rig's, (4, 4)."""
+        """Pose (4, 4) of this camera's frame in the rig frame, m."""
         made = np.eye(4)
         made[:3, :3] = self.rotation.T
         made[:3, 3] = -self.rotation.T @ self.translation
@@ -96,10 +97,10 @@ class Camera:
 
 @dataclass(frozen=True)
 class StereoRig:
-    """Left and right camera in one frame (the left optical frame).
+    """Left and right camera in one frame, the rig frame.
 
     Raises:
-        StereoRefusal: UNCALIBRATED, if the cameras share one centre (no baseline).
+        StereoRefusal: UNCALIBRATED, if both cameras have the same centre (no baseline).
     """
 
     left: Camera
@@ -118,10 +119,11 @@ class StereoRig:
         """Make the rig that a pair of CameraInfo messages describes.
 
         Args:
-            rectified: whether the images are rectified (only P holds) or raw (K, D, R and P hold).
+            rectified: whether the images are rectified (only P is used) or raw (K, D, R and P are).
 
         Raises:
-            StereoRefusal: UNCALIBRATED, if K or P is zero or P of the right has no baseline.
+            StereoRefusal: UNCALIBRATED, if K or P is zero, or P of the right camera has no baseline.
+            InputError: the distortion model is not known.
         """
         return cls(_from_info(left, rectified), _from_info(right, rectified))
 

@@ -1,4 +1,4 @@
-"""A target's corners in one image, or the reason why there are none."""
+"""Finds a target's corners in one image, or refuses the image with a reason."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits beyond which a pair is refused."""
+    """Limits beyond which a pair of images is refused."""
 
     seen_share: float = 0.5
     """Share of the target's corners that both cameras must see (four at least)."""
@@ -24,28 +24,29 @@ class Limits:
     edge_px: float = 2.5  # largest blur (Gaussian sigma of the sharpest edges), px
     size: float = 0.05  # largest relative difference of the seen from the declared marker size
     size_tolerance: float = 0.005
-    """Tolerance of the printed size (1 sigma, relative). It weighs the depth from the size against
-    the depth from the baseline."""
+    """Tolerance of the printed size (1 sigma, relative). It decides how much the depth from the
+    marker's size counts beside the depth from the baseline."""
 
     def tolerance(self, pixels: Array) -> float:
-        """Return the relative 1 sigma of the size measured from an image with corners (N, 2) px.
+        """Return the tolerance (1 sigma, relative) of the size of a marker with corners (N, 2), px.
 
-        Glare, gamma and saturation shift all dark edges alike, by 0.1 px (1 sigma).
+        To the printed size it adds that glare, gamma and saturation shift all dark edges alike, by
+        0.1 px (1 sigma).
         """
         spread = np.sqrt(np.mean(np.sum((pixels - pixels.mean(axis=0)) ** 2, axis=1)))
         return float(np.hypot(self.size_tolerance, np.sqrt(2) * 0.1 / spread))
 
 
 _PRESMOOTH_PX = 1.0
-"""Gaussian sigma: pixel noise then makes no edge, and it is about the blur of a sharp lens."""
+"""Gaussian sigma, px, of smoothing against pixel noise; about the blur of a sharp lens."""
 
 
 def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
-    """Estimate sigma (px) of the sharpest edges of an image (H, W) with a range of grey `height`.
+    """Estimate the blur, Gaussian sigma in px, of the sharpest edges of an image (H, W).
 
-    A step of that height blurred by a Gaussian of s px has the steepest slope
-    ``height / (s sqrt(2 pi))``; read backwards, the steepest slopes give s. The image is smoothed
-    by 1 px first, against noise, which is taken out again.
+    A step of `height` grey levels, blurred by a Gaussian of s px, has the steepest slope
+    ``height / (s sqrt(2 pi))``. So s follows from the steepest slopes. The image is first smoothed
+    by 1 px against noise; this blur is subtracted from the result.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), _PRESMOOTH_PX).astype(np.float32)
     slope = cv2.magnitude(
@@ -62,7 +63,8 @@ def find_corners(target: Target, grey: Grey, side: str, limits: Limits) -> Corne
     """Find the corners of a target in the image (H, W) of the ``left`` or the ``right`` camera.
 
     Raises:
-        StereoRefusal: AMBIGUOUS, BLURRED; TOO_DARK, TOO_BRIGHT, NOT_FOUND where nothing is seen.
+        StereoRefusal: AMBIGUOUS or BLURRED; TOO_DARK, TOO_BRIGHT, BLURRED or NOT_FOUND_... if no
+            corner is found.
     """
     seen = target.detect(grey)
     if seen.repeated:

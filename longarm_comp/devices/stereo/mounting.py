@@ -1,4 +1,4 @@
-"""Refuses what no further view mends: a turned camera, or pictures that are paired wrongly."""
+"""Refuses faults that more views do not cure: a turned camera, or pictures paired wrongly."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView
 
 _TOLD_FROM = 3
-"""Views: one may be a board that is held oddly."""
+"""Fewest views for a check, because in one view the board may be held in an unusual way."""
 _LEAST_OFF_PX, _TELLING_SHARE = 3.0, 0.3
-"""Pictures of other moments are told where these leave less than this share of the distance, and
-the distance is more than lenses bend."""
+"""Epipolar distance, px, above which pairs are suspect (lens distortion causes less); and the share
+of it below which another pairing of the pictures counts as the right one."""
 
 
 def check_mounting(views: Sequence[BoardView]) -> None:
-    """Refuse views whose right pictures are turned against the left, or are of other moments.
+    """Refuse views whose right pictures are turned against the left or were taken at other times.
 
     Raises:
-        JobError: says which.
+        JobError: one camera is turned, or the pairs are shifted; the message says by how much.
     """
     if len(views) < _TOLD_FROM:
         return
-    turned = 0j  # the mean turn of the corners in the right picture against the left
+    turned = 0j  # sum of unit numbers: rotation of the right corners against the left
     for view in views:
         _, left, right = view.left.shared_corners(view.right)
         here, there = ((px - px.mean(axis=0)) @ (1, 1j) for px in (left, right))
@@ -53,11 +53,11 @@ def check_mounting(views: Sequence[BoardView]) -> None:
 
 
 def _off_px(views: Sequence[BoardView], shift: int) -> float:
-    """Return the median distance (px) of right corners from the epipolar lines of the left ones, if
-    each left picture belongs to the right one so many later; infinite where too few are in common.
+    """Return the median distance, px, of right corners from the epipolar lines of the left ones.
 
-    The lines are fitted without knowing the cameras (Zhang, Determining the Epipolar Geometry,
-    1998), so that lenses bend the corners off them by little.
+    Each left picture is paired with the right one that is ``shift`` later. The distance is infinite
+    if too few views have enough common corners. The lines are fitted to the corners, without a
+    calibration (Zhang, Determining the Epipolar Geometry, 1998), so lens distortion adds little.
     """
     pairs = zip(views[max(-shift, 0) :], views[max(shift, 0) :], strict=False)
     common = [one.left.shared_corners(two.right)[1:] for one, two in pairs]

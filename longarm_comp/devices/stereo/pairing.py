@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 Image = TypeVar("Image")
 _RESTART_NS = 1_000_000_000
-"""A stamp further back than this means a restarted clock, not a late image."""
+"""A stamp that is earlier by more than this, ns, means a restarted clock, not a late image."""
 
 
 class Drop(str, Enum):
@@ -29,7 +29,7 @@ class Side(Enum):
 
 @dataclass(frozen=True)
 class Pair(Generic[Image]):
-    """Two images taken together. `stamp_ns` is the left one's."""
+    """Two images taken together. `stamp_ns` is the time stamp of the left one, ns."""
 
     stamp_ns: int
     left: Image
@@ -38,10 +38,10 @@ class Pair(Generic[Image]):
 
 @dataclass
 class StereoPairer(Generic[Image]):
-    """Matches two streams of stamped images, oldest first, one to one.
+    """Matches the images of two streams one to one by their stamps, oldest first.
 
-    A pair is complete when two stamps are at most `slop_ns` apart and neither has a nearer
-    partner already waiting. With a slop below half a frame period no other pairing is possible.
+    Two images are a pair if their stamps differ by at most `slop_ns` and no waiting image fits
+    better. With `slop_ns` below half a frame period the pairing is unique.
     """
 
     slop_ns: int = 5_000_000  # largest difference of stamps within a pair, in nanoseconds
@@ -54,7 +54,7 @@ class StereoPairer(Generic[Image]):
     _done_ns: list[int | None] = field(default_factory=lambda: [None, None], repr=False)
 
     def add(self, side: Side, stamp_ns: int, image: Image) -> list[Pair[Image]]:
-        """Take one image; return the pairs that it completes (usually none or one)."""
+        """Add one image; return the pairs that it completes (usually none or one)."""
         mine = self._waiting[side.value]
         newest = mine[-1][0] if mine else self._done_ns[side.value]
         if newest is not None and stamp_ns <= newest:

@@ -1,4 +1,4 @@
-"""The webcams of this computer, by what Linux tells of them, and a picture of each."""
+"""Lists the webcams of this computer (Linux), and takes pictures with them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _SYSTEM = Path("/sys/class/video4linux")
 
 @dataclass(frozen=True)
 class Webcam:
-    """A camera: its device, and its name as its maker wrote it."""
+    """A camera: its device, such as ``/dev/video0``, and the maker's name of it."""
 
     device: str
     name: str
 
 
 def webcams(system: Path = _SYSTEM) -> list[Webcam]:
-    """List those that give pictures; a camera's further devices carry other data."""
+    """List the video devices that give pictures. Other devices of a camera give other data."""
     found = []
     for entry in sorted(system.glob("video*"), key=lambda path: int(path.name[5:] or 0)):
         index = entry / "index"
@@ -32,10 +32,10 @@ def webcams(system: Path = _SYSTEM) -> list[Webcam]:
 
 
 def picture(device: str) -> np.ndarray:
-    """Take a picture (H, W, 3) with a device.
+    """Take a picture (H, W, 3), BGR, with a video device.
 
     Raises:
-        JobError: it gives none.
+        JobError: the device gives no picture.
     """
     camera = cv2.VideoCapture(device)
     try:
@@ -53,7 +53,7 @@ def picture(device: str) -> np.ndarray:
 
 
 def write_driver_commands(left: str, right: str) -> list[str]:
-    """Write the commands that publish two cameras where `stereo_bridge` listens."""
+    """Return the shell commands that publish two cameras on the topics of `stereo_bridge`."""
     return [
         f"ros2 run v4l2_camera v4l2_camera_node --ros-args -p video_device:={device} "
         f"-r image_raw:={side}/image_raw -r camera_info:={side}/camera_info "
