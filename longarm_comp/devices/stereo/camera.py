@@ -122,7 +122,7 @@ class StereoRig:
             rectified: whether the images are rectified (only P is used) or raw (K, D, R and P are).
 
         Raises:
-            StereoRefusal: UNCALIBRATED, if K or P is zero, or P of the right camera has no baseline.
+            StereoRefusal: UNCALIBRATED, if K or P is zero, or P of the right one has no baseline.
             InputError: the distortion model is not known.
         """
         return cls(_from_info(left, rectified), _from_info(right, rectified))

@@ -1,4 +1,4 @@
-"""Camera calibrations as files, in the form that ROS camera drivers read (``camera_info_url``)."""
+"""Camera calibrations as files, in the format of ROS camera drivers (``camera_info_url``)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def pair_files(folder: Path) -> list[tuple[Path, Path]]:
 
 
 def read_grey(path: Path) -> Grey:
-    """Read an image file as (H, W) uint8. Raises InputError where it cannot be read."""
+    """Read an image file as grey (H, W), uint8. Raises InputError if it cannot be read."""
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if grey is None:
         raise InputError(path, "image", "cannot be read", "an image file of 8 bits a channel")
@@ -57,11 +57,14 @@ _MATRICES = {
     "rectification_matrix": ("r", 3, 3),
     "projection_matrix": ("p", 3, 4),
 }
-"""By key in the file: field of `CameraInfo`, rows and columns."""
+"""Field of `CameraInfo`, number of rows and of columns, by key in the file."""
 
 
 def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
-    """Describe left and right camera of a rig in the raw left frame, with their rectification."""
+    """Return the calibrations of a rig's left and right camera, with their rectification.
+
+    The rig frame must be the raw left optical frame.
+    """
     left, right = rig.left, rig.right
     cameras = (left.k, left.d[:5], right.k, right.d[:5], left.size)
     move = right.translation.reshape(3, 1)
@@ -77,7 +80,7 @@ def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
 
 
 def write_camera(path: Path, name: str, camera: CameraInfo, head: str) -> None:
-    """Write a camera's file; ``head``: comment on top."""
+    """Write a camera's calibration to a file; ``head``: comment at its top."""
     data: dict[str, Any] = {
         "image_width": camera.width,
         "image_height": camera.height,

@@ -20,7 +20,7 @@ from longarm_comp.devices.stereo.triangulate import (
     triangulate,
 )
 
-_KEPT = 1.0 - 1.0 / 200.0  # of the residuals of sightings: the last 200 count, some 10 s
+_KEPT = 1.0 - 1.0 / 200.0  # forgetting factor of residuals: about the last 200 sightings count
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class StereoEye:
         """Measure the tip in one pair of images, (H, W) grey or (H, W, 3) BGR, uint8.
 
         Raises:
-            StereoRefusal: with the reason.
+            StereoRefusal: the pair gives no measurement; its `reason` says why.
         """
         try:
             return self._measure_pair(left, right)
@@ -68,7 +68,7 @@ class StereoEye:
 
     @property
     def expected_noise(self) -> PixelNoise:
-        """The assumed noise, corrected by the residuals of the last sightings: one has too few."""
+        """The assumed noise, corrected by the residuals of the last sightings, not of one only."""
         sigma_px = self.noise.estimate(np.sqrt(self._square_px2), self._freedom)
         return PixelNoise(sigma_px, self.noise.weight)
 
@@ -110,7 +110,7 @@ class StereoEye:
 
 
 def _as_grey(image: Grey, camera: Camera, side: str) -> Grey:
-    """Return an image as (H, W) of the camera's size. Raises StereoRefusal: WRONG_SIZE."""
+    """Return an image as grey (H, W). Raises StereoRefusal (WRONG_SIZE) for another size."""
     height, width = image.shape[:2]
     if (width, height) != camera.size:
         size = f"{width}x{height}"
@@ -121,6 +121,6 @@ def _as_grey(image: Grey, camera: Camera, side: str) -> Grey:
 
 
 def _span_m(corners: Array) -> float:
-    """Return the second-largest extent (m) of corners (N, 3): 0 where they lie on one line."""
+    """Return the second-largest extent, m, of corners (N, 3); 0 if they are nearly on one line."""
     extent = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     return float(extent[1]) if extent[1] > 0.05 * extent[0] else 0.0

@@ -8,7 +8,7 @@ from longarm_comp.core.errors import JobError
 
 
 class RefusalReason(str, enum.Enum):
-    """Reasons to refuse a pair of images, worst first."""
+    """Reasons to refuse a pair of images."""
 
     UNCALIBRATED = "camera is not calibrated"
     BAD_IMAGE = "image is not 8-bit grey or colour"
@@ -33,7 +33,8 @@ class StereoRefusal(JobError):  # noqa: N818 - a refusal is an answer, not a fau
     """A pair of images, or a camera, that cannot be used for a measurement.
 
     Args:
-        facts: values that explain it, with their unit in the name (``rms_px=3.1``).
+        reason: the reason of the refusal.
+        facts: values that explain the refusal, with units in their names (``rms_px=3.1``).
     """
 
     reason: RefusalReason

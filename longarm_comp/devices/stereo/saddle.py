@@ -1,4 +1,4 @@
-"""Corners in images to a hundredth of a pixel: saddle points of a board, edges of a square."""
+"""Refines corners to a hundredth of a pixel: edges of tags, saddle points of a chessboard."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from longarm_comp.devices.stereo.camera import Array
 
-_ALONG = np.linspace(0.12, 0.88, 24)  # where on a side the edge is located
+_ALONG = np.linspace(0.12, 0.88, 24)  # shares of a side at which the edge is located
 _STEP_PX = 0.25  # between samples across an edge: four in a pixel
 _REACH = (0.7, 0.5, 0.45, 0.45)  # half window across a side, in cells; one pass each
 
@@ -17,8 +17,9 @@ def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
     """Locate the corners (N, 4, 2) of dark squares on light ground to a fraction of a pixel.
 
     Args:
-        quads: (N, 4, 2) px, corners in order around each tag, good to about a pixel.
-        modules: cells along a side, border included: the edge is sought within one cell of it.
+        grey: (H, W) image.
+        quads: (N, 4, 2) px, corners in order around each tag, accurate to about a pixel.
+        modules: number of cells along a side, border included. The edge is sought within one cell.
     """
     quads = np.asarray(quads, dtype=float)
     for share in _REACH:
@@ -44,11 +45,16 @@ def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
 
 
 def _intersect_sides(edge: Array, fallback: Array) -> Array:
-    """Intersect the lines through the points `edge` (N, 4, M, 2) of neighbouring sides."""
+    """Return the corners (N, 4, 2) where the lines through neighbouring sides intersect.
+
+    Args:
+        edge: (N, 4, M, 2) points on each side.
+        fallback: (N, 4, 2) corners to return for parallel sides or a result over 4 px away.
+    """
     centre = edge.mean(axis=2)
     x, y = np.moveaxis(edge - centre[:, :, None], -1, 0)
     angle = 0.5 * np.arctan2(2 * np.sum(x * y, axis=2), np.sum(x * x - y * y, axis=2))
-    nx, ny = -np.sin(angle), np.cos(angle)  # across the direction of most spread
+    nx, ny = -np.sin(angle), np.cos(angle)  # normal to the direction of the largest spread
     offset = nx * centre[..., 0] + ny * centre[..., 1]
     before = [np.roll(a, 1, axis=1) for a in (nx, ny, offset)]  # the side that ends in a corner
     cross = before[0] * ny - before[1] * nx
@@ -65,11 +71,13 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
     """Locate the corners (N, 2) where four squares meet to a fraction of a pixel.
 
     Args:
-        pixels: (N, 2) px, good to about a pixel.
-        half: half window, px; it must not reach the next corner.
+        grey: (H, W) image.
+        pixels: (N, 2) px, accurate to about a pixel.
+        half: half size of the window, px; the window must not reach the next corner.
 
     Returns:
-        Refined corners; those whose window leaves the image, or whose fit wanders, unchanged.
+        The refined corners (N, 2). A corner is unchanged if its window leaves the image, or if the
+        fit moves it by more than 2 px.
     """
     height, width = grey.shape
     middle = np.rint(pixels).astype(int)
@@ -88,12 +96,12 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
         jacobian, residual = _linearise_model(state, dx, dy, values)
         weighted = jacobian.transpose(0, 2, 1) * weight
         normal = weighted @ jacobian
-        # Damped by a hundredth: what a corner hardly tells stays near its start
+        # Damped by a hundredth: parameters that the image hardly determines stay near their start
         damped = normal + (0.01 * np.einsum("nii->ni", normal) + 1e-9)[:, :, None] * np.eye(9)
         state = state + np.linalg.solve(damped, weighted @ residual[..., None])[..., 0]
         state[:, 4] = np.clip(state[:, 4], 0.3, half / 2)
     found = state[:, :2] + middle
-    # px; farther off it is another corner
+    # Beyond 2 px it is another corner
     near = np.linalg.norm(found - start, axis=1) <= 2.0
     out[inside] = np.where(near[:, None], found, start)
     return out
@@ -102,10 +110,11 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
 def _guess_state(
     grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np.int64]
 ) -> Array:
-    """Return a state (N, 9): u, v, angle 1, angle 2, blur, contrast, level, slope x, slope y.
+    """Return the initial parameters (N, 9) of the corner model.
 
-    The curvature of the smoothed image is a saddle whose principal axes halve the angles between
-    the two edges; both edges start at 45 degrees to them.
+    They are u, v, angle 1, angle 2, blur, contrast, level, slope x, slope y. The principal axes of
+    the smoothed image's curvature bisect the angles between the two edges. So both edges start at
+    45 degrees to these axes.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), 2.0).astype(np.float64)
     picked = [
@@ -122,8 +131,8 @@ def _guess_state(
 
 
 def _linearise_model(state: Array, dx: Array, dy: Array, values: Array) -> tuple[Array, Array]:
-    """Return the Jacobian of the model (N, M, 9) and residuals (N, M)."""
-    from scipy.special import erf  # a quarter of a second; tags do without
+    """Return the Jacobian (N, M, 9) and the residuals (N, M) of the corner model."""
+    from scipy.special import erf  # takes a quarter of a second; tags do not need it
 
     u, v, angle_1, angle_2, blur, contrast, level, slope_x, slope_y = state.T[..., None]
     x, y = dx - u, dy - v

@@ -24,9 +24,12 @@ Grey = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners found in one image: ids (N,), unique and rising, and pixels (N, 2).
+    """Corners found in one image.
 
-    `repeated`: ids of tags that were seen more than once (none of them is among the corners).
+    Attributes:
+        ids: (N,) unique and rising.
+        pixels: (N, 2) px.
+        repeated: ids of tags that were seen more than once; their corners are left out.
     """
 
     ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -37,19 +40,19 @@ class Corners:
         return len(self.ids)
 
     def shared_corners(self, other: Corners) -> tuple[NDArray[np.int64], Array, Array]:
-        """Return the ids (N,) that both have, and their pixels (N, 2) here and there."""
+        """Return the ids (N,) in both images, and their pixels (N, 2) in this and the other one."""
         ids, here, there = np.intersect1d(self.ids, other.ids, return_indices=True)
         return ids, self.pixels[here], other.pixels[there]
 
 
 @dataclass(frozen=True)
 class TagBoard:
-    """A grid of ArUco tags or AprilTags, or a single one; each gives its four outer corners."""
+    """A grid of ArUco tags or AprilTags, or a single tag. Each tag gives its four outer corners."""
 
     tag_m: float  # side of a tag's black square, m
     gap_m: float = 0.0  # white between neighbouring tags, m
     columns: int = 1
-    """columns, rows: of the grid; ids count along the rows from `first_id`, from the top left."""
+    """columns, rows: numbers of tags. Tag ids count along the rows from `first_id` at top left."""
     rows: int = 1
     dictionary: str = "DICT_4X4_50"  # an OpenCV name, such as DICT_4X4_50 or DICT_APRILTAG_36h11
     first_id: int = 0
@@ -65,7 +68,7 @@ class TagBoard:
 
     @classmethod
     def of(cls, bridge: Mapping[str, Any]) -> TagBoard:
-        """Make the marker that the parameters of `stereo_bridge` describe, by dotted name."""
+        """Make the marker from the parameters of `stereo_bridge`, such as ``marker.tag_m``."""
         keys = ("tag_m", "gap_m", "columns", "rows", "dictionary", "first_id")
         return cls(**{key: bridge[f"marker.{key}"] for key in keys})
 
@@ -74,7 +77,10 @@ class TagBoard:
         return 4 * self.columns * self.rows
 
     def points(self, ids: NDArray[np.int64]) -> Array:
-        """Return corners (N, 3) m, of ids 4 (tag id - first_id) + 0..3, clockwise from top left."""
+        """Return the positions (N, 3), m, of corners in the marker frame.
+
+        ``ids``: (N,) 4 (tag id - first_id) + 0..3, clockwise from top left.
+        """
         row, column = np.divmod(ids // 4, self.columns)
         pitch = self.tag_m + self.gap_m
         x = (column - (self.columns - 1) / 2) * pitch
@@ -85,7 +91,7 @@ class TagBoard:
         )
 
     def detect(self, grey: Grey) -> Corners:
-        """Find the tags in an image (H, W) uint8 by OpenCV, then their sides to sub-pixel."""
+        """Find the tags in an image (H, W), uint8, with OpenCV; refine the corners to sub-pixel."""
         for detector in self._detectors:  # the quick one is enough unless a tag is missing
             quads, tag_ids, _ = detector.detectMarkers(grey)
             if tag_ids is not None and len(tag_ids) >= self.columns * self.rows:
@@ -109,8 +115,10 @@ class TagBoard:
 
     @cached_property
     def _detectors(self) -> tuple[cv2.aruco.ArucoDetector, cv2.aruco.ArucoDetector]:
-        """Two detectors: a quick one with one threshold window (0.8 ms for an image of 640x480),
-        and one with OpenCV's three (2.7 ms)."""
+        """A quick detector with one threshold window, and a thorough one with OpenCV's three.
+
+        They take 0.8 ms and 2.7 ms for an image of 640x480.
+        """
         quick = cv2.aruco.DetectorParameters()
         quick.adaptiveThreshWinSizeMin = quick.adaptiveThreshWinSizeMax = 11
         thorough = cv2.aruco.DetectorParameters()
@@ -140,13 +148,16 @@ class CharucoTarget:
         return (self.columns - 1) * (self.rows - 1)
 
     def points(self, ids: NDArray[np.int64]) -> Array:
-        """Return inner corners (N, 3) m, counted along the rows from the top left."""
+        """Return the positions (N, 3), m, of inner corners in the marker frame.
+
+        ``ids``: (N,) counted along the rows from the top left.
+        """
         row, column = np.divmod(ids, self.columns - 1)
         x, y = column - (self.columns - 2) / 2, (self.rows - 2) / 2 - row
         return self.square_m * np.column_stack([x, y, np.zeros(len(ids))])
 
     def detect(self, grey: Grey) -> Corners:
-        """Find the inner corners next to tags that were read in an image (H, W) uint8."""
+        """Find the inner corners beside recognised tags in an image (H, W), uint8."""
         found, ids, _, _ = self._detector.detectBoard(grey)
         if ids is None or not len(ids):
             return Corners()
@@ -171,7 +182,7 @@ class CharucoTarget:
 
 
 Target = TagBoard | CharucoTarget
-"""A printed target whose corners are known by id: `detect` finds them, `points` says where."""
+"""A printed target. `detect` finds its corners in an image; `points` gives their positions."""
 
 
 def _check_size(what: str, **sizes: float) -> None:

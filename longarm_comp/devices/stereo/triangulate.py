@@ -1,4 +1,4 @@
-"""Points, and the pose of a marker board, from two images: least squares on the pixels.
+"""Computes points, and the pose of a marker board, from two images by least squares on pixels.
 
 The start is the homogeneous linear triangulation of Hartley & Zisserman, *Multiple View Geometry*
 (2nd ed., 12.2); Gauss-Newton then minimises the pixel error in both images (their 12.3, "gold
@@ -22,7 +22,7 @@ from longarm_comp.math.points import kabsch
 class PixelNoise:
     """Noise of a corner: an assumed sigma, corrected by residuals.
 
-    The estimate is ``(weight sigma^2 + sum r^2) / (weight + dof)``: the posterior mean of a
+    The estimated variance is ``(weight sigma^2 + sum r^2) / (weight + dof)``, as with a
     scaled-inverse-chi-square prior, so that few residuals do not make sigma erratic.
     """
 
@@ -37,11 +37,11 @@ class PixelNoise:
 
 
 def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> tuple[Array, float]:
-    """Return points (N, 3) m, rig frame, of corners in both images, and their rms residual, px.
+    """Return points (N, 3), m, rig frame, of corners in both images, and their rms residual, px.
 
     Args:
-        left_px, right_px: (N, 2) pixels of the same N >= 1 corners in the images as they came
-            (distorted where the cameras are).
+        left_px, right_px: (N, 2) pixels of the same N >= 1 corners in the original images, with
+            their lens distortion.
 
     Raises:
         StereoRefusal: BEHIND_CAMERA, if a point does not lie in front of both cameras.
@@ -54,7 +54,7 @@ def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> tuple[Array,
     if np.any(np.abs(weight) < 1e-9 * np.linalg.norm(null[:, :3], axis=1)):
         raise StereoRefusal(RefusalReason.BEHIND_CAMERA, depth_m="infinite")
     points = null[:, :3] / weight[:, None]
-    # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
+    # Gauss-Newton from the linear start converges in two steps, to parts in 1e9 of the depth
     for _ in range(2):
         in_front(rig, points)
         residuals, jacobian = stereo_residuals(rig, points, left_px, right_px)
@@ -73,7 +73,10 @@ def rms(values: Array) -> float:
 def stereo_residuals(
     rig: StereoRig, points: Array, left_px: Array, right_px: Array
 ) -> tuple[Array, Array]:
-    """Return seen - projected (N, 4) px, and the Jacobian (N, 4, 3) of the projection, px/m."""
+    """Return seen - projected (N, 4), px, and the projection's Jacobian (N, 4, 3), px/m.
+
+    The four columns are u, v in the left and u, v in the right image.
+    """
     left, left_jacobian = rig.left.project(points)
     right, right_jacobian = rig.right.project(points)
     residuals = np.concatenate([left_px - left, right_px - right], axis=1)
@@ -81,7 +84,7 @@ def stereo_residuals(
 
 
 def epipolar_px(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
-    """Return the distance (N,) px of corners from each other's epipolar line, after Sampson."""
+    """Return the distance (N,), px, of corners from each other's epipolar lines (Sampson)."""
     turn = rig.right.rotation @ rig.left.rotation.T
     essential = _cross_matrices(rig.right.translation - turn @ rig.left.translation) @ turn
     left, right = rig.left.rays(left_px), rig.right.rays(right_px)
@@ -93,7 +96,7 @@ def epipolar_px(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
 
 
 def in_front(rig: StereoRig, points: Array) -> None:
-    """Refuse points (N, 3) that do not lie in front of both cameras."""
+    """Raise StereoRefusal (BEHIND_CAMERA) unless points (N, 3) are in front of both cameras."""
     depth = float(min(rig.left.depth(points).min(), rig.right.depth(points).min()))
     if not depth > 1e-9:
         raise StereoRefusal(RefusalReason.BEHIND_CAMERA, depth_m=round(depth, 6))
@@ -101,10 +104,14 @@ def in_front(rig: StereoRig, points: Array) -> None:
 
 @dataclass(frozen=True)
 class MarkerPose:
-    """Pose (4, 4) of the marker in the rig frame.
+    """Pose of the marker in the rig frame.
 
-    `covariance` (6, 6) is of ``[d; delta]`` along the rig axes (m, rad), the rotation about the
-    marker's origin; `scale` is seen size / declared size; `residuals` (N, 4) px.
+    Attributes:
+        transform: (4, 4) pose, m.
+        covariance: (6, 6) of ``[d; delta]`` along the rig axes, m and rad; the rotation is about
+            the marker's origin.
+        scale: seen size / declared size.
+        residuals: (N, 4) px.
     """
 
     transform: Array
@@ -113,7 +120,10 @@ class MarkerPose:
     residuals: Array
 
     def at(self, in_marker: Array) -> tuple[Array, Array]:
-        """Return a point (3,) m of the marker in the rig frame, and the pose covariance there."""
+        """Return a point (3,), m, of the marker in the rig frame, and the pose covariance there.
+
+        ``in_marker``: (3,) m, the point in the marker frame.
+        """
         arm = self.transform[:3, :3] @ in_marker
         lever = np.eye(6)
         lever[:3, 3:] = -_cross_matrices(arm)
@@ -132,11 +142,13 @@ def marker_pose(
     """Fit the pose, and a scale with a prior around 1, to all corners in both images.
 
     Printers stretch paper. Without the scale, a print 0.5 % too large would change every depth by
-    up to 0.5 %. With it, both sources of depth, baseline and size, are weighed by uncertainty.
+    up to 0.5 %. With it, depth from the baseline and depth from the size are weighted by their
+    uncertainties.
 
     Args:
-        corners: (N, 3) m declared corners of the board, marker frame, N >= 3.
-        seen: (N, 3) m the same corners, triangulated one by one; the initial guess.
+        corners: (N, 3) m, declared corners of the board, marker frame, N >= 3.
+        seen: (N, 3) m, the same corners, triangulated one by one, for the initial guess.
+        left_px, right_px: (N, 2) pixels of these corners.
         size_tolerance: prior standard deviation of the printed size, relative.
         noise: the assumed pixel noise.
 

@@ -1,4 +1,4 @@
-"""Views of a calibration board: which may be used, and what they do not cover yet."""
+"""Views of a calibration board: finds them in image pairs, and lists what they do not cover yet."""
 
 from __future__ import annotations
 
@@ -14,27 +14,30 @@ from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
 FEWEST_CORNERS = 8
-"""Seen by both cameras: four fix a plane's picture, as many again average their noise."""
+"""Fewest corners seen by both cameras: four determine a plane's image, four more average noise."""
 FEWEST_VIEWS = 10
-"""What OpenCV's guide to calibration asks for at least."""
+"""Fewest views, as OpenCV's guide to calibration recommends."""
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
 _NEW_PLACE, _NEW_SIZE, _NEW_TILT_DEG = 0.12, 0.12, 10.0
-"""A view is new where the board moved by so much of the image's width, came nearer or farther by so
-much of its distance, or tilted by so much: about a third of what `list_gaps` asks for in all."""
+"""A view is new if the board moved by this share of the image's width, changed its distance by this
+share, or its tilt by this angle: about a third of the range that `list_gaps` asks for."""
 
 
 @dataclass(frozen=True)
 class BoardView:
     """One pair of images in which both cameras see the board."""
 
-    left: Corners  # left, right: all corners seen by each
+    left: Corners  # left, right: all corners that each camera sees
     right: Corners
     disparity_px: float  # median shift of the common corners from left to right
-    distance_m: float  # roughly
+    distance_m: float  # distance of the board, roughly
     tilt_deg: tuple[float, float]  # about the image's horizontal and vertical axis, roughly
 
     def is_new(self, others: Sequence[BoardView], width: int) -> bool:
-        """Return whether it shows the board elsewhere, or at another distance or tilt."""
+        """Tell whether each of the other views has another place, distance or tilt of the board.
+
+        ``width``: width of the images, px.
+        """
         for other in others:
             shift = self.left.pixels.mean(axis=0) - other.left.pixels.mean(axis=0)
             moved = np.linalg.norm(shift) > _NEW_PLACE * width
@@ -45,7 +48,7 @@ class BoardView:
         return True
 
     def is_still(self, before: BoardView | None) -> bool:
-        """Return whether the common corners have moved by less than 1 px since the pair before."""
+        """Tell whether the board moved by less than 1 px since the view before; False for None."""
         if before is None:
             return False
         _, now, then = self.left.shared_corners(before.left)
@@ -56,7 +59,7 @@ def find_view(board: Target, left: Grey, right: Grey) -> BoardView:
     """Find the board in a pair of images (H, W), uint8.
 
     Raises:
-        StereoRefusal: with the reason.
+        StereoRefusal: the pair cannot be used; its `reason` says why.
     """
     if left.shape != right.shape:
         sizes = {"left": left.shape[::-1], "right": right.shape[::-1]}
@@ -78,7 +81,10 @@ def find_view(board: Target, left: Grey, right: Grey) -> BoardView:
 
 
 def list_gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
-    """List what the views lack, as instructions; none when they are enough."""
+    """List what the views lack, as instructions; an empty list if they are enough.
+
+    ``size``: (width, height) of the images, px.
+    """
     lacking = []
     if len(views) < FEWEST_VIEWS:
         lacking.append(f"more views: {len(views)} of {FEWEST_VIEWS}")
@@ -108,7 +114,10 @@ def list_gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
 def _ninths_with_corners(
     views: Sequence[BoardView], side: str, size: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Find the ninths (3, 3) of what both cameras see, in a side's image, that have corners."""
+    """Return (3, 3) True for each cell with corners, in the image of one camera.
+
+    The cells divide the part of the image that both cameras see.
+    """
     width, height = size
     shared = max(width - max(0.0, float(np.median([v.disparity_px for v in views]))), 1.0)
     start = width - shared if side == "left" else 0.0
