@@ -176,10 +176,10 @@ class ServoArm:
 
         many = {j.servo_id: j.multi_turn for j in self.config.joints.values()}
         self.said += bus.set_turns(many, refuse_driven)
-        journal = SetupJournal(bus.port)
-        left = journal.read(bus.protocol).keys() & many.keys()
+        journal = SetupJournal(bus.port, bus.protocol)
+        left = journal.read().keys() & many.keys()
         if left:
-            journal.end(bus.protocol, left)
+            journal.end(left)
             self.said.append(
                 f"a setup of servos {sorted(left)} was broken off; they are set as configured"
             )
