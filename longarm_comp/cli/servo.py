@@ -50,8 +50,8 @@ def scan(port: str | None, **line: Any) -> None:
     found = _find_servos("servo scan", port, **line)
     print_json(asdict(found))
     _show_servos(found)
-    left = SetupJournal(found.port)
-    if ids_left := sorted(left.read(found.protocol)):
+    left = SetupJournal(found.port, found.protocol)
+    if ids_left := sorted(left.read()):
         note(
             f"a setup was broken off: servos {ids_left} have not stored again what they had "
             f"({left.path}); the next setup or start of the driver sees to it"

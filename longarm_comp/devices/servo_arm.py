@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.joint_path import JointTrajectory
@@ -135,7 +135,11 @@ class ServoArm:
                     model=joint.model,
                     answers=bus.model_name(number) or f"unknown model {number}",
                 )
-        kept = bus.memory(self._ids)
+        before = replace(bus.counters)
+        kept = bus.memory(self._ids) | bus.memory(self._ids[::-1])
+        late = bus.counters.timeouts > before.timeouts
+        if bus.counters.stray_frames > before.stray_frames and not late:
+            raise JobError("two servos have the same id: `longarm servo scan` shows which")
         for name, joint in self.config.joints.items():
             for check in (check_memory, check_placed, check_reach):
                 check(name, joint, kept[joint.servo_id])
@@ -176,10 +180,10 @@ class ServoArm:
 
         many = {j.servo_id: j.multi_turn for j in self.config.joints.values()}
         self.said += bus.set_turns(many, refuse_driven)
-        journal = SetupJournal(bus.port)
-        left = journal.read(bus.protocol).keys() & many.keys()
+        journal = SetupJournal(bus.port, bus.protocol)
+        left = journal.read().keys() & many.keys()
         if left:
-            journal.end(bus.protocol, left)
+            journal.end(left)
             self.said.append(
                 f"a setup of servos {sorted(left)} was broken off; they are set as configured"
             )

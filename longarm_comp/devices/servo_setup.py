@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from statistics import median
 
 from longarm_comp.core.errors import JobError
@@ -62,7 +61,7 @@ class ServoSetup:
     ) -> None:
         self._bus, self._joints, self._check = bus, joints, check
         self._ids = [joint.servo_id for joint in joints.values()]
-        self._journal = SetupJournal(bus.port)
+        self._journal = SetupJournal(bus.port, bus.protocol)
         self.memory: dict[str, ServoMemory] = {}
         self.said: list[str] = []
 
@@ -110,14 +109,13 @@ class ServoSetup:
 
     def _set_turns(self) -> None:
         many = {j.servo_id: j.multi_turn for j in self._joints.values()}
-        note = partial(self._journal.begin, self._bus.protocol)
-        self.said = self._bus.set_turns(many, note)
+        self.said = self._bus.set_turns(many, self._journal.begin)
         kept = self._bus.memory(self._ids)
         self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 
     def keep(self) -> None:
         """Keep what the servos have stored, instead of writing back the old values at the end."""
-        self._journal.end(self._bus.protocol, self._ids)
+        self._journal.end(self._ids)
 
     def let_go(self) -> None:
         """Switch the torque off."""

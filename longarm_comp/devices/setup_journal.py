@@ -15,25 +15,21 @@ from longarm_comp.devices.state_folder import state_folder
 
 
 class SetupJournal:
-    """The journal of the servos on one port. It is written before the first servo is changed."""
+    """The journal of one port and protocol. It is written before the first servo is changed."""
 
-    def __init__(self, port: str) -> None:
-        slug = re.sub(r"[^A-Za-z0-9]+", "-", os.path.realpath(port)).strip("-")
+    def __init__(self, port: str, protocol: str) -> None:
+        place = f"{os.path.realpath(port)}-{protocol}"
+        slug = re.sub(r"[^A-Za-z0-9]+", "-", place).strip("-")
         self.path = state_folder() / "servo_setup" / f"{slug}.json"
 
-    def read(self, protocol: str) -> dict[int, Change]:
-        """Return the changes to undo, by servo id; none if they are for another protocol.
-
-        Raises:
-            JobError: the file is damaged.
-        """
+    def read(self) -> dict[int, Change]:
+        """Return the changes to undo, by servo id. Raises JobError if the file is damaged."""
         try:
             data = json.loads(self.path.read_text("utf-8"))
-            changes = {
+            return {
                 int(i): (bytes.fromhex(had), bytes.fromhex(new))
                 for i, (had, new) in data["turns"].items()
             }
-            return changes if data["protocol"] == protocol else {}  # else of other servos
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -43,21 +39,21 @@ class SetupJournal:
                 why=str(error),
             ) from error
 
-    def begin(self, protocol: str, changes: Mapping[int, Change]) -> None:
+    def begin(self, changes: Mapping[int, Change]) -> None:
         """Add changes that are about to be made, by servo id; earlier entries are kept."""
-        changes = dict(changes) | self.read(protocol)
+        changes = dict(changes) | self.read()
         turns = {str(i): [had.hex(), new.hex()] for i, (had, new) in changes.items()}
-        write_text(self.path, json.dumps({"protocol": protocol, "turns": turns}) + "\n")
+        write_text(self.path, json.dumps({"turns": turns}) + "\n")
 
-    def end(self, protocol: str, ids: Collection[int]) -> None:
+    def end(self, ids: Collection[int]) -> None:
         """Remove the entries of these servos; nothing of them will be written back."""
-        left = {i: change for i, change in self.read(protocol).items() if i not in ids}
+        left = {i: change for i, change in self.read().items() if i not in ids}
         try:
             self.path.unlink(missing_ok=True)
         except OSError as error:
             raise JobError(f"{self.path} cannot be removed: {error.strerror}") from error
         if left:
-            self.begin(protocol, left)
+            self.begin(left)
 
     def write_back(self, bus: SerialServoBus) -> list[int]:
         """Write the old values back to the servos that still hold the new ones.
@@ -68,12 +64,12 @@ class SetupJournal:
             Ids of the servos that do not answer. They stay in the journal.
         """
         silent = []
-        for servo_id, (had, new) in self.read(bus.protocol).items():
+        for servo_id, (had, new) in self.read().items():
             try:
                 if bus.turns([servo_id])[servo_id] == new:
                     bus.store_turns({servo_id: had})
             except IncompleteReply:
                 silent.append(servo_id)
             else:
-                self.end(bus.protocol, [servo_id])
+                self.end([servo_id])
         return silent

@@ -1,17 +1,23 @@
-"""Torque on: the goal that a servo gets then, from readings that may be false."""
+"""Torque on: which servos get it, and their goals, from readings that may be false."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 
 import pytest
+from driven_arm import MODEL
 from faulty_bus import FaultyBus
 
+from longarm_comp.core.errors import JobError
+from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.memory import ServoMemory
 from longarm_comp.devices.servo_bus.registry import models, open_bus
 from longarm_comp.devices.servo_bus.state import IncompleteReply, ServoState
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 
 IDS = [1, 2]
 
@@ -62,3 +68,55 @@ def test_readings_that_never_agree_switch_nothing_on(monkeypatch: pytest.MonkeyP
             bus.torque(IDS, on=True)
         assert caught.value.facts == {"ids": [2]}
         assert emulator.torques_on() == {1: False, 2: False}
+
+
+class _Staggered(FaultyBus):
+    """A servo and its twin, which answers after it instead of at once."""
+
+    def _answer_frame(self, frame: bytes) -> list[tuple[int, bytes]]:
+        replies = ServoEmulator._answer_frame(self, frame)
+        others = dict(self._wire.answer(frame, self.twins)) if replies else {}
+        return [(i, answer) for i, reply in replies for answer in (reply, others.get(i)) if answer]
+
+
+def _config(protocol: str, port: str) -> ServoConfig:
+    joint = {"model": MODEL[protocol], "type": "revolute", "zero_ticks": 2048.0,
+             "lower": -1.0, "upper": 1.0, "max_velocity": 1.0}  # fmt: skip
+    line = {"protocol": protocol, "port": port, "reply_timeout_s": 0.5}
+    joints = {f"j{i}": {"servo_id": i, **joint} for i in (1, 2, 3)}
+    return ServoConfig.parse({"bus": line, "joints": joints}, "here")
+
+
+@pytest.mark.parametrize("protocol", sorted(MODEL))
+@pytest.mark.parametrize("twin", [1, 2, 3])
+def test_a_twin_that_answers_in_its_own_time_gets_no_torque(protocol: str, twin: int) -> None:
+    emulator = _Staggered(protocol, dict.fromkeys((1, 2, 3), 2048.0))
+    with emulator:
+        config = _config(protocol, emulator.port)
+        with closing(ServoArm(config)) as arm:
+            emulator.add_twin(twin, 700.0)
+            with pytest.raises(JobError, match="two servos have the same id"):
+                arm.power(True)
+        with pytest.raises(JobError, match="two servos have the same id"):
+            ServoArm(config)
+        assert not any(emulator.torques_on().values())
+        assert not emulator.twins[twin].motor.torque_on
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_an_answer_beside_may_be_a_late_one_where_one_was_late(
+    monkeypatch: pytest.MonkeyPatch, lost: int
+) -> None:
+    emulator = FaultyBus("feetech", dict.fromkeys((1, 2, 3), 2048.0))
+    with emulator, closing(ServoArm(_config("feetech", emulator.port))) as arm:
+        assert arm.bus is not None
+        read, beside = arm.bus.memory, emulator._wire.status(emulator._devices[3], 0, b"1")[1]
+
+        def disturbed(ids: list[int]) -> dict[int, ServoMemory]:
+            emulator.faults.noise, emulator.faults.drops[2] = beside, lost
+            return read(ids)
+
+        monkeypatch.setattr(arm.bus, "memory", disturbed)
+        with nullcontext() if lost else pytest.raises(JobError, match="the same id"):
+            arm.power(True)
+        assert set(emulator.torques_on().values()) == {bool(lost)}

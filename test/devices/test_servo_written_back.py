@@ -287,20 +287,23 @@ def test_the_journal_waits_for_a_silent_servo_and_is_not_guessed_when_damaged(
             three.faults.silent.add(2)
         assert caught.value
         three.faults.silent.clear()
-        journal = SetupJournal(three.port)
+        journal = SetupJournal(three.port, three.protocol)
         with closing(config.open_bus()) as bus:
             three.faults.silent.add(2)
             assert journal.write_back(bus) == [2]
-            assert sorted(journal.read(three.protocol)) == [2]
+            assert sorted(journal.read()) == [2]
             three.faults.silent.clear()
             assert journal.write_back(bus) == [] and stored(three) == before
-        journal.begin(three.protocol, {1: (b"first", b"a")})
-        journal.begin(three.protocol, {1: (b"second", b"b"), 2: (b"other", b"c")})
-        assert journal.read(three.protocol) == {1: (b"first", b"a"), 2: (b"other", b"c")}
-        journal.end(three.protocol, [1])
-        assert journal.read(three.protocol) == {2: (b"other", b"c")}
-        assert journal.read("another") == {}
-        journal.path.write_text('{"protocol": "feetech", "turns": {"1": 5}}')
+        journal.begin({1: (b"first", b"a")})
+        journal.begin({1: (b"second", b"b"), 2: (b"other", b"c")})
+        assert journal.read() == {1: (b"first", b"a"), 2: (b"other", b"c")}
+        journal.end([1])
+        another = SetupJournal(three.port, "another")
+        assert another.read() == {}
+        another.begin({1: (b"its", b"own")})
+        assert journal.read() == {2: (b"other", b"c")}
+        another.end([1])
+        journal.path.write_text('{"turns": {"1": 5}}')
         scan = ("servo", "scan", "--port", three.port, "--ids", "1-3")
         assert f"{journal.path} is damaged" in shell.refused(*scan, code=3)
         assert "is damaged" in refuses(config)
@@ -312,8 +315,8 @@ def test_what_somebody_set_meanwhile_is_left(shell: Shell) -> None:
     with two("feetech") as emulator:
         servos = {1: models()["sts3215"]}
         with closing(open_bus("feetech", emulator.port, 1_000_000, servos, 0.2)) as bus:
-            journal = SetupJournal(emulator.port)
-            journal.begin("feetech", {1: (b"\0\0\xff\x0f", bytes(4))})
+            journal = SetupJournal(emulator.port, "feetech")
+            journal.begin({1: (b"\0\0\xff\x0f", bytes(4))})
             limit(emulator, 1, 100, 200)
             assert journal.write_back(bus) == []
             assert bus.memory([1])[1].goals == (100, 200)

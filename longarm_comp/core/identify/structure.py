@@ -228,13 +228,20 @@ def smooth_functions(values: np.ndarray) -> np.ndarray:
 
     The k-th is a polynomial of degree k, so the first ones are the smoothest.
     """
+    return _standardise(legendre_polynomials(values))
+
+
+def legendre_polynomials(values: np.ndarray) -> np.ndarray:
+    """Compute Legendre polynomials of degree 1 to 6 of one input (N,) over its range, (N, k).
+
+    Each has mean 0 and rms 1 over the rows.  There are fewer if the input has few levels.
+    """
     span = np.ptp(values)
     levels = len(np.unique(np.round(values / (span or 1.0), 3)))
     if span == 0 or levels < 2:
         return np.zeros((len(values), 0))
     x = 2 * (values - values.min()) / span - 1
-    basis = np.polynomial.legendre.legvander(x, min(6, levels - 1))[:, 1:]
-    return _standardise(basis)
+    return _normalise(np.polynomial.legendre.legvander(x, min(6, levels - 1))[:, 1:])
 
 
 def _standardise(features: np.ndarray) -> np.ndarray:
@@ -242,14 +249,17 @@ def _standardise(features: np.ndarray) -> np.ndarray:
 
     A feature that is a linear combination of those before it is dropped.
     """
-    centred = features - features.mean(0)
-    size = np.sqrt((centred**2).mean(0))
-    centred = centred[:, size > 1e-9] / size[size > 1e-9]
-    if not centred.shape[1]:
-        return centred
+    centred = _normalise(features)
     ways, new = np.linalg.qr(centred)
     left = np.diag(new)
     return (ways * np.sign(left))[:, np.abs(left) > 1e-6] * np.sqrt(len(features))
+
+
+def _normalise(features: np.ndarray) -> np.ndarray:
+    """Return features (N, m) with mean 0 and rms 1, without constant ones."""
+    centred = features - features.mean(0)
+    size = np.sqrt((centred**2).mean(0))
+    return centred[:, size > 1e-9] / size[size > 1e-9]
 
 
 def _move_each_channel(features: np.ndarray, fit: ModelFit) -> np.ndarray:

@@ -14,6 +14,7 @@ from small_arm import ARM
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.unknown import unknown_history
@@ -150,7 +151,7 @@ def test_a_command_keeps_its_promise_as_soon_as_the_rows_were_measured_and_later
 ) -> None:
     q = ARM.lower + SPAN * np.random.default_rng(5).uniform(0.2, 0.8, (40, ARM.n))
     targets = Model(ARM).tip(q)
-    found = la.compensate(late.model, targets, frame="measured")
+    found = la.compensate(with_uncertainty(late.fit), targets, frame="measured")
     assert found.success.all()
     promised = np.array([each.p90_m for each in found])
     last = np.array([arrival.history.last_way for arrival in found.arrivals])
