@@ -70,9 +70,17 @@ def _find_servos(
     known: str | None = None,
     expected: Collection[int] = (),
 ) -> Scan:
-    """Return the servos that answer; a port that is not given is asked.
+    """Return the servos that answer. Without a port the user is asked for it.
 
-    A servo file says which port is `known` and which ids are `expected`.
+    Args:
+        command: name of the command, for error messages.
+        ids: ids to ask, such as ``1-20`` or ``1,2``.
+        timeout: longest wait per id, s.
+        known: port in the servo file, the default of the question.
+        expected: ids in the servo file.
+
+    Raises:
+        JobError: no servo answers.
     """
     from longarm_comp.devices.servo_bus.registry import list_usable_ports, scan_line
 
@@ -312,7 +320,10 @@ def setup(
 
 
 def _held_pose(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
-    """Return joint values of the held pose, rad or m."""
+    """Return the joint values, rad or m, of the pose that the user holds.
+
+    Joints not in ``pose`` are at 0, or at the limit nearest to it.
+    """
     from longarm_comp.devices.servo_setup import hand_unit
 
     joints = config.joints
@@ -324,7 +335,11 @@ def _held_pose(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
 
 
 def _given_directions(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
-    """Return +1 or -1 of joints whose direction is given: of all where nobody can be asked."""
+    """Return the directions, +1 or -1, that are given by option, by joint.
+
+    Raises:
+        InputError: an invalid direction, or one is missing and there is no terminal to ask on.
+    """
     form = "JOINT=+ or JOINT=-"
     given = by_name(_COMMAND, "--direction", direction, form, list(config.joints))
     for text in given.values():
@@ -357,7 +372,7 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
 
 
 def _ask_direction(setup: ServoSetup, name: str) -> int:
-    """Return the direction of a joint: it is nudged, and the user says which way it went."""
+    """Move a joint a little, ask the user which way it went, and return its direction, +1 or -1."""
     text = "which way did it go, by arm.yaml? (another joint moved: Ctrl-C, correct servo_id)"
     kind, said = click.Choice([*_SIGNS, "again"]), "again"
     while said == "again":

@@ -30,7 +30,7 @@ from longarm_comp.devices.setup_journal import SetupJournal
 class ServoReading:
     """Position (rad or m), velocity and effort of one joint, as its servo reports them.
 
-    The effort (N m, N) is NaN where the configuration does not say what full effort is.
+    The effort (N m, N) is NaN if the configuration has no `full_effort`.
     """
 
     position: float
@@ -48,7 +48,7 @@ class Cycle:
 
 
 def free_servos(config: ServoConfig) -> None:
-    """Switch the torque of an arm's servos off, whichever they are and however they are set.
+    """Switch the torque of an arm's servos off, without checking their models or settings.
 
     Raises:
         BusUnplugged, IncompleteReply, ServoFault: not every servo confirmed it.
@@ -61,19 +61,19 @@ def free_servos(config: ServoConfig) -> None:
 
 
 class ServoArm:
-    """Connects a servo bus and a trajectory follower. Reopens the port when it comes back.
+    """Connects a servo bus and a trajectory follower. Reopens the port after a disconnection.
 
     Raises:
         BusUnplugged, IncompleteReply: the port or a servo is not there.
-        JobError: a servo is of another model than configured, or must not be commanded by what it
-            has stored.
+        JobError: a servo is of another model than configured, or its stored settings do not allow
+            to command it.
 
     Args:
-        stopped: whether an emergency stop stands: torque off is sent as soon as the port is open,
-            whichever servos answer.
+        stopped: whether an emergency stop is in force. Torque off is then sent as soon as the port
+            is open, whichever servos answer.
 
     Attributes:
-        said: what was changed in servos, to be told.
+        said: messages for the user about changes of the servos' settings.
     """
 
     def __init__(
@@ -99,9 +99,10 @@ class ServoArm:
         self.bus: SerialServoBus | None = self._open_bus(again=False)
 
     def _open_bus(self, again: bool) -> SerialServoBus:
-        """Open the port and check the servos; they are set for other turns the first time only.
+        """Open the port and check the servos.
 
-        What comes back may be another arm.
+        ``again``: whether the port was open before. Then no setting of turns is changed, because
+        the port may lead to another arm now.
         """
         bus = self.config.open_bus()
         try:
@@ -118,12 +119,12 @@ class ServoArm:
         return bus
 
     def _check_servos(self, bus: SerialServoBus, turned: bool) -> None:
-        """Refuse servos of other models, or whose memory gives commands another meaning.
+        """Refuse servos of other models, or with settings that give commands another meaning.
 
-        Their own limits are taken over.
+        Their own speed limits are taken into account from now on.
 
         Args:
-            turned: whether they have been set for one turn or many.
+            turned: whether the servos must be set for one turn or many as configured already.
         """
         for name, joint in self.config.joints.items():
             number = bus.ping(joint.servo_id)
@@ -154,7 +155,7 @@ class ServoArm:
             self._speeds[joint.servo_id] = speed if most is None else min(speed, most)
 
     def _check_unmoved(self, bus: SerialServoBus) -> None:
-        """Refuse an arm that stands elsewhere than where its torque, which it kept, held it."""
+        """Refuse an arm that does not stand where it was held when the port was lost."""
         for servo_id, state in bus.read(self._ids).items():
             moved = abs(state.position_ticks - self._stood[servo_id])
             if moved > self.config.follower.lost_error_ticks:
@@ -167,7 +168,10 @@ class ServoArm:
                 )
 
     def _set_turns(self, bus: SerialServoBus) -> None:
-        """Set one or many turns as declared. They stay: without them the servos lose count."""
+        """Set the servos permanently for one turn or many, as configured.
+
+        Driven servos are refused, because the change switches their torque off.
+        """
 
         def refuse_driven(changes: dict[int, Change]) -> None:
             driven = [i for i, on in bus.driven(list(changes)).items() if on]
@@ -189,10 +193,10 @@ class ServoArm:
             )
 
     def power(self, on: bool) -> None:
-        """Switch the torque. Where off is not confirmed, `cycle` sends it again until it is.
+        """Switch the torque on or off.
 
-        Off, nothing is driven any more: what moved the arm before is dropped.  Where not every
-        servo can be switched on, none of them is left so that was off before.
+        Off also drops the present motion. If it is not confirmed, `cycle` repeats it until it is.
+        If not every servo can be switched on, all are switched off again, unless they were on.
 
         Raises:
             BusUnplugged, IncompleteReply, ServoFault: it could not be switched (on), or was not
@@ -225,9 +229,9 @@ class ServoArm:
             self.follower.hold_at({**self._stood, **goals})
 
     def _goals_to_hold(self, bus: SerialServoBus) -> dict[int, int]:
-        """Return the goals, ticks by id, of the servos that are driven and stand in their droop.
+        """Return the goals, ticks by id, of driven servos that rest in their droop.
 
-        A loaded arm would sink by its droop each time its goal became its present position.
+        They keep these goals: a loaded arm would sink if its present position became the goal.
         """
         states, goals, driven = bus.read(self._ids), bus.goals(self._ids), bus.driven(self._ids)
         self._note_lost(states, driven)
@@ -243,15 +247,16 @@ class ServoArm:
         }
 
     def _note_lost(self, states: Mapping[int, ServoState], driven: Mapping[int, bool]) -> None:
-        """Note servos that let go by themselves: one without an alarm had no power meanwhile."""
+        """Note servos whose torque went off without command or alarm: they had lost power."""
         if self.powered:
             self._lost |= {i for i, on in driven.items() if not on and not states[i].error_flags}
 
     def _check_turn_counts(self, states: Mapping[int, ServoState]) -> None:
-        """Refuse servos of many turns that may have lost count of them, as they do without power.
+        """Refuse multi-turn servos that may have lost their count of turns without power.
 
-        Where the torque was off, a move tells: half a turn, because what is lost is a whole one.
-        Where the power went under torque the arm may have sunk by any way since.
+        After a time without torque, a move of more than half a turn is the sign, because whole
+        turns are lost. A servo that lost power under torque is always refused, because the arm may
+        have sunk by any distance since.
         """
         for name, joint in self.config.joints.items():
             at = states[joint.servo_id].position_ticks
@@ -275,10 +280,10 @@ class ServoArm:
         self.power(False)
 
     def release(self, now: float, on: bool = True) -> None:
-        """Leave a fault or an emergency stop, with torque on.
+        """End a fault or an emergency stop, and switch the torque on unless ``on`` is False.
 
-        While the cause persists the torque stays as it was: on after a fault, so that a heavy arm
-        does not drop, and off after an emergency stop.
+        If the cause persists, an error is raised and the torque stays as it was: on after a fault,
+        so that a heavy arm does not drop, and off after an emergency stop.
         """
         if not on:
             self.follower.reset(now)
@@ -332,7 +337,10 @@ class ServoArm:
         return Cycle(step, self._convert_states(states), states, trouble)
 
     def _hold_unheld(self, bus: SerialServoBus) -> None:
-        """Hold servos where they were read just now, if they are driven: a goal wakes others."""
+        """Hold driven servos at their last read positions, until they have confirmed it.
+
+        Other servos get no goal, because a goal would switch their torque on.
+        """
         goals = self.follower.find_holding_goals()
         asked = self._unheld & goals.keys()
         driven = bus.driven(sorted(asked))
@@ -346,7 +354,7 @@ class ServoArm:
         """Switch the torque off if possible and release the port. Must not raise.
 
         Returns:
-            Why not every servo has confirmed it; empty where they have.
+            The reason why not every servo has confirmed it; empty if all have.
         """
         why = ""
         for _ in range(3):
@@ -385,7 +393,7 @@ class ServoArm:
         return str(error)
 
     def _mend_bus(self) -> None:
-        """Reopen a lost port, and switch off what is to be off. Else servos kept their torque."""
+        """Reopen a lost port, and switch the torque off if this is due; else it stays as it is."""
         try:
             self.bus = self.bus or self._open_bus(again=True)
             if self.owing_off:

@@ -1,4 +1,4 @@
-"""Setting up servos by hand: a pose held with the torque off, then small moves under torque."""
+"""Setup of servos by a person: reads a held pose with the torque off, then makes small moves."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.devices.setup_journal import SetupJournal
 
 _PERIOD_S = 0.02
-"""Between two readings."""
+"""Time between two readings, s."""
 _LOOKS, _STILL_TICKS = 15, 8
-"""Readings of a held pose, and how much they may differ: a hand trembles."""
+"""Number of readings of a held pose, and their largest difference, because a hand trembles."""
 _NEAR_TICKS, _SETTLED_S = 6, 0.3
-"""A move is over where the servo rests so near its goal for so long."""
+"""A move is over when the servo has rested this near its goal for this time, s."""
 _LONGEST_STEP_S, _ASIDE_TICKS = 0.1, 24
 """Longest time by which a goal moves on at once, and how far beside the way led a servo may be:
 2 degrees of its horn, for a gear that gives way."""
@@ -44,13 +44,15 @@ def zero_from_pose(joint: JointConfig, ticks: float, value: float) -> float:
 
 
 class ServoSetup:
-    """Servos of an arm in the operator's hands. The torque is off unless it is switched on.
-
-    Attributes:
-        memory: what each joint's servo has stored. said: what was changed there, to be told.
+    """Servos of an arm that a person holds. The torque is off until `hold` is called.
 
     Args:
-        check: called before anything is held or moved; raises where it must not be.
+        joints: configuration of each joint, by name.
+        check: called before anything is held or moved; raises an error if it must not be.
+
+    Attributes:
+        memory: stored settings of each joint's servo.
+        said: messages for the user about changed settings.
     """
 
     def __init__(
@@ -67,15 +69,15 @@ class ServoSetup:
 
     @contextmanager
     def safely(self) -> Iterator[ServoSetup]:
-        """Set one or many turns as declared; switch the torque off at the end, whatever happens.
+        """Set the servos for one turn or many as configured; always end with the torque off.
 
-        What the servos had stored, also before an earlier setup that was killed, is written back at
-        the end, unless `keep` was called.
+        At the end the old settings are written back unless `keep` was called, also those from
+        before an earlier setup that was killed.
 
         Raises:
             ServoBusError: torque off was not confirmed at the start.
-            JobError: a servo has an alarm, or must not be commanded by what it has stored; or the
-                torque may still be on at the end, or something could not be written back.
+            JobError: a servo has an alarm, or its stored settings do not allow to command it; or at
+                the end the torque may still be on, or old settings could not be written back.
         """
         try:
             self._bus.torque(self._ids, on=False)
@@ -99,7 +101,7 @@ class ServoSetup:
                 )
 
     def _check_memory(self) -> None:
-        """Refuse servos with an alarm, or whose memory gives commands another meaning."""
+        """Refuse servos with an alarm, or with settings that give commands another meaning."""
         alarms, kept = self._bus.alarms(self._ids), self._bus.memory(self._ids)
         for name, joint in self._joints.items():
             if alarm := alarms.get(joint.servo_id):
@@ -114,7 +116,7 @@ class ServoSetup:
         self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 
     def keep(self) -> None:
-        """Keep what the servos have stored, instead of writing back the old values at the end."""
+        """Keep the new settings of the servos: the old ones are not written back at the end."""
         self._journal.end(self._ids)
 
     def let_go(self) -> None:
@@ -122,12 +124,16 @@ class ServoSetup:
         self._bus.torque(self._ids, on=False)
 
     def hold(self) -> None:
-        """Switch the torque on; every servo stays where it is."""
+        """Switch the torque on; every servo holds its present position."""
         self._check()
         self._bus.torque(self._ids, on=True)
 
     def rest(self) -> dict[str, float]:
-        """Read the ticks of every joint's servo in a pose that is held still."""
+        """Return the median position of every joint's servo, ticks, in a pose that is held still.
+
+        Raises:
+            JobError: a joint moves, or its servo stands beyond its own limits.
+        """
         looks = []
         for _ in range(_LOOKS):
             looks.append(self._bus.read(self._ids))
@@ -147,7 +153,10 @@ class ServoSetup:
         """Move one joint by 5 degrees or 5 mm, and back at the end of the context.
 
         Yields:
-            +1 where the ticks grew: it goes up unless that leads out of the servo's range.
+            +1 if the ticks grew, else -1. The move is upwards unless it would leave the range.
+
+        Raises:
+            JobError: there is no room for the move, or the joint does not follow.
         """
         joint, kept = self._joints[name], self.memory[name]
         start = self._read_ticks(joint)
@@ -168,19 +177,21 @@ class ServoSetup:
         self._go_to(name, start)
 
     def _go_to(self, name: str, goal: int) -> None:
-        """Lead one servo to a goal, until it rests there or a while has passed.
+        """Lead one servo slowly to a goal, ticks, until it rests there or the time is over.
 
-        The goals creep, so that a servo that takes no notice of the speed is slow too. One that is
-        not on the way that was led so far is let go.
+        The goal moves in small steps, so that a servo that ignores the speed moves slowly too.
+
+        Raises:
+            JobError: the servo left the way on which it was led; its torque was switched off.
         """
         self._check()
         joint = self._joints[name]
-        # Speed of a nudge, deg/s or mm/s: to be seen, and to be stepped away from
+        # Speed of a nudge: 5 deg/s or mm/s at most, so that a person sees it and can step away
         speed = min(5.0 * hand_unit(joint)[0], joint.max_velocity) / joint.si_per_tick
         start = last = self._read_ticks(joint)
         far, led = abs(goal - start), 0.0
         before = rested = time.monotonic()
-        # With a move: times one second and the time that it takes
+        # Time for the move: three times one second and its duration
         limit = before + 3.0 * (1.0 + far / speed)
         while (now := time.monotonic()) < limit:
             led = min(far, led + speed * min(now - before, _LONGEST_STEP_S))

@@ -1,4 +1,4 @@
-"""Commands of a person to a running arm: status, hold, stop, go on; faults to rehearse."""
+"""Commands of a person to a running arm (status, hold, stop, reset), and simulated faults."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _NEXT = {
 
 
 class Attendant:
-    """Hears an arm's driver and the reports of its nodes."""
+    """Receives the state of an arm's driver and the nodes' reports, and commands the driver."""
 
     def __init__(self, client: GraphClient) -> None:
         self._client, self._namespace = client, client.node.get_namespace().rstrip("/")
@@ -50,7 +50,14 @@ class Attendant:
         self._driver = message
 
     def standing(self) -> dict[str, Any]:
-        """Say how the arm stands, as soon as every node of it on the graph has reported."""
+        """Return the state of the arm, once all its nodes on the graph have reported.
+
+        A node that does not report in time is listed as stale. All values are texts or lists:
+        ``driver``, ``why``, ``nodes``, ``troubles``, ``next`` (a command), ``tip``, ``learned``.
+
+        Raises:
+            JobError: no node of the arm runs.
+        """
         client, where = self._client, self._namespace or "/"
         own = client.node.get_name()
 
@@ -110,15 +117,15 @@ class Attendant:
         }
 
     def hold(self) -> str:
-        """Stop smoothly and stay, with torque on; return what the driver said."""
+        """Stop smoothly and hold the arm, with torque on; return the driver's message."""
         return self._halt_arm(graph.HOLD)
 
     def stop(self) -> str:
-        """Switch the torque off now; return what the driver said."""
+        """Switch the torque off now (emergency stop); return the driver's message."""
         return self._halt_arm(graph.ESTOP)
 
     def reset(self) -> str:
-        """End stop, hold and fault, whichever there are; return what the driver said."""
+        """End an emergency stop, a hold and a fault, if any; return the driver's message."""
         if self._hear_driver().state not in STOPPED:
             return "nothing to reset"
         return self._ask_service(graph.RESET, Trigger.Request())
@@ -129,16 +136,19 @@ class Attendant:
         return state
 
     def hear_stop(self) -> str:
-        """Return the stop that stands, in the driver's words; empty where none does."""
+        """Return the driver's description of the stop in force; empty if none is."""
         driver = self._hear_driver()
         asked = driver.state in (DriverState.ESTOP, DriverState.HOLDING)
         return str(driver.message).partition(";")[0] if asked else ""
 
     def let_go(self) -> tuple[str, str]:
-        """Switch the torque off for a while; return what the driver said, and this stop's words.
+        """Switch the torque off until `take_back`.
+
+        Returns:
+            The driver's message, and its description of this stop, which `take_back` needs.
 
         Raises:
-            JobError: somebody has stopped the arm, or it was not stopped.
+            JobError: the arm is stopped already, or could not be stopped.
         """
         if others := self.hear_stop():
             raise JobError(f"nothing is done: {others}; to go on: longarm reset")
@@ -147,18 +157,20 @@ class Attendant:
         return said, own
 
     def take_back(self, own: str) -> str:
-        """End the emergency stop with these words, unless it was asked for again meanwhile.
+        """End the emergency stop of `let_go`; return the driver's message.
+
+        ``own``: the description that `let_go` returned.
 
         Raises:
-            JobError: it was, and stays.
+            JobError: the stop was asked for again meanwhile, so it remains in force.
         """
-        self._client.spin(1.2)  # the driver tells its state twice a second
+        self._client.spin(1.2)  # the driver publishes its state twice a second
         if (now := self.hear_stop()) != own:
             raise JobError(f"the stop stays: {now}; to go on: longarm reset")
         return self._ask_service(graph.ESTOP, SetBool.Request(data=False))
 
     def _halt_arm(self, service: Service) -> str:
-        """Ask for a stop. Where no driver says that it stopped, what to do is said."""
+        """Ask for a stop; return the driver's message. An error also says to cut the power."""
         try:
             return self._ask_service(service, SetBool.Request(data=True), again=True)
         except Interrupted:
@@ -175,16 +187,25 @@ class Attendant:
 
 
 KNOWN = {KINEMATICS, "error_predictor", "stereo_bridge", DRIVER, "simulated_arm"}
-"""Nodes of an arm."""
+"""Nodes of an arm whose reports `Attendant.standing` waits for."""
 
 
 SIMULATED = "simulated_arm"
 
 
 def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
-    """Add a joint to those ``unplugged`` or a camera to those ``covered``, or take it ``back``.
+    """Add a simulated fault, or remove it.
 
-    Returns what has the fault now, in words. Raises JobError: no such arm or name.
+    Args:
+        fault: parameter of `simulated_arm`: ``unplugged`` (joints) or ``covered`` (cameras).
+        name: the joint or the camera.
+        back: whether the fault is removed.
+
+    Returns:
+        The fault and all names that have it now, in words.
+
+    Raises:
+        JobError: no simulated arm runs, or it has no such name.
     """
     (told,) = client.parameters(SIMULATED, fault, within_s=FOUND_S)
     names = [word for word in str(told).split() if word != name] + [name] * (not back)
@@ -194,7 +215,15 @@ def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
 
 @contextmanager
 def freeze_node(client: GraphClient, node: str) -> Iterator[int]:
-    """Let a node of a simulated arm's graph stand still, as one that hangs; yields its process."""
+    """Suspend the process of a node in this context, as if it hangs; only with a simulated arm.
+
+    Yields:
+        The id of the process.
+
+    Raises:
+        InputError: no such node.
+        JobError: no such node with a simulated arm reports, or it runs on another machine.
+    """
     if node not in KNOWN:
         raise InputError("sim freeze", "NODE", node, ", ".join(sorted(KNOWN)))
     reports = Reports(client)

@@ -1,4 +1,4 @@
-"""A client of a running graph: waits, services, parameters, and what its nodes report.
+"""A client of a running graph: waits, calls services, reads parameters and reports of nodes.
 
 It uses one executor in the caller's thread. Every wait ends at once when ``stop`` is set.
 """
@@ -25,21 +25,20 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Service
 
 _ANSWER_S = 60.0
-"""A node that is starting beside six others on two cores has answered by then."""
+"""Longest wait for an answer, s: enough for a node that starts with six others on two cores."""
 FOUND_S = 10.0
-"""A node that is there is found, and has reported, within it, also on a busy machine."""
+"""Time, s, in which a running node is found and has reported, even on a busy machine."""
 ANNOUNCED_S = 4.0
-"""A node that was not heard of yet has announced itself within it: Fast DDS does every 3 s."""
+"""Time, s, in which every running node announces itself: Fast DDS does it every 3 s."""
 _ASK_AGAIN_S = 0.25, 2.0
-"""Pauses after which a request that may be served twice is sent again: the first, and the longest;
-each is twice the one before."""
+"""First and longest pause, s, before a request is repeated; each is twice the one before."""
 
 _GET = Service("~/get_parameters", GetParameters)
 _SET = Service("~/set_parameters", SetParameters)
 
 
 class Interrupted(JobError):  # noqa: N818
-    """The caller's stop event was set."""
+    """A wait ended because the caller's stop event was set."""
 
     exit_code = 130
 
@@ -50,7 +49,10 @@ def count_drivers(node: Node) -> int:
 
 
 class Call:
-    """A request to a service on its way, which is sent again as `GraphClient.call` says."""
+    """A request to a service that waits for its response.
+
+    ``again``: whether the request is repeated without one, as `GraphClient.call` explains.
+    """
 
     def __init__(self, client: Any, request: Any, *, again: bool) -> None:
         self._client, self._request, self._again = client, request, again
@@ -62,7 +64,7 @@ class Call:
         self._asked.append(self._client.call_async(self._request))
 
     def answer(self) -> Any:
-        """Return the response; None while there is none."""
+        """Return the response, or None while there is none; repeat the request if it is due."""
         if self._again and time.monotonic() - self._sent > self._pause:
             self._send_request(min(2.0 * self._pause, _ASK_AGAIN_S[1]))
         return next((future.result() for future in self._asked if future.done()), None)
@@ -73,7 +75,7 @@ class Call:
 
 
 class GraphClient:
-    """A node on a graph; a context manager. ``stop`` ends every wait with `Interrupted`."""
+    """A node that uses a graph; a context manager. ``stop`` ends every wait with `Interrupted`."""
 
     def __init__(
         self, namespace: str = "", stop: threading.Event | None = None, name: str = "longarm_client"
@@ -101,7 +103,12 @@ class GraphClient:
         """Spin until a condition is truthy and return its value.
 
         Args:
-            what: is waited for, in words; or makes the whole message of an end without it.
+            within_s: longest wait, s.
+            what: what is waited for, in words; or a function that makes the whole error message.
+
+        Raises:
+            JobError: the condition did not become truthy in time.
+            Interrupted: ``stop`` was set.
         """
         found = self.wait(condition, within_s)
         if not found:
@@ -111,7 +118,11 @@ class GraphClient:
         return found
 
     def wait(self, condition: Callable[[], Any], at_most_s: float) -> Any:
-        """Spin until a condition is truthy or the time is over; return its last value."""
+        """Spin until a condition is truthy, or for ``at_most_s``, s; return its last value.
+
+        Raises:
+            Interrupted: ``stop`` was set.
+        """
         end = time.monotonic() + at_most_s
         while not (found := condition()):
             if self.stop.is_set():
@@ -123,7 +134,7 @@ class GraphClient:
 
     @contextmanager
     def putting_back(self) -> Iterator[None]:
-        """Let ``stop`` end no wait meanwhile: for what must be put back after an interruption."""
+        """Ignore ``stop`` in this context, for actions that must be done after an interruption."""
         stop, self.stop = self.stop, threading.Event()
         try:
             yield
@@ -139,12 +150,18 @@ class GraphClient:
     ) -> Any:
         """Call a service and return its response.
 
-        The middleware may drop the answer if the server has not yet discovered the client. It also
-        lists a killed server as available for some seconds.
+        Responses can be lost: the middleware drops one if the server has not discovered the client
+        yet. A killed server is listed as available for some seconds.
 
         Args:
-            again: repeat the request while no answer comes; only for requests that may be served
-                twice, and later: no end of a stop, which would end one that came meanwhile.
+            within_s: longest wait for the service, and then for the response, s.
+            again: repeat the request until a response comes. Use it only for requests that do no
+                harm if they are served twice or late. To end a stop is none of them: a repetition
+                could end a later stop.
+
+        Raises:
+            JobError: no server or no response in time.
+            Interrupted: ``stop`` was set.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
         asked = Call(client, request, again=again)
@@ -162,7 +179,7 @@ class GraphClient:
         *,
         again: bool = True,
     ) -> Any:
-        """Return the response of a node's own service; ``again`` as of `call`."""
+        """Call a private service (``~/...``) of a node and return its response, as `call` does."""
         made = service.client(self.node, of=node)
         try:
             return self.call(made, request, within_s, again=again)
@@ -170,7 +187,7 @@ class GraphClient:
             self.node.destroy_client(made)
 
     def parameters(self, node: str, *names: str, within_s: float = _ANSWER_S) -> list[Any]:
-        """Read a node's parameters, in the order of the names; None for one that it lacks."""
+        """Read parameters of a node, in the order of the names; None for an unknown one."""
         asked = GetParameters.Request(names=list(names))
         answer = self.ask(node, _GET, asked, within_s)
         return [parameter_value_to_python(value) for value in answer.values]
@@ -183,7 +200,7 @@ class GraphClient:
 
 
 def reports_of(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, DiagnosticStatus]]:
-    """Return the status of each part of a namespace's nodes, by node and part."""
+    """Return the status of the nodes in a namespace, by name of the node and of its part."""
     nodes: dict[str, dict[str, DiagnosticStatus]] = {}
     for status in message.status:
         node, colon, part = status.name.partition(": ")
@@ -194,9 +211,10 @@ def reports_of(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, 
 
 
 class Reports:
-    """The reports of the nodes of a client's namespace on /diagnostics from now on.
+    """Collects the reports on /diagnostics of the nodes in a client's namespace, from now on.
 
-    `nodes` has the last status of each part, by the names of node and part.
+    Attributes:
+        nodes: last status, by name of the node and of its part.
     """
 
     def __init__(self, client: GraphClient) -> None:
