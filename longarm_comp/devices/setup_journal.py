@@ -41,19 +41,22 @@ class SetupJournal:
 
     def begin(self, changes: Mapping[int, Change]) -> None:
         """Add changes that are about to be made, by servo id; earlier entries are kept."""
-        changes = dict(changes) | self.read()
+        self._write(dict(changes) | self.read())
+
+    def _write(self, changes: Mapping[int, Change]) -> None:
         turns = {str(i): [had.hex(), new.hex()] for i, (had, new) in changes.items()}
         write_text(self.path, json.dumps({"turns": turns}) + "\n")
 
     def end(self, ids: Collection[int]) -> None:
         """Remove the entries of these servos; nothing of them will be written back."""
         left = {i: change for i, change in self.read().items() if i not in ids}
+        if left:  # replaced, so that a process that is killed here loses none of them
+            self._write(left)
+            return
         try:
             self.path.unlink(missing_ok=True)
         except OSError as error:
             raise JobError(f"{self.path} cannot be removed: {error.strerror}") from error
-        if left:
-            self.begin(left)
 
     def write_back(self, bus: SerialServoBus) -> list[int]:
         """Write the old values back to the servos that still hold the new ones.

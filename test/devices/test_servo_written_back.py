@@ -30,6 +30,7 @@ from servo_bench import bus as geared_bus
 from servo_terminal import RIGHT, Terminal
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.devices import setup_journal
 from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.registry import models, open_bus
@@ -347,3 +348,25 @@ def test_the_lock_of_a_servo_is_left_as_it_was() -> None:
         with closing(open_bus("feetech", emulator.port, 1_000_000, servos, 0.2)) as bus:
             bus.set_turns({1: True, 2: True})
         assert [emulator._devices[i].get(55, 1) for i in (1, 2)] == [0, 1]
+
+
+def test_an_entry_of_the_journal_goes_without_the_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It was deleted and the rest written again: killed in between, nothing was written back."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    journal = SetupJournal("/dev/ttyUSB7", "feetech")
+    changes = {1: (b"had", b"new"), 2: (b"its", b"own")}
+    journal.begin(changes)
+
+    def killed(*words: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(setup_journal, "write_text", killed)
+        journal.end([1])
+    assert journal.read() == changes
+    journal.end([1])
+    assert journal.read() == {2: changes[2]}
+    journal.end([2])
+    assert journal.read() == {} and not journal.path.exists()
