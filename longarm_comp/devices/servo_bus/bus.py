@@ -22,7 +22,11 @@ GOAL_TICKS = 8
 """Largest difference, ticks, of a read-back goal that counts as accepted: 0.7 degrees."""
 
 AGREE_TICKS = 40
-"""Largest difference, ticks, of two successive readings that are trusted: 3.5 degrees."""
+"""Largest difference of two readings in succession that are believed: 3.5 degrees of a servo.
+
+A hand that moves a free arm turns no servo so far between two readings (some ms), and a byte that
+is damaged changes a position by less only where the jump to it is as small.
+"""
 
 Change = tuple[bytes, bytes]
 """A change of a servo's memory: the bytes stored before, and the new bytes."""
