@@ -26,10 +26,11 @@ from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.devices.follower_report import Event, EventKind
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import Event, EventKind, TrajectoryFollower
+from longarm_comp.devices.servo_follower import TrajectoryFollower
 from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.cameras import CameraPair, tag_plate

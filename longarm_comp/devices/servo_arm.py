@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.devices.follower_report import Accepted, FollowerState, Step
 from longarm_comp.devices.joint_path import JointTrajectory
 from longarm_comp.devices.servo_bus.bus import Change, SerialServoBus
 from longarm_comp.devices.servo_bus.state import (
@@ -21,7 +22,7 @@ from longarm_comp.devices.servo_bus.state import (
 )
 from longarm_comp.devices.servo_check import check_memory, check_placed, check_reach
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import Accepted, FollowerState, Step, TrajectoryFollower
+from longarm_comp.devices.servo_follower import TrajectoryFollower
 from longarm_comp.devices.servo_watch import stands_in_its_droop
 from longarm_comp.devices.setup_journal import SetupJournal
 

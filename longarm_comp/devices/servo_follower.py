@@ -8,12 +8,11 @@ position; then no more goals are returned.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.follower_report import Accepted, Event, EventKind, FollowerState, Step
 from longarm_comp.devices.joint_path import (
     Array,
     InParts,
@@ -40,56 +39,6 @@ KeepsOut = Callable[[Array], str]
 """Says why the arm must not pass through postures (N, n), rad and m; empty if it may."""
 Shapes = Callable[[Way, float], Shaper | None]
 """Returns how to split a move (joints over time, and its duration, s); None: not at all."""
-
-
-class FollowerState(Enum):
-    IDLE = "idle"
-    TRACKING = "tracking"
-    HOLDING = "holding"
-    FAULT = "fault"
-    ESTOP = "estop"
-
-
-class EventKind(Enum):
-    STARTED = "started"
-    REPLACED = "replaced"
-    SLOWED = "slowed"
-    ARRIVED = "arrived"
-    SHORT = "short of its end"
-    DOUBTFUL = "doubtful"
-    FAULT = "fault"
-    ESTOP = "estop"
-    RESET = "reset"
-    HELD = "held"
-
-
-@dataclass(frozen=True)
-class Event:
-    """One event to report to the user. ``finding`` is set only for FAULT."""
-
-    kind: EventKind
-    message: str
-    finding: JointFault | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Accepted:
-    """An accepted trajectory, as it will be followed."""
-
-    start: np.ndarray
-    """(n,) set-point from which it starts, in the order of the configuration (rad, m)."""
-    points: np.ndarray  # (k, n) way-points of all joints, rad and m
-    times: np.ndarray  # (k,) s, from now on, at which the way-points are passed
-    replaces: bool  # whether it replaces a trajectory that is still being followed
-
-
-@dataclass(frozen=True)
-class Step:
-    state: FollowerState  # after the step
-    goals: dict[int, int] | None  # ticks by servo id to send now; None: send nothing
-    set_points: dict[str, float]
-    """Commanded joint values, rad or m; empty when nothing is commanded."""
-    events: tuple[Event, ...]  # in the order in which they happened
 
 
 class TrajectoryFollower:

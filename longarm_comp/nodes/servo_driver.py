@@ -26,18 +26,11 @@ from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import keeper
 from longarm_comp.core.vibration.shaper import shaping
+from longarm_comp.devices.follower_report import Accepted, Event, EventKind, FollowerState
 from longarm_comp.devices.servo_arm import Cycle, ServoArm, ServoReading
 from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
-from longarm_comp.devices.servo_follower import (
-    Accepted,
-    Event,
-    EventKind,
-    FollowerState,
-    KeepsOut,
-    Shapes,
-    TrajectoryFollower,
-)
+from longarm_comp.devices.servo_follower import KeepsOut, Shapes, TrajectoryFollower
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders, stops

@@ -12,9 +12,9 @@ from typing import Protocol
 from rclpy.node import Node
 
 from longarm_comp.core.errors import InputError, JobError, LongarmError
+from longarm_comp.devices.follower_report import EventKind, FollowerState
 from longarm_comp.devices.servo_arm import ServoArm, free_servos
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.nodes import interfaces as graph

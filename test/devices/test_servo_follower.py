@@ -10,8 +10,8 @@ from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds
 
 from longarm_comp.core.vibration.modes import Modes
 from longarm_comp.core.vibration.ring import find_amplitudes
+from longarm_comp.devices.follower_report import EventKind, FollowerState
 from longarm_comp.devices.joint_path import JointTrajectory
-from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.math.shaper import Shaper
 
 

@@ -12,8 +12,8 @@ import pytest
 from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds, servo_state
 
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.follower_report import EventKind, FollowerState, Step
 from longarm_comp.devices.servo_bus.state import ServoAlarm
-from longarm_comp.devices.servo_follower import EventKind, FollowerState, Step
 from longarm_comp.devices.servo_watch import ServoTrouble, ServoWatch, stands_in_its_droop
 
 

@@ -11,11 +11,11 @@ import pytest
 from driven_arm import MODEL, Driven, driven_arm
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.devices.follower_report import FollowerState
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.devices.servo_watch import ServoTrouble
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.motor import MotorSpec

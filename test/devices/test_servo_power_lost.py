@@ -11,8 +11,8 @@ from driven_arm import MODEL, Driven, driven_arm
 from faulty_bus import wait_until
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.devices.follower_report import FollowerState
 from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
-from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.sim.servo_emulator.wire import Device
 
 

@@ -12,7 +12,8 @@ from follower_rig import CONFIG, DT, LIMITS, TURN, Rig, kinds
 from places import ROOT
 
 from longarm_comp.core.data.plan import sobol
-from longarm_comp.devices.servo_follower import EventKind, Step, TrajectoryFollower
+from longarm_comp.devices.follower_report import EventKind, Step
+from longarm_comp.devices.servo_follower import TrajectoryFollower
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 from studies.readings import SaggingArm
 

@@ -16,7 +16,7 @@ from nodes_bench import Bench
 from std_srvs.srv import SetBool, Trigger
 from stops_bench import MAX_AGE_S, StoppedArm, stopped_arm
 
-from longarm_comp.devices.servo_follower import FollowerState
+from longarm_comp.devices.follower_report import FollowerState
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import sleepless_s
 from longarm_comp.nodes.worker import Asked

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from faulty_bus import FaultyBus
 
+from longarm_comp.devices.follower_report import FollowerState
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.devices.servo_watch import ServoTrouble
 from longarm_comp.sim.servo_emulator.joints import EmulatedArm, read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec

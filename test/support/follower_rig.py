@@ -7,16 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.devices.follower_report import EventKind, Step
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoState
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import (
-    EventKind,
-    KeepsOut,
-    Shapes,
-    Step,
-    TrajectoryFollower,
-)
+from longarm_comp.devices.servo_follower import KeepsOut, Shapes, TrajectoryFollower
 
 DT = 0.02
 CONFIG = ServoConfig.parse(

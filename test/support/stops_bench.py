@@ -12,10 +12,10 @@ from faulty_bus import FaultyBus
 from nodes_bench import Bench
 from std_srvs.srv import SetBool, Trigger
 
+from longarm_comp.devices.follower_report import FollowerState
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import FollowerState
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.orders import Freshness
 from longarm_comp.nodes.stops import Stops
