@@ -33,7 +33,7 @@ from longarm_comp.nodes.messages import (
 )
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode
-from longarm_comp.nodes.orders import describe_untimely
+from longarm_comp.nodes.orders import DRIVER_SILENT_S, TWO_DRIVERS, describe_untimely
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import PredictorClient
 from longarm_interfaces.msg import DriverState, Motion
@@ -217,8 +217,6 @@ class ArmState:
 
 _MOVED = 2e-2
 """A joint that is this far (rad, m) from its last end was moved: encoder noise is smaller."""
-_SILENT_S = 3.0
-"""A driver whose state was not received for this time, s, is gone. It sends it twice a second."""
 
 
 class DriverLink:
@@ -244,7 +242,7 @@ class DriverLink:
         self._end: np.ndarray | None = None
         self._arrived = self._left = False
         self._state: DriverState | None = None
-        self._heard_s = self._rival_s = -_SILENT_S
+        self._heard_s = self._rival_s = -DRIVER_SILENT_S
         self._known: set[str] = set()
         self._asked, self._answer = "", None
         hear = state.worker.hear  # so that messages are processed before the next target
@@ -265,9 +263,9 @@ class DriverLink:
         now, state = time.monotonic(), self._state
         if state is None:
             return "no servo_driver is on the graph"
-        if now - self._rival_s < _SILENT_S:
-            return "two drivers publish servo_driver/state: end one of them"
-        if now - self._heard_s > _SILENT_S:
+        if now - self._rival_s < DRIVER_SILENT_S:
+            return TWO_DRIVERS
+        if now - self._heard_s > DRIVER_SILENT_S:
             return f"servo_driver has been silent for {now - self._heard_s:.0f} s"
         if state.state not in (DriverState.READY, DriverState.MOVING):
             why = f": {state.message}" if state.message else ""
@@ -368,5 +366,5 @@ class DriverLink:
             return Report(OK, UNACKNOWLEDGED)
         why = self.refusal
         if why:
-            return Report(ERROR if self._rival_s > self._heard_s - _SILENT_S else WARN, why)
+            return Report(ERROR if self._rival_s > self._heard_s - DRIVER_SILENT_S else WARN, why)
         return Report(OK, "the driver takes trajectories")

@@ -26,9 +26,10 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import Ticks, sleepless_s, stamp_ns, stamp_of, steady_timer
+from longarm_comp.nodes.health import THIS_INSTANCE
 from longarm_comp.nodes.messages import duration, seconds
 from longarm_comp.nodes.params import Param
-from longarm_interfaces.msg import Motion
+from longarm_interfaces.msg import DriverState, Motion
 
 
 def order_id(message: JointTrajectory) -> str:
@@ -147,8 +148,16 @@ class Driver(Protocol):
     def refuse(self, name: str, why: str) -> None: ...
 
 
+TWO_DRIVERS = "two drivers publish servo_driver/state: end one of them"
+DRIVER_SILENT_S = 3.0
+"""A driver whose state was not received for this time, s, is gone. It sends it twice a second."""
+
+
 class Intake:
     """Receives `joint_trajectory` and `withdrawn`, and passes trajectories to the driver.
+
+    It also receives `servo_driver/state`: all drivers in a namespace get the same trajectories, so
+    none of them may follow one while there is another.
 
     Args:
         site: the driver.
@@ -159,16 +168,27 @@ class Intake:
         self._site, self._unstamped, self._fresh = site, unstamped, fresh
         # Withdrawn ids that are remembered: more than trajectories can wait
         self._withdrawn: deque[str] = deque(maxlen=100)
+        self._rival_s = -math.inf  # when another driver was last heard, monotonic s
+        graph.DRIVER_STATE.subscription(node, self._on_state)
         graph.WITHDRAWN.subscription(node, self._on_withdrawn)
         # Trajectories that may wait: a later one replaces those before it anyway
         graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, depth=10)
 
-    def too_old(self, message: JointTrajectory) -> str:
-        """Say why a trajectory is too old to move the arm; empty if it is not.
+    def doubt(self, message: JointTrajectory) -> str:
+        """Say why a trajectory must not move the arm: its age, or another driver; empty if it may.
 
-        A trajectory without points, which stops the arm, is never too old.
+        A trajectory without points, which stops the arm, is never doubted.
         """
-        return self._fresh.too_old(message.header.stamp) if message.points else ""
+        if not message.points:
+            return ""
+        if time.monotonic() - self._rival_s < DRIVER_SILENT_S:
+            return f"{TWO_DRIVERS}; if none is left, try again in {DRIVER_SILENT_S:g} s"
+        return self._fresh.too_old(message.header.stamp)
+
+    def _on_state(self, message: DriverState) -> None:
+        follows = message.state != DriverState.UNCONFIGURED  # else it has ended, or drives nothing
+        if follows and message.instance != THIS_INSTANCE:
+            self._rival_s = time.monotonic()
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         name = order_id(message)

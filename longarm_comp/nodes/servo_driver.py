@@ -325,7 +325,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if not self.active:
             self.refuse(name, "the driver is not active")
             return
-        if why := self._intake.too_old(message):
+        if why := self._intake.doubt(message):
             self.refuse(name, why)
             return
         if not self._known_arm.follower.is_fresh(

@@ -29,6 +29,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import Health
+from longarm_comp.nodes.orders import order_id
 from longarm_comp.nodes.params import ROS_OWN
 from longarm_comp.nodes.servo_driver import reporting_faults
 from longarm_interfaces.msg import DriverState, Motion
@@ -122,6 +123,39 @@ def test_orders_that_are_old_withdrawn_or_unstamped_move_nothing(rig: Rig) -> No
     assert "withdrawn" in told.message
     assert rig.joints() == pytest.approx(before, abs=0.1)
     rig.goes(shoulder=0.0)
+
+
+def test_beside_another_driver_it_moves_nothing_but_still_stops(rig: Rig) -> None:
+    rig.goes(shoulder=0.2)
+    states = graph.DRIVER_STATE.publisher(rig.stage.node)
+    rig.stage.connected(states)
+    other = DriverState(instance="another", state=DriverState.READY)
+    beat = rig.stage.node.create_timer(0.2, lambda: states.publish(other))
+    rig.stage.spin(
+        lambda: (
+            any("two drivers" in motion.message for motion in rig.motions)
+            or not rig.send(shoulder=0.2)
+        )
+    )
+    before = rig.rests()
+    rig.send("far", shoulder=0.6)
+    assert "two drivers" in rig.becomes("far", Motion.REFUSED).message
+    halt = JointTrajectory(joint_names=rig.states[-1].name)
+    halt.header.stamp = rig.stamps.next()
+    rig.trajectories.publish(halt)
+    rig.becomes(order_id(halt), Motion.ACCEPTED, Motion.REACHED)
+    assert rig.joints() == pytest.approx(before, abs=1e-3)
+    other.state = DriverState.UNCONFIGURED  # it has ended, or follows nothing yet
+    rig.stage.spin(
+        lambda: Motion.ACCEPTED in rig.events("again") or not rig.send("again", shoulder=0.2)
+    )
+    other.state = DriverState.READY
+    rig.stage.spin(lambda: "two drivers" in rig.motions[-1].message or not rig.send(shoulder=0.2))
+    rig.stage.node.destroy_timer(beat)  # killed: it says nothing any more
+    rig.stage.spin(
+        lambda: Motion.ACCEPTED in rig.events("last") or not rig.send("last", shoulder=0.4)
+    )
+    rig.arrives(shoulder=0.4)
 
 
 def test_a_driver_that_was_away_moves_nothing_that_came_meanwhile(rig: Rig) -> None:
