@@ -1,4 +1,4 @@
-"""Stops of an arm, kept in files, so that they outlast every process until they are reset."""
+"""Stops and faults of an arm, kept in files, so that they outlast every process until reset."""
 
 from __future__ import annotations
 
@@ -22,10 +22,18 @@ _AGAIN = ", asked for again at "
 
 
 class Stop(Enum):
-    """The kinds of stop that a person asks for, with the names of the services."""
+    """The kinds of stop that only a person ends: two that a person asks for, and a fault."""
 
     ESTOP = "emergency stop"
     HOLD = "held"
+    FAULT = "fault"
+
+    @property
+    def cure(self) -> str:
+        """What a person does to end the stop, in words."""
+        if self is Stop.FAULT:
+            return "call ~/reset once cured"
+        return f"call ~/{self.name.lower()} with false to go on"
 
 
 class StopLatch:
@@ -61,7 +69,7 @@ class StopLatch:
             for stop in Stop:
                 for file in self._list_files(stop):
                     with suppress(FileNotFoundError):
-                        self.standing[stop] = _describe_stop(stop, file.lstat().st_mtime)
+                        self.standing[stop] = _read(file, stop).words
             self._try_folder()
         except (LongarmError, OSError) as error:
             self.ask(Stop.HOLD, "because stops cannot be kept")
@@ -72,10 +80,7 @@ class StopLatch:
         """The reasons why the arm is stopped, in one line; empty if it is not."""
         if not self.standing:
             return ""
-        said = [
-            f"{words}; call ~/{stop.name.lower()} with false to go on"
-            for stop, words in self.standing.items()
-        ]
+        said = [f"{words}; {stop.cure}" for stop, words in self.standing.items()]
         lasts = [f"this ends with the driver: {self.trouble}"] * bool(self.trouble)
         return "; ".join((*said, *lasts))
 
@@ -173,14 +178,22 @@ def kept_stops(folder: Path) -> list[KeptStop]:
     kept = []
     for stop in Stop:
         for file in sorted(folder.rglob(f"*.{stop.name.lower()}")):
-            said = [""]
-            with suppress(OSError):
-                said = file.read_bytes()[:4096].decode("utf-8", "replace").splitlines()
-            whole = len(said) == 2 and _file_name(said[1]) == file.stem
             with suppress(FileNotFoundError):
-                words = _describe_stop(stop, file.lstat().st_mtime)
-                kept.append(KeptStop(file, said[1] if whole else file.stem, words))
+                kept.append(_read(file, stop))
     return kept
+
+
+def _read(file: Path, stop: Stop) -> KeptStop:
+    """Read the file of a stop; a damaged file tells only its kind and since when.
+
+    Raises FileNotFoundError if it does not exist.
+    """
+    since, said = file.lstat().st_mtime, [""]
+    with suppress(OSError):
+        said = file.read_bytes()[:4096].decode("utf-8", "replace").splitlines()
+    if len(said) == 2 and _file_name(said[1]) == file.stem:
+        return KeptStop(file, said[1], said[0])
+    return KeptStop(file, file.stem, _describe_stop(stop, since))
 
 
 def refuse_under_stop(folder: Path, ports: Collection[str], arm: Path | None = None) -> None:

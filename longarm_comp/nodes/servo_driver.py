@@ -2,9 +2,9 @@
 
 When configured, the port is open and the servos are read. When active, their torque is on. Torque
 is switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process, but
-it stays on if the process ends because its terminal or supervisor is gone. An emergency stop or a
-hold outlasts the process (`StopLatch`): while it is in force, the driver switches no torque on and
-accepts no trajectory, in any state.
+it stays on if the process ends because its terminal or supervisor is gone. An emergency stop, a
+hold, or a fault that a new driver could not see outlasts the process (`StopLatch`): while it is in
+force, the driver switches no torque on and accepts no trajectory, in any state.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
 from longarm_comp.devices.servo_follower import KeepsOut, Shapes, TrajectoryFollower
 from longarm_comp.devices.servo_joint import JointConfig
+from longarm_comp.devices.stop_latch import Stop
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders, stops
 from longarm_comp.nodes.clock import sleepless_s, steady_timer
@@ -284,7 +285,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
     def _on_event(self, event: Event) -> None:
         why = f"{event.kind.value}: {event.message}"
         if event.kind is EventKind.FAULT:
+            assert event.finding is not None
             self._trouble = event.message
+            self._stops.keep_fault(event.finding)
         if event.kind is EventKind.ARRIVED:
             self._tell_motion(Motion.REACHED, self._motion)
         if event.kind in (EventKind.FAULT, EventKind.ESTOP):
@@ -378,8 +381,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         held, owed, (stopped, why) = self._stops.standing, self._stops.owed, self._stops.state
         if self._ended:
             return DriverState.UNCONFIGURED, "; ".join(filter(None, ("the driver has ended", owed)))
-        if self.active and follower is FollowerState.FAULT:
-            cure = f"{self._trouble}; call ~/reset once cured"
+        if self.active and follower is FollowerState.FAULT and stopped != DriverState.FAULT:
+            cure = f"{self._trouble}; {Stop.FAULT.cure}"
             return DriverState.FAULT, f"{cure}; {held}" if held else cure
         if held:
             return stopped, f"{why}; {unready}" if unready else why

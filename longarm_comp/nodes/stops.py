@@ -15,6 +15,7 @@ from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.devices.follower_report import EventKind, FollowerState
 from longarm_comp.devices.servo_arm import ServoArm, free_servos
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.nodes import interfaces as graph
@@ -27,6 +28,9 @@ from longarm_interfaces.msg import DriverState
 
 PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
 
+
+_PASSING = {ServoTrouble.STALLED, ServoTrouble.NOT_FOLLOWING, ServoTrouble.LET_GO}
+"""Troubles that a driver that begins anew cannot see, so that their faults are kept for it."""
 
 _ENDS: dict[graph.Service, tuple[frozenset[Stop], frozenset[FollowerState]]] = {
     graph.ESTOP: (frozenset({Stop.ESTOP}), frozenset({FollowerState.ESTOP})),
@@ -137,10 +141,20 @@ class Stops:
 
     @property
     def state(self) -> tuple[int, str]:
-        """The driver's state while a stop is in force, and the reason: ESTOP or HOLDING."""
+        """The driver's state while a stop is in force, and why: ESTOP, else FAULT, else HOLDING."""
         torque = self.owed or ("torque is off" if self.estop else self._torque_yet(Stop.HOLD))
         why = "; ".join(filter(None, (self.standing, torque)))
-        return (DriverState.ESTOP if self.estop else DriverState.HOLDING), why
+        if self.estop:
+            return DriverState.ESTOP, why
+        faulty = Stop.FAULT in self._latch.standing
+        return (DriverState.FAULT if faulty else DriverState.HOLDING), why
+
+    def keep_fault(self, finding: JointFault) -> None:
+        """Keep a fault for the driver's next process, which could not see it, until a reset."""
+        if finding.trouble in _PASSING and Stop.FAULT not in self._latch.standing:
+            what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
+            self._latch.ask(Stop.FAULT, what)
+            self._latch.keep()
 
     def let_go(self) -> None:
         """Switch torque off under an emergency stop, also if the driver is not configured."""

@@ -33,16 +33,24 @@ def stopped(folder: Path, stop: Stop = Stop.ESTOP, **arm: str) -> list[Path]:
 def test_a_stop_stands_for_every_successor_until_it_is_lifted(tmp_path: Path, stop: Stop) -> None:
     assert not latch(tmp_path).standing and not latch(tmp_path).words
     stopped(tmp_path, stop)
-    (other,) = set(Stop) - {stop}
+    others = set(Stop) - {stop}
     for _ in range(2):
         successor = latch(tmp_path)
         assert list(successor.standing) == [stop]
-        assert f"~/{stop.name.lower()}" in successor.words
-        with successor.lift_stops(other):
+        assert f"~/{'reset' if stop is Stop.FAULT else stop.name.lower()}" in successor.words
+        with successor.lift_stops(*others):
             pass
     with successor.lift_stops(stop):
         assert not successor.standing
     assert not latch(tmp_path).standing
+
+
+def test_why_an_arm_is_stopped_outlasts_the_process_too(tmp_path: Path) -> None:
+    made = latch(tmp_path)
+    made.ask(Stop.FAULT, "joint2 stalled")
+    made.keep()
+    assert latch(tmp_path).words == made.words and "joint2 stalled" in made.words
+    assert "joint2 stalled" in str(kept_stops(tmp_path)[0])
 
 
 def test_a_stop_that_somebody_deleted_is_written_again_while_its_driver_runs(
@@ -181,7 +189,7 @@ def test_a_folder_that_is_not_readable_or_writable_holds_the_arm(mode: int) -> N
         folder.chmod(0o700)
         made.keep()
         assert not made.trouble and "ends with" not in made.words
-        assert set(latch(Path(place)).standing) == set(Stop)
+        assert set(latch(Path(place)).standing) == {Stop.HOLD, Stop.ESTOP}
 
 
 def test_a_reset_that_breaks_off_leaves_the_stop(tmp_path: Path) -> None:

@@ -231,6 +231,12 @@ def test_a_stalled_servo_stops_the_arm_until_reset(rig: Rig) -> None:
     assert "shoulder" in rig.is_in(DriverState.FAULT).message
     with rig.emulator.motor(1) as motor:
         motor.blocked = False
+    rig.process.kill()
+    rig.process.wait(timeout=300)
+    rig.start()  # it could not see that the servo had stalled
+    assert "shoulder stalled" in rig.is_in(DriverState.FAULT).message
+    rig.send("unasked", shoulder=0.8)
+    assert "shoulder stalled" in rig.becomes("unasked", Motion.REFUSED).message
     assert rig.call(graph.RESET, Trigger.Request()).success
     rig.is_idle()
     rig.goes(shoulder=0.2)
