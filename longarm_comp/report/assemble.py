@@ -24,7 +24,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
     Args:
         data_sha256: hash of the diagnosed rows.
     """
-    structure, noise, proof = diagnosis.structure, diagnosis.search.noise, diagnosis.proof
+    structure, noise = diagnosis.structure, diagnosis.search.noise
     # Noise of the first sensor, m, where it tells all of a place
     sigma = noise.sigma[:3]
     whole = diagnosis.train.blocks[0].kind in ("position", "touch") and np.isfinite(sigma).all()
@@ -48,7 +48,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
         noise=record.ReportNoise(sigma_mm=sigma_mm, source=noise.source, rho=float(noise.rho)),
         held_out=_held_out(diagnosis, sigma_mm),
         proof=record.ReportProof(
-            folds=proof.folds,
+            folds=len(diagnosis.folds),
             rows=len(diagnosis.held_out),
             passed=not diagnosis.failed,
             why=diagnosis.failed,
@@ -71,7 +71,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             for f in diagnosis.search.doubtful
         ],
         called=diagnosis.arm.names_for_people,
-        provenance=_provenance_of(diagnosis.seed, data_sha256, proof.folds),
+        provenance=_provenance_of(diagnosis.seed, data_sha256, len(diagnosis.folds)),
     )
 
 

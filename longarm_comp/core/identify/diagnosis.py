@@ -177,12 +177,14 @@ class Diagnosis:
     @property
     def seen_gain(self) -> Gain:
         """The gain between the two `compared_stages`, in errors as seen."""
-        return Gain.of(*(self.proof.errors[stage] for stage in self.compared_stages))
+        before, after = (self.proof.errors[stage] for stage in self.compared_stages)
+        return Gain.of(before, after, self.proof.fold)
 
     @property
     def commanded_gain(self) -> Gain:
         """The gain between the two `compared_stages`, in errors as a command would have them."""
-        return Gain.of(*(self.proof.commanded[stage] for stage in self.compared_stages))
+        before, after = (self.proof.commanded[stage] for stage in self.compared_stages)
+        return Gain.of(before, after, self.proof.fold)
 
     @property
     def summary(self) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
+from scipy.special import stdtrit
 
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.fit_columns import FitColumns
@@ -34,7 +35,8 @@ class Gain:
 
     Attributes:
         before, after: the mean errors, m.
-        ci95: 95 % interval of before - after, m, from the scatter of blocks of successive rows.
+        ci95: 95 % interval of before - after, m: the widest by the scatter of blocks of successive
+            rows, or of folds, whose rows share their models (Student's t).
     """
 
     before: float
@@ -42,25 +44,45 @@ class Gain:
     ci95: tuple[float, float]
 
     @classmethod
-    def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
-        """Compute the gain from the (M, 3) errors, m, of two models on the same rows."""
-        return cls.of_lengths(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
+    def of(cls, before: np.ndarray, after: np.ndarray, fold: np.ndarray) -> Gain:
+        """Compute the gain from the (M, 3) errors, m, of two models on the same rows.
+
+        ``fold``: (M,) number of the fold of each row.
+        """
+        return cls.of_lengths(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1), fold)
 
     @classmethod
-    def of_lengths(cls, long: np.ndarray, short: np.ndarray) -> Gain:
+    def of_lengths(cls, long: np.ndarray, short: np.ndarray, fold: np.ndarray) -> Gain:
         """Compute the gain from the (M,) lengths of the errors of two models on the same rows.
 
         Args:
             long, short: before and after, m.
+            fold: (M,) number of the fold of each row.
         """
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
-        gain = long - short
-        blocks = np.array_split(gain - gain.mean(), min(BLOCKS, len(gain)))
-        off = np.array([block.sum() for block in blocks]) / len(gain)
-        half = 1.96 * float(np.sqrt((off**2).sum() * len(off) / max(len(off) - 1, 1)))
-        middle = float(gain.mean())
-        return cls(float(long.mean()), float(short.mean()), (middle - half, middle + half))
+        before, after = float(long.mean()), float(short.mean())
+        middle, off = before - after, long - short
+        block = np.arange(len(off)) * min(BLOCKS, len(off)) // len(off)
+        half = max(_half_interval(off - middle, each) for each in (block, fold))
+        if len(off) == 1:  # it leaves everything possible
+            half = before + after
+        return cls(before, after, (middle - half, middle + half))
+
+
+def _half_interval(off: np.ndarray, cluster: np.ndarray) -> float:
+    """Return half of the 95 % interval of a mean by the scatter of clusters; 0 if there is one.
+
+    Args:
+        off: (M,) values minus their mean.
+        cluster: (M,) number of the cluster of each value.
+    """
+    names, at = np.unique(cluster, return_inverse=True)
+    free = len(names) - 1
+    if not free:
+        return 0.0
+    sums = np.bincount(at, off) / len(off)
+    return float(stdtrit(free, 0.975) * np.sqrt((sums**2).sum() * len(names) / free))
 
 
 def measure_tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
@@ -86,14 +108,17 @@ def compute_gains(
     Returns:
         For each finding the gain in errors as seen, and that in errors as commanded.
     """
-    folds = [_errors_without_each(fit, each, rows.take(rows.placed)) for fit, rows in held_out]
+    placed = [(fit, rows.take(rows.placed)) for fit, rows in held_out]
+    folds = [_errors_without_each(fit, each, rows) for fit, rows in placed]
+    fold = np.repeat(np.arange(len(placed)), [len(rows) for _, rows in placed])
     made = []
     for of_finding in zip(*folds, strict=True):
-        seen, commanded = (
-            [np.concatenate(parts) for parts in zip(*pairs, strict=True)]
-            for pairs in zip(*of_finding, strict=True)
+        pairs = (
+            [np.concatenate(parts) for parts in zip(*each_fold, strict=True)]
+            for each_fold in zip(*of_finding, strict=True)
         )
-        made.append((Gain.of(*seen), Gain.of(*commanded)))
+        seen, commanded = (Gain.of(before, after, fold) for before, after in pairs)
+        made.append((seen, commanded))
     return made
 
 

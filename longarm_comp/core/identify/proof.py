@@ -57,14 +57,15 @@ class Proof:
         turned: by model name, (K, 3) errors of the tip's orientation, rad, at rows that measure it.
         rows_at: (M,) positions of the rows of `errors` among all held-out rows. A touch is left out
             if no other row of its fold touches the same point.
-        folds: number of folds; 1 if the rows to hold out were given.
+        fold: (M,) number of the fold of each row of `errors`; all 0 if the rows to hold out were
+            given.
     """
 
     errors: Mapping[str, np.ndarray]
     commanded: Mapping[str, np.ndarray]
     turned: Mapping[str, np.ndarray]
     rows_at: np.ndarray
-    folds: int
+    fold: np.ndarray
 
     @property
     def rows(self) -> dict[str, Errors]:
@@ -98,17 +99,18 @@ class Proof:
         return made
 
 
-def describe_worsening(before: np.ndarray, after: np.ndarray) -> str:
+def describe_worsening(before: np.ndarray, after: np.ndarray, fold: np.ndarray) -> str:
     """Say how much errors rise if this is not by chance, on all rows or on the worst; else "".
 
     Args:
         before, after: (M,) m, the errors of two models at the same rows. The worst rows are the
             share `WORST` of them, by the larger of both errors.
+        fold: (M,) number of the fold of each row.
     """
     longest = np.maximum(before, after)
     worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
     for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
-        gain = Gain.of_lengths(before[rows], after[rows])
+        gain = Gain.of_lengths(before[rows], after[rows], fold[rows])
         if gain.ci95[1] < 0.0:
             change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} mm"
             return f"{change} at {len(rows)} {said}"
@@ -141,8 +143,10 @@ def prove_models(
             seen.store_rows(NETWORK, at, compute_tip_errors(model, placed) - error)
             told.store_rows(NETWORK, at, commanded_errors(model, placed) - error)
             turned.store_rows(NETWORK, turns_at, compute_turn_errors(model, bent))
-    rows_at = np.sort(np.concatenate([f.numbers[f.rows.placed] for f in made]))
-    return Proof(seen.in_order, told.in_order, turned.in_order, rows_at, len(made))
+    each = [f.numbers[f.rows.placed] for f in made]
+    rows_at, of_fold = np.concatenate(each), np.repeat(np.arange(len(made)), [*map(len, each)])
+    order = np.argsort(rows_at)
+    return Proof(seen.in_order, told.in_order, turned.in_order, rows_at[order], of_fold[order])
 
 
 class _Rows:

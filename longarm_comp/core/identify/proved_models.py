@@ -80,8 +80,8 @@ class ProvedModels:
                 network is proved.
 
         Returns:
-            The network, None if it does not help or its proof fails; and the proof, with the
-            network's errors if there is a network.
+            The network, None if it does not help or `choose_written` prefers the model alone; and
+            the proof, with the network's errors if there is a network.
         """
         final = self.final
         network = train(final.model, final.session.take(final.weights > 0))
@@ -95,11 +95,11 @@ class ProvedModels:
             return kept.model, train(kept.model, kept.session.take(kept.weights > 0))
 
         proof = prove_models(self.folds, train_on_fold)
-        for errors in (proof.errors, proof.commanded):
-            lengths = (np.linalg.norm(errors[name], axis=1) for name in (self.written, NETWORK))
-            if describe_worsening(*lengths):
-                return None, self.proof
-        return network, proof
+        names = (self.written, NETWORK)
+        seen = {name: np.linalg.norm(proof.errors[name], axis=1) for name in names}
+        expected = proof.expected_errors(self.search.found, names)
+        written, _ = choose_written(expected, seen, proof.fold)
+        return (network, proof) if written == NETWORK else (None, self.proof)
 
 
 def prove_written(
@@ -136,12 +136,12 @@ def prove_written(
     proof = prove_models(folds)
     expected = proof.expected_errors(search.found, list(fits))
     seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
-    choice = choose_written(expected, seen)
+    choice = choose_written(expected, seen, proof.fold)
     return ProvedModels(search, fits, models, held_out, folds, proof, expected, *choice)
 
 
 def choose_written(
-    expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]
+    expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray], fold: np.ndarray
 ) -> tuple[str, str]:
     """Choose the model to write, and say how the proofs of fuller models failed.
 
@@ -153,15 +153,16 @@ def choose_written(
     Args:
         expected: by model, plainer ones first: the (M,) expected errors of commands, m.
         seen: by model: the (M,) errors as seen, m.
+        fold: (M,) number of the fold of each row.
 
     Returns:
         The name of the chosen model, and the failed proofs in words.
     """
     written, failed = dict(expected), dict[str, str]()
     for name, plainer in combinations(list(expected)[::-1], 2):
-        if describe_worsening(expected[plainer], expected[name]):
+        if describe_worsening(expected[plainer], expected[name], fold):
             written.pop(name, None)
-        if rise := describe_worsening(seen[plainer], seen[name]):
+        if rise := describe_worsening(seen[plainer], seen[name], fold):
             failed[name] = f"{plainer} -> {name}: {rise}"
     left = {name: each.mean() for name, each in written.items() if name not in failed}
     return min(left, key=left.__getitem__), "; ".join(failed.values())

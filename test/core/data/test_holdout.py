@@ -164,16 +164,50 @@ def test_a_few_dangerous_commands_fail_a_proof_that_the_mean_passes() -> None:
     better = np.full(100, 0.5)
     better[::20] = 5.0  # five of a hundred
     assert better.mean() < plain.mean()
-    assert describe_worsening(plain, better).endswith("at 10 worst rows")
-    assert describe_worsening(plain, np.full(100, 0.5)) == ""
-    assert describe_worsening(plain, np.full(100, 1.2)).endswith("at 100 rows")
+    assert worsening(plain, better).endswith("at 10 worst rows")
+    assert worsening(plain, np.full(100, 0.5)) == ""
+    assert worsening(plain, np.full(100, 1.2)).endswith("at 100 rows")
+
+
+def worsening(before: np.ndarray, after: np.ndarray, folds: int = 1) -> str:
+    """What is said of errors at rows that are held out in so many folds, in 25 blocks."""
+    block = np.arange(len(before)) * 25 // len(before)
+    return describe_worsening(before, after, block % folds)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 8, 20, 60, 240])
+def test_two_models_that_err_alike_seldom_fail_a_proof(rows: int) -> None:
+    """However few rows there are, of which the worst tenth is fewer still."""
+    rng, refused = np.random.default_rng(rows), 0
+    for _ in range(200):
+        shared = rng.standard_normal((rows, 3))
+        one, other = (
+            np.linalg.norm(shared + 0.3 * rng.standard_normal((rows, 3)), axis=1) for _ in range(2)
+        )
+        refused += bool(worsening(one, other))
+    assert refused <= 20  # two looks, at 2.5 % each
+
+
+def test_what_one_fold_missed_is_one_piece_of_evidence_however_many_rows_it_has() -> None:
+    rng, refused = np.random.default_rng(0), 0
+    for _ in range(200):
+        plain = np.linalg.norm(rng.standard_normal((240, 3)), axis=1)
+        fold = np.arange(240) * 25 // 240 % 5
+        shared = 0.05 * rng.standard_normal(5)[fold]
+        refused += bool(worsening(plain, np.abs(plain + shared), folds=5))
+    assert refused <= 20
+    plain = np.linalg.norm(rng.standard_normal((240, 3)), axis=1)
+    assert worsening(plain, 1.2 * plain, folds=5).endswith("at 240 rows")
 
 
 def test_chance_fails_no_proof() -> None:
     rng = np.random.default_rng(0)
     one, other = (np.abs(rng.standard_normal(200)) for _ in range(2))
-    assert describe_worsening(one, other) == describe_worsening(other, one) == ""
+    assert worsening(one, other) == worsening(other, one) == ""
 
 
-def test_the_gain_of_nothing_is_zero() -> None:
-    assert Gain.of(np.zeros((0, 3)), np.zeros((0, 3))) == Gain(0.0, 0.0, (0.0, 0.0))
+def test_the_gain_of_nothing_is_zero_and_of_one_row_open() -> None:
+    none = np.zeros((0, 3))
+    assert Gain.of(none, none, np.zeros(0)) == Gain(0.0, 0.0, (0.0, 0.0))
+    low, high = Gain.of(np.full((1, 3), 2.0), np.full((1, 3), 1.0), np.zeros(1)).ci95
+    assert low < 0.0 < high

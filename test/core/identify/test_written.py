@@ -88,10 +88,10 @@ def test_the_least_is_written_and_of_equals_the_plainer() -> None:
     names = ("calibrated", "with_effects", "with_functions")
     lengths = {name: np.full(9, size) for name, size in zip(names, (2.0, 1.0, 1.5), strict=True)}
     even = dict.fromkeys(names, np.ones(9))
-    written, failed = choose_written(lengths, lengths)
+    written, failed = choose_written(lengths, lengths, np.zeros(9))
     assert written == names[1] and failed.startswith("with_effects -> with_functions: ")
-    assert choose_written(even, even) == (names[0], "")
-    assert choose_written(lengths, even) == (names[1], ""), (
+    assert choose_written(even, even, np.zeros(9)) == (names[0], "")
+    assert choose_written(lengths, even, np.zeros(9)) == (names[1], ""), (
         "a doubt about the camera fails no proof"
     )
 
