@@ -41,13 +41,8 @@ from longarm_comp.core.identify.run_ups import (
     with_fitted_run_ups,
     with_run_ups,
 )
-from longarm_comp.core.identify.structure import (
-    Structure,
-    find_structure,
-    with_held_out,
-    with_left_out,
-    with_scatter,
-)
+from longarm_comp.core.identify.structure import Structure, find_structure
+from longarm_comp.core.identify.structure_tests import with_held_out, with_left_out, with_scatter
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import choose_splitting_poses
 

@@ -130,7 +130,7 @@ class Diagnosis:
         """Probability that a cause is needed that has no name in the library."""
         found = (*self.search.found, *self.search.doubtful)
         none = (1.0 - f.presence * f.chance_unnamed for f in found)
-        return 1.0 - math.prod(none) if not self.structure.flag else 1.0 - self.structure.p_value
+        return 1.0 - math.prod(none) * (1.0 - self.structure.chance)
 
     @cached_property
     def smallest(self) -> tuple[SmallestSize, ...]:

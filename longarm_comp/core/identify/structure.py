@@ -2,35 +2,29 @@
 
 It uses no physics. It finds every cause that moves the tip or a joint as a function of a joint, of
 a pair of joints, of the side of arrival, temperature, time or payload, whether the library has a
-name for it or not.  Three further tests ask whether held-out poses err by more than the noise,
-whether the rows that the fit left out share a displacement, and whether the scatter is much more
-than the sensor's.  Structure that one of these shows counts in the same way: it changes the
-verdict, and a network is trained.
+name for it or not.  Three further tests (`structure_tests.py`) ask whether held-out poses err by
+more than the noise, whether the rows that the fit left out have a cause in common, and whether the
+scatter is much more than the sensor's.  Structure that one of these shows counts in the same way:
+it changes the verdict, and a network is trained.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import bdtrc, fdtrc, gammaincinv
+from scipy.special import expit, fdtrc
 
 from longarm_comp.core.arm.history import compute_play_range
-from longarm_comp.core.calibration.linear import (
-    Marginal,
-    mark_inliers,
-    solve_posterior,
-    solve_products,
-)
+from longarm_comp.core.calibration.linear import Marginal, solve_products
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.noise import rows_as_one, share_of_sensor
 from longarm_comp.core.calibration.reading_steps import mark_exact_readings
-from longarm_comp.core.data.measurement import compute_unit_lengths, make_equations
 from longarm_comp.core.data.registration import median_spread
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.posterior.found import NONE
 
 SIGNIFICANT = 0.005
 """Largest p value at which structure counts: the probability of a false alarm."""
@@ -49,6 +43,7 @@ class Structure:
     Attributes:
         flag: whether there is more than noise.
         p_value: probability of so large a statistic in any group if there is only noise.
+        chance: probability that there is a cause, if `flag` is set.
         inputs: the inputs on which the structure depends, strongest first.
         size_m: RMS of the part that is a function of these inputs, m.
         share_explained: share of the structure after calibration that the named effects explain; 1
@@ -65,9 +60,16 @@ class Structure:
     share_explained: float
     at: str = ""
     sign: str = ""
+    chance: float = 0.0
 
     def add_test(
-        self, p_value: float, size_m: float, least_m: float, by: str, sign: str
+        self,
+        p_value: float,
+        size_m: float,
+        least_m: float,
+        by: str,
+        sign: str,
+        chance: float | None = None,
     ) -> Structure:
         """Return the structure with the result of a test other than the F test, which may flag it.
 
@@ -77,10 +79,24 @@ class Structure:
             least_m: smallest size that counts, m.
             by: name of the test's rows, for `inputs`.
             sign: the result as a part of a sentence, for `sign`.
+            chance: probability of a cause; None: by `cause_probability`.
         """
         if self.flag or p_value > SIGNIFICANT or size_m < least_m:
             return self
-        return Structure(True, p_value, (by,), size_m, self.share_explained, sign=sign)
+        chance = cause_probability(p_value) if chance is None else chance
+        share = self.share_explained
+        return Structure(True, p_value, (by,), size_m, share, sign=sign, chance=chance)
+
+
+def cause_probability(p_value: float) -> float:
+    """Return the largest probability of a cause that a p-value of less than 1/e supports.
+
+    The Bayes factor for a cause is at most ``1 / (-e p ln p)`` (Sellke, Bayarri and Berger 2001).
+    The prior is that of a cause that is not in the library.
+    """
+    if p_value <= 0.0:
+        return 1.0
+    return float(expit(-NONE - 1.0 - math.log(p_value) - math.log(-math.log(p_value))))
 
 
 def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
@@ -140,7 +156,8 @@ def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = No
     rss_base = float(white_base @ white_base)
     there = rss_base - float(rich @ rich)
     share = 1.0 if there <= 0 else float(np.clip((rss_base - rss_named) / there, 0.0, 1.0))
-    return Structure(True, p, inputs, size, share, found[0][0].at)
+    at, chance = found[0][0].at, cause_probability(p)
+    return Structure(True, p, inputs, size, share, at, chance=chance)
 
 
 def smallest_that_matters(fit: ModelFit) -> float:
@@ -270,112 +287,3 @@ def _move_each_channel(features: np.ndarray, fit: ModelFit) -> np.ndarray:
     noise = np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.session.measured
     each = features[:, None, None, :] * (noise[..., None] * np.eye(fit.width))[..., None]
     return each.reshape(len(features), fit.width, -1)
-
-
-OFF = 0.5
-"""Smallest excess over the noise, as a share of it, that counts. The noise is known to a tenth."""
-
-
-def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Session]]) -> Structure:
-    """Return the structure, also flagged if only the held-out poses show some.
-
-    The part that errors of the parameters explain is subtracted first. If only noise is left, half
-    of the rows exceed its median (chi distribution). A few gross errors do not change this test.
-
-    Args:
-        structure: the structure by the fitted rows.
-        held_out: fits without some rows, and these rows.
-    """
-    parts = [_compare_with_noise(fit, rows) for fit, rows in held_out]
-    ratio, square = (np.concatenate(each) for each in zip(*parts, strict=True))
-    fit = held_out[0][0]
-    if structure.flag or not len(ratio):
-        return structure
-    count = max(round(len(ratio) / rows_as_one(fit.rho)), 1)  # effective number of rows
-    above = round(float((ratio > 1.0).mean()) * count)
-    p = float(bdtrc(above - 1, count, 0.5))
-    expected = np.sqrt(square.mean())
-    excess = float(expected * np.sqrt(max(np.median(ratio) ** 2 - 1.0, 0.0)))
-    least = max(OFF * float(expected), smallest_that_matters(fit))
-    sign = "shows in the held-out poses"
-    return structure.add_test(p, excess, least, "held-out poses", sign)
-
-
-def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarray]:
-    """Compare the errors at rows that were not fitted with their noise.
-
-    Returns:
-        (M,) size of the error divided by the median that noise has, and (M,) variance of the noise,
-        m^2.
-    """
-    found = make_equations(fit.model, rows)
-    known = dict(zip(fit.session.channels, fit.sigma, strict=True))
-    sigma = np.array([known.get(name, np.inf) for name in rows.channels])
-    held = rows.measured & np.isfinite(sigma)
-    noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.stated_noise_ratio(rows)[:, None]
-    some = held.any(axis=1)
-    if not some.any():
-        return np.zeros(0), np.zeros(0)
-    size, ways = np.linalg.eigh(fit.covariance)
-    moved = found.columns @ (ways * np.sqrt(np.maximum(size, 0.0)))
-    a = (moved * (held / noise)[..., None])[some]
-    left = _sizes_left(a, (found.residual * held / noise)[some], held[some])
-    ratio = left / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
-    return ratio, ((noise * compute_unit_lengths(fit.model, rows)) ** 2 * held).sum(1)[some]
-
-
-def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
-    """Return the structure, also flagged if the rows that the fit left out share a displacement.
-
-    Gross errors have no common direction. This is tested by Hotelling's T-squared test of their
-    mean; the scatter is taken as at least the noise.
-
-    Args:
-        structure: the structure by the fitted rows.
-        fit: the final fit.
-    """
-    out = fit.weights == 0
-    held = np.isfinite(fit.sigma) & fit.session.measured[out].all(axis=0)
-    count, width = int(out.sum()), int(held.sum())
-    if structure.flag or not 0 < width < count:
-        return structure
-    left = fit.residual[out][:, held]
-    white = left / fit.sigma[held]
-    scatter = np.cov(white, rowvar=False).reshape(width, width) + np.eye(width)
-    squared = count * white.mean(0) @ np.linalg.solve(scatter, white.mean(0))
-    ratio = (count - width) / (width * (count - 1)) * squared
-    p = float(fdtrc(width, count - width, ratio))
-    lengths = compute_unit_lengths(fit.model, fit.session)
-    size = float(np.linalg.norm(left.mean(0) * lengths[held]))
-    sign = f"is shared by the {count} rows that no fit explains"
-    return structure.add_test(p, size, smallest_that_matters(fit), "rows left out", sign)
-
-
-def with_scatter(structure: Structure, fit: ModelFit) -> Structure:
-    """Return the structure, also flagged if the scatter cannot be that of the sensor alone.
-
-    Args:
-        structure: the structure by the fitted rows.
-        fit: the final fit.
-    """
-    sensor, least = share_of_sensor(fit), smallest_that_matters(fit)
-    size = float(np.linalg.norm(fit.noise_m)) * math.sqrt(1.0 - sensor.share)
-    return structure.add_test(sensor.whole, size, least, "scatter", sensor.sign)
-
-
-def _sizes_left(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the (N,) size of the residual of each row, standardised by its own variance.
-
-    Parameters with unit normal priors are fitted to the rows without outliers.
-
-    Args:
-        a: (N, d, p) columns of the parameters, in units of the noise.
-        y: (N, d) data in units of the noise.
-        measured: (N, d) bool.
-    """
-    kept = mark_inliers(y, measured)[:, None]
-    shared = (kept[..., None] * a).reshape(-1, a.shape[-1])
-    found = solve_posterior(shared, (kept * y).ravel())
-    leverage = np.einsum("nip,pq,niq->ni", a, found.covariance, a, optimize=True)
-    variance = np.where(kept > 0, np.maximum(1.0 - leverage, 1e-12), 1.0 + leverage)
-    return np.linalg.norm((y - a @ found.u) / np.sqrt(variance), axis=1)

@@ -95,19 +95,24 @@ def test_an_impossible_size_is_no_finding() -> None:
     assert found.verdict != "named"
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_rows_left_out_that_share_a_displacement_are_no_noise(shared: bool) -> None:
-    """Gross errors have no direction in common."""
+@pytest.mark.parametrize("cause", ["", "a displacement", "a side", "a place"])
+def test_rows_left_out_that_have_a_cause_in_common_are_no_noise(cause: str) -> None:
+    """Gross errors have no direction and no place in common."""
     rows = session()
     ways = np.random.default_rng(4).standard_normal((10, 3))
     gross = 3e-3 * ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    xyz = rows.xyz.copy()
-    xyz[7::12] += [1e-3, -2e-3, 2e-3] if shared else gross
+    together, xyz = np.array([1e-3, -2e-3, 2e-3]), rows.xyz.copy()
+    if cause == "a place":
+        xyz[np.argsort(rows.q[:, 1])[-6:]] += gross[:6]
+    else:
+        side = rows.approach[7::12, :1] if cause == "a side" else np.ones((10, 1))
+        xyz[7::12] += side * together if cause else gross
     found = diagnose(ARM, dataclasses.replace(rows, xyz=xyz), test=session(n=40, seed=9), kinds=())
-    assert found.verdict == ("unknown" if shared else "noise")
-    assert ("shared by the 10 rows" in found.summary) is shared
-    assert ("only noise is left in 110 of 120 rows" in found.summary) is not shared
-    if shared:
+    assert found.verdict == ("unknown" if cause else "noise")
+    assert ("only noise is left in 110 of 120 rows" in found.summary) is not bool(cause)
+    said = "which share q2" if cause == "a place" else "shared by 10 rows"
+    assert (said in found.summary) is bool(cause)
+    if cause:
         assert found.structure.size_m == pytest.approx(3e-3, rel=0.1)
 
 

@@ -11,7 +11,8 @@ from small_arm import ARM
 
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.structure import Structure, with_held_out
+from longarm_comp.core.identify.structure import Structure
+from longarm_comp.core.identify.structure_tests import with_held_out
 
 NOTHING = Structure(False, 0.5, (), 0.0, 1.0, ())
 

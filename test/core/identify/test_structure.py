@@ -12,7 +12,12 @@ from small_arm import ARM, measured
 from longarm_comp.core.calibration.calibrate import declared_model, fit_stages
 from longarm_comp.core.calibration.reading_steps import find_step
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.structure import Structure, find_structure, smooth_functions
+from longarm_comp.core.identify.structure import (
+    Structure,
+    cause_probability,
+    find_structure,
+    smooth_functions,
+)
 from longarm_comp.core.model.model import Model
 
 SIGMA = 1e-4
@@ -111,3 +116,12 @@ def test_the_step_of_readings_is_their_common_divisor() -> None:
     assert find_step(np.round(0.31 + counts * 7.67e-5, 7)) == pytest.approx(7.67e-5, rel=1e-3)
     assert find_step(np.random.default_rng(1).random(100)) < 1e-5
     assert find_step(np.array([0.2, 0.2])) == find_step(np.array([])) == 0.0
+
+
+def test_a_p_value_is_not_taken_for_the_probability_of_no_cause() -> None:
+    """Five in a thousand speak for a cause by a factor of fourteen at most."""
+    assert cause_probability(0.005) == pytest.approx(0.41, abs=0.01)
+    assert 0.99 < cause_probability(1e-6) < 1.0 == cause_probability(0.0)
+    assert Structure(False, 0.2, (), 0.0, 1.0).chance == 0.0
+    tested = Structure(False, 1.0, (), 0.0, 1.0).add_test(0.005, 1e-3, 1e-4, "rows", "shows")
+    assert tested.flag and tested.chance == cause_probability(0.005)
