@@ -71,7 +71,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             for f in diagnosis.search.doubtful
         ],
         called=diagnosis.arm.names_for_people,
-        provenance=_provenance_of(diagnosis.seed, data_sha256, len(diagnosis.folds)),
+        provenance=_provenance_of(diagnosis.seed, data_sha256, diagnosis),
     )
 
 
@@ -88,16 +88,19 @@ def refused_report(error: InputError, seed: int, data_sha256: str) -> record.Dia
         held_out=record.HeldOut(n=0, rows=[]),
         next_poses=[],
         outliers=[],
-        provenance=_provenance_of(seed, data_sha256, 0),
+        provenance=_provenance_of(seed, data_sha256),
     )
 
 
-def _provenance_of(seed: int, data_sha256: str, folds: int) -> record.ReportProvenance:
+def _provenance_of(
+    seed: int, data_sha256: str, diagnosis: Diagnosis | None = None
+) -> record.ReportProvenance:
+    uses = []
+    if diagnosis is not None:
+        folds, rows = len(diagnosis.folds), len(diagnosis.held_out)
+        uses = [f"{rows} rows once, " + (f"{folds} folds" if folds > 1 else "none of them fitted")]
     return record.ReportProvenance(
-        seed=seed,
-        data_sha256=data_sha256,
-        version=__version__,
-        holdout_uses=[f"every row once, {folds} folds"] if folds else [],
+        seed=seed, data_sha256=data_sha256, version=__version__, holdout_uses=uses
     )
 
 

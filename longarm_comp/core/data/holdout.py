@@ -35,19 +35,6 @@ def blocked_split(
     return session.take(~held), session.take(held)
 
 
-_RUN = 50
-"""Rows in a run of `take_spread_rows`: few in a session, but more than its noise is correlated."""
-
-
-def take_spread_rows(session: Session, most: int) -> Session:
-    """Return at most `most` rows (`_RUN` or more): runs of `_RUN` rows, evenly over the session."""
-    runs = most // _RUN
-    if len(session) <= most:
-        return session
-    starts = np.linspace(0, len(session) - _RUN, runs).round().astype(int)
-    return session.take(np.unique(starts[:, None] + np.arange(_RUN)))
-
-
 FOLDS, MORE_FOLDS = 5, 10
 """Number of folds of a session, and of one with fewer poses than `FEW`, whose fits need more."""
 FEW = 100
@@ -56,6 +43,27 @@ BLOCKS = 25
 """Number of blocks of successive poses; most correlated noise stays within one block."""
 PLACED_APART = ("group", "marker", "sensor", "anchor")
 """Labels whose values are each placed by the rows that hold them."""
+
+
+_RUN = 50
+"""Rows in a run of `spread_rows`: few in a session, but more than its noise is correlated."""
+
+
+def spread_rows(session: Session, most: int) -> np.ndarray:
+    """Mark (N,) at most `most` rows: runs of `_RUN` rows, evenly over the session.
+
+    Added to these is a run of each value of the labels in `PLACED_APART` that none of them holds.
+    """
+    if len(session) <= most:
+        return np.ones(len(session), dtype=bool)
+    starts = np.linspace(0, len(session) - _RUN, max(most // _RUN, 1)).round().astype(int)
+    taken = np.zeros(len(session), dtype=bool)
+    taken[starts[:, None] + np.arange(_RUN)] = True
+    for label in set(PLACED_APART) & set(session.labels):
+        values = session.labels[label]
+        for value in np.setdiff1d(values, values[taken]):
+            taken[np.flatnonzero(values == value)[:_RUN]] = True
+    return taken
 
 
 def blocks_of(session: Session) -> np.ndarray:

@@ -19,7 +19,7 @@ from longarm_comp.core.calibration.plausible import (
     mark_believed_rows,
     refuse_implausible,
 )
-from longarm_comp.core.data.holdout import take_spread_rows
+from longarm_comp.core.data.holdout import spread_rows
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import through_others
@@ -50,7 +50,7 @@ POSES = 12
 """Number of poses proposed for each question: about an hour's work."""
 MOST_ROWS = 2000
 """Largest number of rows that are fitted. A hundred parameters are then known to a few percent of
-the noise; further rows take time and change nothing."""
+the noise; further rows prove the fit instead."""
 
 
 def diagnose(
@@ -70,7 +70,8 @@ def diagnose(
     Args:
         arm: the declared arm.
         session: admitted measurements.
-        test: rows to hold out; without them every row of the session is held out once, in folds.
+        test: rows to hold out; without them those of the session that are too many to fit, or, if
+            there are none, every row once, in folds.
         model: the model so far, to which effects are added; None: the declared arm.
         kind: knowledge from other arms of the kind: their geometry, and effects that all have.
         kinds: the effect classes to try; None: all of the catalogue.
@@ -105,7 +106,7 @@ def diagnose(
         seed=seed,
         progress=say,
     )
-    say("every row held out once")
+    say("held-out rows")
     proved = prove_written(nominal, staged, found, test, seed)
     say("structure")
     structure = _find_structure(proved)
@@ -204,9 +205,10 @@ def _number_rows(session: Session, first: int = 0) -> Session:
 
 
 def _split_test_rows(session: Session, test: Session | None) -> tuple[Session, Session | None]:
-    """Return the rows to fit, at most `MOST_ROWS`, and the rows to hold out.
+    """Return the rows to fit, about `MOST_ROWS` at most, and the rows to hold out.
 
-    The latter are those of `test`, or the rows with the label ``role`` "test"; else None.
+    The latter are those of `test`, or the rows with the label ``role`` "test", or else all rows
+    that are too many to fit. None if there are none of these.
 
     Raises:
         InputError: there are rows of both.
@@ -216,4 +218,7 @@ def _split_test_rows(session: Session, test: Session | None) -> tuple[Session, S
         if test is not None:
             raise session.error("role", "test", "no such row where other rows are held out")
         session, test = session.take(roles != "test"), session.take(roles == "test")
-    return take_spread_rows(session, MOST_ROWS), test
+    fitted = spread_rows(session, MOST_ROWS)
+    if test is None and not fitted.all():
+        test = session.take(~fitted)
+    return session.take(fitted), test

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from small_arm import measured
 
 from longarm_comp.core.arm.history import recorded_history
-from longarm_comp.core.data.holdout import blocked_split, take_spread_rows
+from longarm_comp.core.data.holdout import blocked_split, spread_rows
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 
@@ -146,10 +148,21 @@ def test_one_pose_cannot_be_split() -> None:
 
 def test_of_a_long_session_runs_are_taken_from_end_to_end(rng: np.random.Generator) -> None:
     rows = measured(1000, rng)
-    assert take_spread_rows(rows, 1000) is rows
-    taken = take_spread_rows(rows, 400)
+    assert spread_rows(rows, 1000).all()
+    taken = rows.take(spread_rows(rows, 400))
     assert 350 <= len(taken) <= 400
     assert (taken.index[0], taken.index[-1]) == (rows.index[0], rows.index[-1])
     gaps = np.diff(taken.index)
     assert (gaps >= 1).all() and (gaps > 1).sum() == 7, "eight runs of fifty"
     assert gaps[gaps > 1].max() - gaps[gaps > 1].min() <= 1, "evenly"
+
+
+def test_a_marker_of_few_rows_is_among_the_rows_of_a_long_session(
+    rng: np.random.Generator,
+) -> None:
+    rows = measured(1000, rng)
+    marker = np.where(np.isin(np.arange(1000), [71, 72, 780]), "elbow", "tip")
+    marked = dataclasses.replace(rows, labels={"marker": marker})
+    taken = spread_rows(rows, 400)
+    assert not taken[[71, 72, 780]].any()
+    assert (np.flatnonzero(spread_rows(marked, 400) & ~taken) == [71, 72, 780]).all()

@@ -124,6 +124,16 @@ def test_each_error_is_that_of_a_model_fitted_without_the_row(found: Diagnosis) 
     assert found.proof.rows["with_effects"].n == 120
 
 
+def test_rows_that_are_too_many_to_fit_prove_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("longarm_comp.core.identify.diagnose.MOST_ROWS", 100)
+    found = diagnosed(session(GAIN, n=180))
+    assert 100 <= len(found.train) < 180 and len(found.folds) == 1
+    index = np.concatenate([found.train.index, found.held_out.index])
+    assert sorted(index) == list(range(180))
+    assert found.proof.rows["with_effects"].n == len(found.held_out)
+    assert found.written == "with_effects"
+
+
 # ------------------------------------------------------------------ what fails is not written
 
 
