@@ -121,14 +121,15 @@ class LeftOut:
         return alike, structure
 
     def _find_structure(self, noise: np.ndarray, alike: float, largest: float) -> np.ndarray | None:
-        """Find the smallest further covariance (3, 3), m^2, so that 90 % of the rows are inside.
+        """Return the smallest further covariance (3, 3), m^2, with which enough rows lie inside.
 
-        Its shape is that of the errors.
+        Enough are 90 % of the rows, inside the stated radius. The covariance is proportional to the
+        weighted mean of the products ``error error'``.
 
         Args:
             noise: (3, 3) covariance of the measurement, m^2.
             alike: the number of rows that count as one.
-            largest: limit of its size, m; None is returned if this is not enough.
+            largest: largest square root of its trace, m; None is returned if this is not enough.
         """
         shape = np.einsum("n,ni,nj->ij", self.count, self.error, self.error)
         shape /= np.trace(shape) or 1.0

@@ -5,20 +5,22 @@ the model lacks is similar in similar rows, so many rows count as few.  Therefor
 one part of a joint's range at a time and in small random parts.  The error of the fit at these rows
 is computed from the design (no fit is repeated).  An error that no parameter explains is added, so
 that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann. Math.
-Artif. Intell. 74).  If this would exceed the errors of the random parts, the error grows with the
-distance from the rows instead: the parameters are then as uncertain as with fewer rows.
+Artif. Intell. 74).  The added error may be larger than the errors in the random parts allow. Then
+the covariance of the parameters is multiplied instead, as if there were fewer rows, so the error
+grows with the distance from the rows.
 
 Not all of a fit's residual is noise.  The arm behaves similarly at similar poses, so an error that
 the model lacks looks as if the parameters changed with the joints.  The residual is modelled as
 white noise plus such a Gaussian process.  Their shares follow from the evidence of the rows, with
 the part that the fit explains projected out (restricted likelihood; Patterson and Thompson 1971,
-Biometrika 58), and from repeats.  The share of the sensor is limited by the noise that the rows
-state; if the scatter turns with the tool, also to the part that is equal in all directions.
+Biometrika 58), and from repeats.  The sensor's share in the variance of the residual is limited
+(`share_of_sensor`). It cannot exceed the noise that the rows state. Scatter also is not sensor
+noise if it turns with the tool, grows with the levers of the joints, or has two centres.
 
-Every long arm yields; if the rows do not show it, the fit has put it into the geometry.  The
-measuring device may drift too: if the rows were measured along one joint's range, this looks like
-an error of this joint.  So the covariance is that of the fitted parameters together with the
-compliances and the drift that were not fitted.
+Every long arm bends under load. If the rows do not show this, the fit has explained it by the
+geometry.  The measuring device may drift too: if the rows were measured along one joint's range,
+this looks like an error of this joint.  So the covariance is that of the fitted parameters together
+with the compliances and the drift that were not fitted.
 """
 
 from __future__ import annotations
@@ -199,7 +201,8 @@ def _covariance_with_absent(
 
 
 ROWS = 200
-"""Largest number of rows for the arm's share, spread over the session: with three axes, 600."""
+"""Largest number of rows, spread over the session, from which `estimate_arm_share` estimates. With
+three axes they give 600 equations."""
 WIDTHS = (0.25, 0.5, 1.0)
 """Correlation lengths of the Gaussian process, as fractions of an input's range."""
 _NOTHING = 1e-8  # of the largest: rounding
