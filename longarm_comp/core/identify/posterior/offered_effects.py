@@ -131,7 +131,7 @@ class OfferedEffects:
         return tuple(made)
 
     def evidence_of(self, explained: PosteriorResult) -> float:
-        """Return the log evidence, at this tolerance, of an explanation by another tolerance."""
+        """Return the log evidence, at this tolerance, of an explanation found at another one."""
         offers = []
         for effect in explained.effects:
             whole, kept = self.bank.offers[effect.best], effect.offer.keys
@@ -145,7 +145,10 @@ class OfferedEffects:
 
     @cached_property
     def evidence_pruned(self) -> float:
-        """Log evidence of these without the effects and places that do not raise it enough."""
+        """Log evidence of the effects found before, less those that raise it too little.
+
+        Their places that raise it too little are left out too.
+        """
         offers = [self.bank.offers[n] for n in self.known]
         offers = [offers[k] for k in self.bank.worth_their_price(offers)]
         return self.base + max(map(self.bank.evidence, (offers, self._drop_idle_places(offers))))
@@ -241,8 +244,8 @@ class OfferedEffects:
     ) -> Iterator[tuple[int, Offer, list[Offer]]]:
         """Yield the offers that may replace offer k, with a log evidence of at least about `least`.
 
-        Each comes with its number and with the offers that stay beside it. If another of the
-        offers has the same name as a named replacement, this is replaced too.
+        Each comes with its number and with the offers that stay beside it. If the replacement is a
+        named effect of another name than offer k, other offers of its name are replaced too.
         """
         others = [*offers[:k], *offers[k + 1 :]]
         may, most = [], []
