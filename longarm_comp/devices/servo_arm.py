@@ -338,7 +338,7 @@ class ServoArm:
         return Cycle(step, self._convert_states(states), states, trouble)
 
     def _hold_unheld(self, bus: SerialServoBus) -> None:
-        """Hold driven servos at their last read positions, until they have confirmed it.
+        """Send holding goals to driven servos that have not confirmed theirs, and read the replies.
 
         Other servos get no goal, because a goal would switch their torque on.
         """

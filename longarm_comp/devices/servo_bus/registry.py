@@ -226,8 +226,9 @@ def change_servo_id(found: Scan, servo_id: int) -> int:
 
     Raises:
         InputError: the new id is not 0 to 252.
-        JobError: several servos are on the line, another servo has the new id, or the servo does
-            not answer to it.
+        JobError: not exactly one servo is on the line, the ids of this protocol can only be set
+            with the maker's tool, another servo has the new id, or the servo does not answer to it.
+        BusUnplugged: the port cannot be opened.
     """
     if servo_id not in _ALL_IDS:
         raise InputError("servo set-id", "ID", servo_id, f"0 to {_ALL_IDS[-1]}")
