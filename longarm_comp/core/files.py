@@ -69,6 +69,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     raises, ``path`` is left as it was. Missing parent folders are made. Temporary files of writers
     that were killed are removed. If ``path`` is a symbolic link, the file that it leads to is
     replaced.
+
+    Raises:
+        InputError: ``path`` is a folder or cannot be written.
+        JobError: the disk is full or fails.
     """
     target = follow_link(path)
     try:
@@ -93,7 +97,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def follow_link(path: str | os.PathLike[str]) -> Path:
-    """Return the path itself, or the file that a symbolic link leads to, which need not exist."""
+    """Return the path itself, or the file that a symbolic link leads to, which need not exist.
+
+    Raises InputError if links lead in a circle.
+    """
     target = Path(path)
     if not os.path.islink(target):
         return target

@@ -70,6 +70,9 @@ def find_amplitudes(
         joints: (M, n, P) rad and m.
         damping: damping ratio of every mode.
         factors: (F,) factors on all frequencies; each gives a result.
+
+    Raises:
+        InputError: the damping is not between 0 and 1.
     """
     if not 0.0 < damping < 1.0:
         raise InputError("ringing", "damping", damping, "above 0 and below 1")
