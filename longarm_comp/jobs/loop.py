@@ -191,6 +191,9 @@ class Loop:
 
         Returns:
             All runs over the targets, the first not compensated; and what loop.json holds.
+
+        Raises:
+            InputError: the graph's model file is in the loop's folder for the diagnosis.
         """
         client, names = self._client, self._settings.names
         client.ready(ready_s)

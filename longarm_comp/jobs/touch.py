@@ -67,6 +67,7 @@ class TouchLog:
         return q
 
     def session(self) -> Session:
+        """Return the touches as a session. Raises InputError if there are none."""
         if not self.rows:
             raise InputError("touch", "rows", 0, "one touch at least")
         q, columns, names = zip(*self.rows, strict=True)

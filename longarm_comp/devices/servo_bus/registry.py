@@ -24,6 +24,7 @@ GROUP = "longarm_comp.servo_protocols"
 
 @cache
 def protocols() -> dict[str, type[Dialect]]:
+    """Return all protocols by name. Raises InputError if a package registers a taken name."""
     known: dict[str, type[Dialect]] = {kind.name: kind for kind in (FeetechSts, DynamixelX)}
     for kind, source in protocols_of_other_packages(GROUP, Dialect):
         names = [kind.name, *(model.name for model in kind.models)]
@@ -140,6 +141,7 @@ def scan_line(
 
     Raises:
         BusUnplugged: the port cannot be opened, or does not have the rate.
+        InputError: the protocol is not known.
     """
     if protocol is not None and protocol not in protocols():
         raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
