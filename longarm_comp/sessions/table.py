@@ -120,7 +120,10 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a comma-separated file in UTF-8 with a header and at most `MOST_CELLS` cells."""
+    """Read a comma-separated file in UTF-8 with a header and at most `MOST_CELLS` cells.
+
+    Raises InputError if it is another kind of file, has no rows, or rows of different lengths.
+    """
     where = str(path)
     check_regular(path)
     check_size(path)
