@@ -118,7 +118,10 @@ class Plant:
                 self._swing = self._ringing.move_joints(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
-        """Make the play of some joints larger by `play` (rad, m) than it was at the start."""
+        """Make the play of some joints larger by `play` (rad, m) than it was at the start.
+
+        Raises InputError for a joint that is not known or a negative play.
+        """
         names = self.config.arm.joint_names
         for joint, value in play.items():
             if joint not in names:
