@@ -28,8 +28,8 @@ DOUBT = 0.01
 """Probability that a sighting is wrong. Also the probability of rare changes that may be left out
 when a posterior splits."""
 VISITED, ALIKE = 16, 0.05
-"""Number of poses, the last ones, whose own errors are estimated; and the share of its range by
-which every joint of two poses may differ if they are to count as one."""
+"""Number of last visited poses whose own errors are estimated; and the share of its range by which
+every joint of two poses may differ if they are to count as one."""
 SURPRISE = -math.log(DOUBT)
 """Surprise above which a sighting may be wrong: a larger one is as rare as a wrong sighting."""
 _PATIENCE = 10

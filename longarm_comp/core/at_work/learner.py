@@ -327,7 +327,7 @@ class Learner:
 
     @property
     def now(self) -> tuple[Named, ...]:
-        """The same changes, with names and sizes as estimated now."""
+        """The changes of `named`, with names and sizes as estimated now."""
         known = self.known
         if known is None:
             return self.named
@@ -350,7 +350,7 @@ class Learner:
         return dataclasses.replace(self, frozen=True)
 
     def thaw(self) -> Learner:
-        """Return the learner that learns again, from its model, or from that before a doubt."""
+        """Return the learner that learns again, from its model or that from before a doubt."""
         return dataclasses.replace(self._settle(self.settled or self.model), frozen=False)
 
     def undo(self) -> Learner:

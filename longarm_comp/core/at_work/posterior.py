@@ -317,7 +317,7 @@ class RecursivePosterior:
         """Return positions and covariance, as `spread`, over some of the possible changes.
 
         Args:
-            weights: probability by (onset, change); the rest to 1 is the probability of no change.
+            weights: probability by (onset, change); no change has 1 less their sum.
             mean: (q,) mean of the parameters over these possibilities.
         """
         changed = [self.space.own(c) for _, c in weights]

@@ -84,7 +84,8 @@ def fit_model(
         usual: noise that is known of arms of this kind, m or rad, by kind of measurement.
 
     Raises:
-        InputError: fewer than four rows are left, a point is too far off, or a term lacks an input.
+        InputError: fewer than four rows are left, a measured point is too far from the origin, or a
+            term lacks an input.
         JobError: the rows do not determine the parameters, or the fit did not stay finite.
     """
     part = SessionProblem(model, session, sigma, weights, robust, rho, usual, begun, near)

@@ -16,14 +16,16 @@ from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
 PARTS, SMALL = 4, 20
-"""Number of parts of each joint's range, and number of random parts, that are left out in turn."""
+"""Number of parts of each joint's range, and number of random parts of the rows, that are left out
+in turn."""
 MOST = 1000
-"""Largest number of rows whose errors are computed, evenly over the session.
+"""Largest number of rows, evenly over the session, whose errors are computed.
 
 They determine the 90 % level to one percent.
 """
 AMID = (1.0 + LEVEL) / 2.0
-"""Largest fraction of the random rows inside the stated radius: halfway from `LEVEL` to 1.
+"""Largest fraction of the rows left out at random that may lie inside the stated radius: halfway
+from `LEVEL` to 1.
 
 It is above `LEVEL` because the model was chosen on these rows, and so has larger errors at others.
 With `LEVEL` itself, 55 % of WAM's test rows are inside instead of 80 %.

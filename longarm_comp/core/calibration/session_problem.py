@@ -142,8 +142,8 @@ class SessionProblem:
     def project_curvature(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
         """Return the product (p,) of the prior-scaled design with the curvature of the predictions.
 
-        The curvature is half the second derivative along a step. Afterwards the model is at a part
-        of the step.
+        The curvature is half the second derivative along a step. Afterwards the model stays at
+        `AHEAD` of the step.
 
         Args:
             step: (p,) change of the values.

@@ -67,8 +67,8 @@ def with_uncertainty(fit: ModelFit) -> Model:
 def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     """Estimate the uncertainty of a fit.
 
-    The noise and the structure left come from its errors at rows left out of it. If too few rows
-    hold a position or a touch, the noise of the fit is taken instead.
+    Noise and structure come from its errors at rows that are left out of it. If too few rows hold a
+    position or a touch, the noise of the fit is taken instead.
     """
     kept, alike = fit.weights > 0, 1.0
     left_out = LeftOut.of(fit)
