@@ -39,7 +39,8 @@ WORTH = 0.25
 SMALLEST_M = 5e-5
 """Smallest structure at the tip that counts, m: servos and cameras are not more exact."""
 OF_SPREAD = 2e-4
-"""The same on a small arm, as a share of the median distance of the sightings from their middle."""
+"""Smallest structure on a small arm, as a share of the median distance of the sightings from their
+middle."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Structure:
 def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
     """Test whether the residual of a fit is a function of any input.
 
-    Each group of columns is compared with the rest of the residual (F test), and the smallest
+    Each group of columns is compared with what it leaves of the residual (F test), and the smallest
     p value is multiplied by the number of groups.  Joint readings that the fit reproduces to their
     encoder's step do not count.
 
@@ -273,7 +274,8 @@ def _move_each_channel(features: np.ndarray, fit: ModelFit) -> np.ndarray:
 
 
 OFF = 0.5
-"""Smallest excess over the noise, as a share of it, that counts. The noise is known to a tenth."""
+"""Smallest excess over the noise that counts, as a share of the noise, which is known to a tenth.
+"""
 
 
 def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Session]]) -> Structure:

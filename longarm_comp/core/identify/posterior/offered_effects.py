@@ -40,7 +40,7 @@ tolerance, may raise the log evidence by forty (the touches of an iiwa 14 need m
 
 @dataclass(frozen=True)
 class PosteriorResult:
-    """The posterior over the offers of one bank: the best explanation, split by probability.
+    """The posterior over the offers of one bank: the best explanation, divided by probability.
 
     Attributes:
         found: its effects with a presence of at least 95 %.
@@ -189,8 +189,7 @@ class OfferedEffects:
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
     def _add_rivals(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
-        """Return an effect with its rivals: all names that may be true instead, at their best
-        places.
+        """Return an effect with its rivals: all other names that may be true, at their best places.
 
         If no measurement distinguishes some names, the likeliest is judged and they share its
         probability.

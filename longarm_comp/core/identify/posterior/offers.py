@@ -1,8 +1,8 @@
 """Makes the bank of offers of a session: the library, and functions without a name.
 
 Every name has the same prior probability, which is divided among its places and forms.  All
-functions without a name have a twentieth together.  For each effect in the model there are further
-columns, because the form of no effect is exact (`FORMS`).
+functions without a name together have the prior probability `UNNAMED`.  For each effect in the
+model there are further columns, because the form of no effect is exact (`FORMS`).
 """
 
 from __future__ import annotations
@@ -213,8 +213,8 @@ def _besides_findings(
 
     They are what every arm has a little of (`model_tolerance.py`), and errors of the forms of the
     found effects.  The error of a form varies with every joint by its `_principal_functions`.  A
-    row so near to a threshold that the tolerance decides its side gets a column of its own, so it
-    tells nothing of its side.
+    row so near to a threshold that the tolerance decides its side gets a column of its own, so its
+    side has no influence.
 
     Returns:
         (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.

@@ -160,7 +160,7 @@ class ExplanationSearch:
     def evidence_of_all(
         self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit
     ) -> float:
-        """Return the log evidence of an explanation with all of its effects.
+        """Return the log evidence of an explanation with all effects, at its best tolerance.
 
         None is dropped, because the columns, which are linearised, tell little about the arm
         without a large effect.
