@@ -64,7 +64,8 @@ _ALL_IDS = range(253)
 _PATIENCE_S = 0.2
 """Longest wait, s, for a servo that may already have the id that is to be given."""
 _LOOKS, _DAMAGED = 5, 2
-"""Number of states that are read from a found servo; damaged replies that make it a clash."""
+"""Number of states that are read from a found servo, and number of damaged replies from which on
+several servos seem to have its id."""
 
 
 @dataclass(frozen=True, slots=True)
