@@ -82,17 +82,15 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
         alike, structure = left_out.find_least_errors(noise)
     rho = lag_correlation(fit.residual / fit.sigma, fit.weights, fit.session.measured)
     alike = max(alike, rows_as_one(rho) / rows_as_one(fit.rho))
-    # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
-    # or that of the session's start, where that of any row may be meant; and that of the end, where
-    # the base moved, or seemed to
+    # A target may be meant in the frame of any row, while one is used: the mean one, or that of the
+    # session's start (`frame_shift`). If the base moved or seemed to, that of the end counts too
     rows = fit.session.take(kept)
     moved = moved_by_measuring(fit.model, rows)
     since = moved_with_time(fit.model, rows, float(np.trace(noise)) / 3.0)
     moved = moved - fit.model.frame_shift if len(moved) else moved
     frames = (FRAME * each for each in (moved, since) if len(each))
     frame = np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
-    # Lowest and highest of what a command is told, but of time
-    # What no row tells counts as arm.yaml declares it
+    # Range of each circumstance that a command knows, except time; the declared value without rows
     arm, payload = fit.model.arm, fit.model.arm.payload
     warmth = arm.reference_temperature_c
     circumstances = {"temperature_c": (warmth, warmth)}

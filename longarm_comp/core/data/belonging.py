@@ -69,7 +69,7 @@ class _Belief:
     signs: tuple[tuple[int, float], ...] = ()
     """Joints (0-based) whose sign the rows do not show.
 
-    With each is the RMS distance (m) by which the tip moves if the joint is negated and base and
+    Each comes with the RMS distance (m) by which the tip moves if the joint is negated and base and
     tip are placed anew.
     """
 

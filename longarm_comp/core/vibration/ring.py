@@ -160,7 +160,7 @@ def ring_of_moves(
 
 
 REST_S = 0.3
-"""Least time to rest, s, which servos and cameras need; used if arm.yaml declares no damping."""
+"""Shortest time to rest, s, which servos and cameras need; used if arm.yaml declares no damping."""
 
 
 def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None) -> float:
@@ -183,7 +183,7 @@ def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None)
 
 
 _LOOKED_AT = 32
-"""Most moves whose rings are computed."""
+"""Largest number of moves whose rings are computed."""
 
 
 @dataclass(frozen=True)
