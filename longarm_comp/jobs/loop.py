@@ -83,7 +83,7 @@ class LoopSettings:
     """The settings of a loop.
 
     Attributes:
-        rounds: most rounds.
+        rounds: largest number of rounds.
         poses: number of poses to measure in a round.
         targets: number of fresh targets by which the gain is judged.
         network: whether to train a predictor in every round.

@@ -26,7 +26,7 @@ READINGS = 10
 PATIENCE_S = 30.0
 """Longest wait (s) for an arm that a hand brings to rest."""
 ENOUGH = 8
-"""Fewest touches whose distances from their points mean something."""
+"""Smallest number of touches whose distances from their points mean something."""
 
 
 @dataclass

@@ -166,7 +166,7 @@ def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
         names += found.terms[0].inputs
     names += diagnosis.structure.inputs
     known = {entry.name for entry in rows.inputs}
-    # Most inputs that the residual is plotted against
+    # The residual is plotted against four inputs at most
     return tuple(name for name in dict.fromkeys(names) if name in known)[:4]
 
 

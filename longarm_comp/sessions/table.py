@@ -25,7 +25,7 @@ FARTHEST = RANGES["_m"][1]
 Test = Callable[[float], bool]
 
 MOST_CELLS = 20_000_000
-"""Most cells of a table; as text they take about 2 GB."""
+"""Largest number of cells of a table; as text they take about 2 GB."""
 
 
 def check_cells(path: str | Path, cells: int) -> None:

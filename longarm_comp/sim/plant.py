@@ -222,8 +222,7 @@ def _servo_spec(
     effects: Sequence[ServoDroop | ServoDeadband],
     number: int,
 ) -> MotorSpec:
-    """Return the mechanics of a joint's servo by its data sheet, with droop and dead band of
-    `effects`.
+    """Return a joint's servo by its data sheet, with the droop and dead band of `effects`.
 
     Args:
         number: index of the joint in q.

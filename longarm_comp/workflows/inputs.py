@@ -83,7 +83,7 @@ def admit_session(
 
     Args:
         model: known model. Run-ups of unknown length get the length with which it was fitted.
-        min_poses: fewest poses.
+        min_poses: smallest number of poses.
         note: called with each finding of the check.
         judge: the rows are to judge the model: rows that do not fit it are noted, not refused.
     """

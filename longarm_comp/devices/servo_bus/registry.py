@@ -78,7 +78,7 @@ class FoundServo:
     alarm: str = ""  # its present alarms, in words
     memory: Mapping[str, int] = field(default_factory=dict)
     """Registers that decide what a command means to the servo, by name."""
-    told: str = ""  # those that are not as from the factory or differ among models, with addresses
+    told: str = ""  # registers not as from the factory, or that differ among models, with addresses
 
 
 @dataclass(frozen=True, slots=True)
