@@ -354,7 +354,7 @@ class Learner:
         return dataclasses.replace(self._settle(self.settled or self.model), frozen=False)
 
     def undo(self) -> Learner:
-        """Return the learner that uses the last but one version, or the given model.
+        """Return the learner that uses the version before the last, or the given model.
 
         It ignores sightings until `thaw`.
         """

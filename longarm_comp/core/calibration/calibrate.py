@@ -136,8 +136,6 @@ class Rung:
     """One rung of the ladder: a model, and its errors at training and held-out rows.
 
     Attributes:
-        name: name of the rung.
-        model: the model.
         fit: its fit; None for the nominal arm.
         train, held_out: errors at these rows.
         commanded: held-out errors as a command would have them (`core/data/commanded.py`).

@@ -56,7 +56,6 @@ class SeenModel(NamedTuple):
     """A model, and how it was placed to show its errors.
 
     Attributes:
-        model: the model.
         elsewhere: whether the rows show the arm at another place.
         placed: whether the model was therefore placed by the rows.
     """

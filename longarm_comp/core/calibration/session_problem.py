@@ -26,7 +26,7 @@ from longarm_comp.core.model.model import Model
 AHEAD = 0.1
 """Fraction of a step over which the second derivative is computed (Transtrum and Sethna).
 
-The third order then contributes a tenth of itself, and rounding nothing.
+The third derivative then adds a tenth of what it adds over a whole step, and rounding nothing.
 """
 
 FARTHEST_M = 200.0

@@ -91,7 +91,6 @@ class FunctionInputs:
     """The quantities that a discovered function may depend on, no two of them alike (`ALIKE`).
 
     Attributes:
-        all: the quantities.
         shared: names of those that all joints share (sum of loads, time, recorded columns).
         joints: number of commanded joints; 0 on the measuring side.
     """

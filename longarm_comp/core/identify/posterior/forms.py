@@ -32,7 +32,6 @@ def find_better_forms(
 
     Args:
         fit: the fit that holds the terms.
-        terms: the terms to try.
         candidates: the library; its values of the scales are tried first.
 
     Returns:

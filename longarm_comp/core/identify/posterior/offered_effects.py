@@ -60,13 +60,10 @@ class OfferedEffects:
     """The offers at a fit, with the candidates that they stand for.
 
     Attributes:
-        fitted: the fit.
         candidates: the candidates, in the order of the bank's offers.
-        bank: the offers.
         widths: (K,) units of the bank's columns.
         known: numbers of the offers that were found before.
         base: log evidence without any effect.
-        tolerance: the model tolerance.
     """
 
     fitted: ModelFit

@@ -58,7 +58,6 @@ def make_offers(
         library: the named effects.
         functions: functions without a name.
         found: the effects found so far; they stay on offer in their present form.
-        tolerances: the model tolerances.
         others: whether to offer more than `found`.
         near: a similar fit with the same rows and noise, at which the background columns are
             computed. Default: `fitted`.
@@ -254,8 +253,9 @@ def _besides_findings(
 def _principal_functions(values: np.ndarray) -> np.ndarray:
     """Compute two principal components (N, k) of the Legendre polynomials of a joint (N,).
 
-    With a line and a parabola in their place an error of a form explained a gain of 1 % beside a
-    soft joint; with all six functions the palletiser's model left a structure in time.
+    Two are a compromise. With a line and a parabola instead, an error of a form explained a gain of
+    1 % beside a soft joint. With all six polynomials the palletiser's model left a structure in
+    time.
     """
     ways, sizes, _ = np.linalg.svd(legendre_polynomials(values), full_matrices=False)
     return (ways * math.sqrt(len(values)))[:, sizes > 1e-6 * sizes.max(initial=0.0)][:, :2]

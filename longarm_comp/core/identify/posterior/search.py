@@ -149,7 +149,6 @@ class ExplanationSearch:
 
         Args:
             fitted: the fit that holds the effects.
-            found: the effects.
 
         Returns:
             The highest log evidence, and its tolerance.
@@ -167,7 +166,6 @@ class ExplanationSearch:
 
         Args:
             fitted: the fit that holds the effects.
-            found: the effects.
             near: as in `make_offers`.
         """
         every = self.offer_by_tolerance(fitted, found, others=False, **near)
