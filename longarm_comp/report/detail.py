@@ -86,7 +86,6 @@ class Detail:
     """Everything on the page that report.json does not hold.
 
     Attributes:
-        title: title of the page.
         held_out: the held-out rows.
         guilty: inputs that the findings, or the structure left, depend on; the worst first.
         correlation: the geometry that each parameter of a finding is most correlated with.

@@ -130,7 +130,6 @@ def scan_line(
 
     Args:
         protocol, baudrate: the only one to try; None: all known ones, one after the other.
-        ids: ids that are asked.
         reply_timeout_s: longest wait per id, s.
         tell: called with a text about the present id, and the share done, 0 to 1.
         expected: ids that should be there. If one is silent, it is asked again with ten times the
