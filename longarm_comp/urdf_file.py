@@ -127,7 +127,10 @@ class UrdfRobot:
         return way[::-1]
 
     def leader(self, joint: UrdfJoint) -> dict[str, Any] | None:
-        """Return a joint's `mimic` of the commanded joint at the end of its mimics, or None."""
+        """Return a joint's `mimic` of the commanded joint at the end of its mimics, or None.
+
+        Raises InputError if its mimics lead to no commanded joint.
+        """
         if joint.mimic is None:
             return None
         at, met, multiplier, offset = joint, [joint.name], 1.0, 0.0
@@ -143,7 +146,7 @@ class UrdfRobot:
         return {"joint": at.name, "multiplier": multiplier, "offset": offset}
 
     def check_ranges(self, joints: Iterable[UrdfJoint]) -> None:
-        """Refuse commanded joints whose limits leave no room, or must be in a wrong unit."""
+        """Raise InputError for commanded joints whose limits leave no room or have a wrong unit."""
         faults: dict[str, list[tuple[str, str]]] = {}
         for joint in joints:
             given = "missing" if joint.limits is None else "{:g} to {:g}".format(*joint.limits)

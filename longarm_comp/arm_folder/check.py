@@ -137,7 +137,10 @@ _SESSIONS = ("samples.csv", "session", "session_1")
 
 
 def check_folder(folder: Path) -> list[_FolderFinding]:
-    """Return the findings on an arm's folder (or that of an arm.yaml), blocking ones first."""
+    """Return the findings on an arm's folder (or that of an arm.yaml), blocking ones first.
+
+    Raises InputError if there is no such folder.
+    """
     folder = folder.parent if folder.name == ARM and folder.is_file() else folder
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")

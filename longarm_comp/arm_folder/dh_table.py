@@ -138,6 +138,9 @@ def arm_of(
     Args:
         given: texts of the rows, base to tip; at least one.
         tip: (3,) tip in the last frame, m.
+
+    Raises:
+        InputError: a text is no list of KEY=VALUE, or a key or value is not allowed.
     """
     rows = []
     for number, flag in enumerate(given, 1):

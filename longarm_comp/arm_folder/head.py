@@ -139,7 +139,7 @@ class View:
         tags: (T, 4, 3) corners of the tags with their margin, tip frame, m.
         normal: (3,) normal of the marker's printed face, tip frame.
         tag_m: side of a tag.
-        share: least fraction of the tags that both cameras must see.
+        share: smallest fraction of the tags that both cameras must see.
     """
 
     left_in_base: np.ndarray

@@ -128,7 +128,7 @@ def demonstration() -> dict[str, str]:
 
 
 def write_folder(out: Path, files: Mapping[str, str]) -> None:
-    """Write a new folder of files in one step."""
+    """Write a new folder of files in one step. Raises InputError if it cannot be written."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
@@ -154,6 +154,9 @@ def narrow_limits(
 
     Returns:
         The new content, and a note on the old range of each changed row, by its id.
+
+    Raises:
+        InputError: a joint is not known, or a middle is outside the old range.
     """
     names = [str(row.get("name") or f"joint{row['id']}") for row in data["joints"]]
     for name in home_deg:

@@ -47,6 +47,7 @@ class Measured:
 
 
 def read_measured(folder: Path) -> dict[str, Measured]:
+    """Return the record of a folder by file, {} without one. Raises InputError if it is damaged."""
     path = folder / FILE
     if not path.is_file():
         return {}

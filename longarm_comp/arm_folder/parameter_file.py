@@ -80,7 +80,7 @@ def own_parameters(node: str) -> dict[str, Any]:
 
 
 def ros_parameters(data: Any, where: object) -> dict[str, Any]:
-    """Return the section ``ros__parameters`` of a parsed parameter file."""
+    """Return the section ``ros__parameters`` of parsed YAML. Raises InputError without one."""
     for node in data.values() if isinstance(data, dict) else ():
         if isinstance(node, dict) and isinstance(node.get("ros__parameters"), dict):
             return dict(node["ros__parameters"])

@@ -98,9 +98,14 @@ def servo_section(
     that the joint's range fits into the turns of the servo.
 
     Args:
-        direct: the servos' horns turn the joints, as in printed arms: one turn, no gearing, and
-            no joint alone moves the tip faster than 0.25 m/s.
+        direct: the horns of the servos turn the revolute joints, as in printed arms. These then
+            have no gearing and one turn, whatever their step, and none of them alone moves the tip
+            faster than 0.25 m/s.
         fastest: highest velocities of joints, rad/s or m/s, by row; the servos limit all others.
+
+    Raises:
+        InputError: the servo model is not known, a step is too small for its turns, or the servo
+            configuration is not valid.
     """
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))

@@ -153,7 +153,10 @@ class Output(click.Option):
 
 
 def guard_outputs(command: click.Command, name: str) -> click.Command:
-    """Return the command with ``--force``, and with a check of the rule before it runs."""
+    """Return the command with ``--force``, and with a check of the rule before it runs.
+
+    The check raises InputError for a file that may not be replaced, and for a number not finite.
+    """
     run = command.callback
     assert run is not None
     for option in command.params:

@@ -115,6 +115,9 @@ def by_name(
     Args:
         form: the expected form, as error messages state it.
         names: the allowed names; None for any.
+
+    Raises:
+        InputError: a text is no NAME=VALUE, or a name is given twice or not allowed.
     """
     values: dict[str, str] = {}
     for text in given:

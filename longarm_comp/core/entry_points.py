@@ -16,7 +16,10 @@ from longarm_comp.core.errors import InputError
 
 
 def of_other_packages(group: str) -> Iterator[tuple[str, Any, str]]:
-    """Yield name, object and origin of each entry point of a group, in the order of the names."""
+    """Yield name, object and origin of each entry point of a group, in the order of the names.
+
+    Raises InputError if one cannot be loaded.
+    """
     for point in sorted(entry_points(group=group), key=lambda p: p.name):
         package = f"package {point.dist.name} {point.dist.version}" if point.dist else "a package"
         source = f"{package}, entry point {point.name}"

@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Writes files whole or not at all; hashes, checks and locks files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from typing import IO
 from longarm_comp.core.errors import InputError, JobError
 
 MOST_UNPACKED = 256_000_000
-"""Most bytes of an unpacked archive: a sheet of 250,000 rows of 20 cells; predictors need less."""
+"""Largest number of bytes of an unpacked archive: of a sheet of 250,000 rows of 20 cells;
+predictors need less."""
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
@@ -43,7 +44,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
 
 
 MOST_BYTES = 500_000_000
-"""Most bytes of a table: more than 20 million numbers of 20 characters."""
+"""Largest number of bytes of a table: more than 20 million numbers of 20 characters."""
 
 
 def check_size(path: str | os.PathLike[str]) -> None:
@@ -69,6 +70,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     raises, ``path`` is left as it was. Missing parent folders are made. Temporary files of writers
     that were killed are removed. If ``path`` is a symbolic link, the file that it leads to is
     replaced.
+
+    Raises:
+        InputError: ``path`` is a folder or cannot be written.
+        JobError: the disk is full or fails.
     """
     target = follow_link(path)
     try:
@@ -93,7 +98,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def follow_link(path: str | os.PathLike[str]) -> Path:
-    """Return the path itself, or the file that a symbolic link leads to, which need not exist."""
+    """Return the path itself, or the file that a symbolic link leads to, which need not exist.
+
+    Raises InputError if links lead in a circle.
+    """
     target = Path(path)
     if not os.path.islink(target):
         return target

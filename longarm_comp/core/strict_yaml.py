@@ -71,12 +71,16 @@ _Loader.add_implicit_resolver(
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Return the parsed YAML of a file."""
+    """Return the data of a YAML file; None if it is empty. Raises InputError."""
     return parse_yaml(read_text(path), str(path))
 
 
 def read_text(path: str | Path) -> str:
-    """Return the text of a YAML file, which must be a regular file in UTF-8 of bounded length."""
+    """Return the text of a YAML file.
+
+    Raises:
+        InputError: it is no regular file in UTF-8 of at most `MOST_BYTES`.
+    """
     where = str(path)
     check_regular(path)
     try:
@@ -95,7 +99,14 @@ def read_text(path: str | Path) -> str:
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """Return the parsed YAML of a text; error messages name its source, ``where``."""
+    """Return the data of a YAML text; None if it is empty.
+
+    Args:
+        where: its source, for error messages.
+
+    Raises:
+        InputError: the text is no valid YAML, is ambiguous, or exceeds the bounds of this module.
+    """
     loader: _Loader | None = None
     try:
         loader = _Loader(text)

@@ -15,7 +15,8 @@ from longarm_comp.math.shaper import Shaper
 
 _WHERE = "joint trajectory"
 _MOST_POINTS = 1000
-"""Most points after time 0: while the driver processes them, 25 us each, it does nothing else."""
+"""Largest number of points after time 0. The driver does nothing else while it processes them, 25
+us each."""
 
 
 def check_trajectory(

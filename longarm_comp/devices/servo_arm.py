@@ -255,9 +255,8 @@ class ServoArm:
     def _check_turn_counts(self, states: Mapping[int, ServoState]) -> None:
         """Refuse multi-turn servos that may have lost their count of turns without power.
 
-        After a time without torque, a move of more than half a turn is the sign, because whole
-        turns are lost. A servo that lost power under torque is always refused, because the arm may
-        have sunk by any distance since.
+        They lose whole turns, so a move of more than half a turn without torque is the sign. A
+        servo that lost power under torque is always refused: the arm may have sunk by any distance.
         """
         for name, joint in self.config.joints.items():
             at = states[joint.servo_id].position_ticks
@@ -271,6 +270,7 @@ class ServoArm:
                 )
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
+        """As `ServoFollower.accept`; also raises JobError while the torque is off."""
         if not self.powered:
             raise JobError("the torque is off")
         return self.follower.accept(trajectory, now)
@@ -338,7 +338,7 @@ class ServoArm:
         return Cycle(step, self._convert_states(states), states, trouble)
 
     def _hold_unheld(self, bus: SerialServoBus) -> None:
-        """Hold driven servos at their last read positions, until they have confirmed it.
+        """Send holding goals to driven servos that have not confirmed theirs, and read the replies.
 
         Other servos get no goal, because a goal would switch their torque on.
         """

@@ -23,8 +23,8 @@ _LOOKS, _STILL_TICKS = 15, 8
 _NEAR_TICKS, _SETTLED_S = 6, 0.3
 """A move is over when the servo has rested this near its goal for this time, s."""
 _LONGEST_STEP_S, _ASIDE_TICKS = 0.1, 24
-"""Longest time by which a goal moves on at once, and how far beside the way led a servo may be:
-2 degrees of its horn, for a gear that gives way."""
+"""Longest time by which a goal moves on at once, and how far a servo may be off the way on which it
+is led: 2 degrees of its horn, for a gear that gives way."""
 
 
 def show_value(joint: JointConfig, value: float) -> str:

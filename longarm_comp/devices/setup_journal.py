@@ -48,7 +48,10 @@ class SetupJournal:
         write_text(self.path, json.dumps({"turns": turns}) + "\n")
 
     def end(self, ids: Collection[int]) -> None:
-        """Remove the entries of these servos; nothing of them will be written back."""
+        """Remove the entries of these servos; nothing of them will be written back.
+
+        Raises JobError if the file is damaged or cannot be removed.
+        """
         left = {i: change for i, change in self.read().items() if i not in ids}
         if left:  # replaced, so that a process that is killed here loses none of them
             self._write(left)

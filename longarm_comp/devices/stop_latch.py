@@ -46,7 +46,6 @@ class StopLatch:
     given, and the device to which a link at this port leads.
 
     Args:
-        folder: folder of the files.
         namespace: namespace of the arm's graph.
         arm: path of arm.yaml; empty if not known.
         port: serial port of the servos.

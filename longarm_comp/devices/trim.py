@@ -17,7 +17,8 @@ from longarm_comp.devices.servo_bus.state import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 
 MOST_STEPS = 5
-"""Most steps after a move: two of them correct a droop, the others are for friction."""
+"""Largest number of steps after a move. Two of them correct a droop, the others are for friction.
+"""
 
 
 class Trim:

@@ -26,6 +26,7 @@ class FilesAtWork:
 
 
 def files_at_work(client: GraphClient) -> FilesAtWork:
+    """Ask a graph for its files. Raises JobError if kinematics runs without a model file."""
     arm, model = client.parameters("kinematics", "arm", "model")
     if not model:
         reason = "kinematics runs without a model file: start it with --model FILE"
@@ -71,6 +72,7 @@ def apply_on_graph(
 
 
 def reload(client: GraphClient, node: str) -> None:
+    """Have a node read its file again. Raises JobError if it does not take it up."""
     answer = client.ask(node, graph.RELOAD, Trigger.Request())
     if not answer.success:
         raise JobError(f"{node} did not take up its file: {answer.message}")

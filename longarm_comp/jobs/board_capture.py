@@ -37,6 +37,12 @@ def capture(
 
     Returns:
         The views, and width and height of the images, px.
+
+    Raises:
+        JobError: no pair of images came within 30 s, views are lacking after 600 s, or the cameras
+            are mounted wrongly (`check_mounting`).
+        InputError: the size of the images changed, or an image cannot be written.
+        Interrupted: the client was stopped.
     """
     views: list[BoardView] = []
     before: BoardView | None = None

@@ -13,7 +13,8 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.devices.stereo.calibrate import HandEye, hand_eye
 
 FEWEST_POSES = 10
-"""Fewest poses: thirty numbers for six unknowns leave enough to find outliers and hold rows out."""
+"""Smallest number of poses: thirty numbers for six unknowns leave enough to find outliers and hold
+rows out."""
 _SIGMA_M = 1e-4
 """Noise of a sighting if the session states none. The arm's own errors show in the residual."""
 

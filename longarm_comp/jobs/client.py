@@ -55,8 +55,8 @@ class Pace:
 
 
 TOLD_S = 3.0
-"""Rest, s, after which the driver's word that an accepted move has ended is not waited for any
-more: it has none for a servo that trembles."""
+"""Time at rest, s, after which a move counts as ended without the report of the driver: of a servo
+that trembles it reports none."""
 GIVES_WAY = 0.05
 """Largest distance of a joint from its command that a yielding servo explains, as a share of the
 joint's range."""
@@ -216,10 +216,9 @@ class ArmClient(GraphClient):
         """Wait until the joints have rested at a path's end for `dwell_s`; return the time (ns).
 
         While the driver has not said that the move has ended, it may still trim the joints, and
-        they must rest for `TOLD_S`.  The end is reached if the joints are within the tolerance of
-        it, or if the driver says that
-        the arm has reached it: servos that yield may stay farther off. If the arm stood there
-        before, and the path leads away and back, it must have left first.
+        they must rest for `TOLD_S`.  The end is reached if the joints are within its tolerance, or
+        if the driver says that the arm has reached it: servos that yield may stay farther off. If
+        the arm stood there before, and the path leads away and back, it must have left first.
 
         Args:
             path: (k, n) way-points, rad and m.

@@ -123,7 +123,11 @@ class DemoSettings:
 
 
 def _true_tip(client: ArmClient) -> Witness:
-    """Return a witness that listens to `simulated_arm/true_tip`."""
+    """Return the tip of the simulation as a `Witness`.
+
+    It is a function of a time (ns) that waits for a later message on `simulated_arm/true_tip` and
+    returns its position (3,), m.
+    """
     heard: deque[tuple[int, np.ndarray]] = deque(maxlen=1)
 
     def hear(message: PointStamped) -> None:

@@ -193,6 +193,7 @@ class GraphClient:
         return [parameter_value_to_python(value) for value in answer.values]
 
     def set_parameter(self, node: str, name: str, value: bool | float | str) -> None:
+        """Set a parameter of a node. Raises JobError if the node refuses the value."""
         told = Parameter(name, value=value).to_parameter_msg()
         answer = self.ask(node, _SET, SetParameters.Request(parameters=[told]))
         if not answer.results[0].successful:

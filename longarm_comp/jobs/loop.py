@@ -83,7 +83,7 @@ class LoopSettings:
     """The settings of a loop.
 
     Attributes:
-        rounds: most rounds.
+        rounds: largest number of rounds.
         poses: number of poses to measure in a round.
         targets: number of fresh targets by which the gain is judged.
         network: whether to train a predictor in every round.
@@ -191,6 +191,9 @@ class Loop:
 
         Returns:
             All runs over the targets, the first not compensated; and what loop.json holds.
+
+        Raises:
+            InputError: the graph's model file is in the loop's folder for the diagnosis.
         """
         client, names = self._client, self._settings.names
         client.ready(ready_s)

@@ -32,7 +32,8 @@ from longarm_comp.workflows.verification import Verification, compare_runs
 from longarm_interfaces.srv import Compensate
 
 Witness = Callable[[int], np.ndarray]
-"""A function of a time (ns) from which the tip rests: the tip (3,), m, by another instrument."""
+"""A function that returns the tip (3,), m, by another instrument. Its argument is a time (ns) from
+which the tip rests."""
 Say = Callable[[str, float], None]
 Draw = Callable[[int], np.ndarray]
 """A function that returns n further targets (n, 3), m, or fewer if there are no more."""
@@ -40,7 +41,8 @@ Refused = tuple[np.ndarray, str]
 """A target (3,), m, that the graph refuses, and why."""
 
 PLACING = 6
-"""Fewest measured targets with which an unknown frame can be placed and the errors still judged."""
+"""Smallest number of measured targets with which an unknown frame can be placed and the errors
+still judged."""
 WITHOUT, COMPENSATED = "without compensation", "with compensation"
 
 
@@ -192,8 +194,8 @@ class TargetRunner:
         """Drive to one target (3,), m.
 
         Returns:
-            The tip (3,), m, as the cameras and as the witness see it, NaN if not seen; and the
-            status.
+            The tip (3,), m, as the cameras and as another instrument see it, NaN if not seen; and
+            the status.
         """
         client = self._client
         start = client.joints

@@ -26,7 +26,7 @@ READINGS = 10
 PATIENCE_S = 30.0
 """Longest wait (s) for an arm that a hand brings to rest."""
 ENOUGH = 8
-"""Fewest touches whose distances from their points mean something."""
+"""Smallest number of touches whose distances from their points mean something."""
 
 
 @dataclass
@@ -67,6 +67,7 @@ class TouchLog:
         return q
 
     def session(self) -> Session:
+        """Return the touches as a session. Raises InputError if there are none."""
         if not self.rows:
             raise InputError("touch", "rows", 0, "one touch at least")
         q, columns, names = zip(*self.rows, strict=True)

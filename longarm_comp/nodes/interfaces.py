@@ -55,7 +55,6 @@ class Topic:
 
     Attributes:
         name: name, relative to the namespace of the arm unless it begins with ``/``.
-        type: type of its messages.
         depth: number of messages that are kept on either side.
         listens: reliability of subscriptions. Publishers are always reliable, which suits both.
         latched: whether a later subscriber also receives the last messages.

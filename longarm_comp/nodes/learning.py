@@ -105,7 +105,7 @@ class Learning:
         return True, self._with_fault(done)
 
     def _with_fault(self, done: str) -> str:
-        """Return ``done``; if it could not be written, add that it ends with this process."""
+        """Return ``done``; if the file was not written, add that this ends with the process."""
         return f"{done}; until this node ends: {self._fault}" if self._fault else done
 
     def _take_over(self, after: Learner) -> None:
@@ -170,7 +170,7 @@ class Learning:
 _AGAIN_S = 5.0
 """Time between two attempts to save after a failure, s."""
 _MANY = 5
-"""This many wrong ones among the last twenty sightings are a warning.
+"""Number of wrong sightings among the last twenty from which on a warning is given.
 
 By chance it happens once in 700,000 times (`DOUBT`).
 """

@@ -145,6 +145,10 @@ def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str
 
 
 def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
+    """Return the way-points (k, n) of a trajectory in the order of the arm, rad and m.
+
+    Raises InputError if there are none, or joints are missing or outside their limits.
+    """
     where, names = "joint_trajectory", message.joint_names
     if not message.points:
         raise InputError(where, "points", 0, "at least one")

@@ -70,8 +70,8 @@ def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
 _UNTOLD_S = 1.0
 """Assumed longest wait of a request, s, if the sender's clock does not tell it."""
 _DELIVERED_S = 60.0
-"""Time, s, after an absence by which the middleware has delivered all that waited, however long the
-absence was."""
+"""Time, s, after which the middleware has delivered all that waited while the node did not run,
+however long that was."""
 
 
 class Freshness:

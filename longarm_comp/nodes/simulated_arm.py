@@ -85,7 +85,7 @@ def numbers(field: str, text: str, count: int, allowed: str) -> dict[str, list[f
     """Read ``count`` numbers for each name from ``name=number,number name=...``.
 
     Raises:
-        InputError: another number of numbers; ``field`` and ``allowed`` are for its message.
+        InputError: a name has more or fewer; ``field`` and ``allowed`` are for the message.
     """
     by_name = {}
     for part in text.split():

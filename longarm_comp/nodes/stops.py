@@ -213,9 +213,9 @@ class Stops:
         return self.state[1] if self._torque_yet(stop) or self.unkept else done
 
     def _torque_yet(self, stop: Stop) -> str:
-        """Say how the torque differs from the torque of a stop; empty if it does not.
+        """Say how the torque differs from what a stop requires; empty if it does not.
 
-        An emergency stop wants torque off; a hold wants it on.
+        An emergency stop requires torque off; a hold requires it on.
         """
         if stop is Stop.ESTOP:
             return self.owed

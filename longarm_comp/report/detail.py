@@ -86,7 +86,6 @@ class Detail:
     """Everything on the page that report.json does not hold.
 
     Attributes:
-        title: title of the page.
         held_out: the held-out rows.
         guilty: inputs that the findings, or the structure left, depend on; the worst first.
         correlation: the geometry that each parameter of a finding is most correlated with.
@@ -166,7 +165,7 @@ def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
         names += found.terms[0].inputs
     names += diagnosis.structure.inputs
     known = {entry.name for entry in rows.inputs}
-    # Most inputs that the residual is plotted against
+    # The residual is plotted against four inputs at most
     return tuple(name for name in dict.fromkeys(names) if name in known)[:4]
 
 

@@ -87,8 +87,7 @@ def excess(rms_mm: float, floor: _NoiseFloor | None) -> float:
 
 
 def normal_length(share: ArrayLike) -> np.ndarray:
-    """Return the length that a share of all random vectors (3,) with unit normal components has at
-    most."""
+    """Return the length that a share of vectors (3,) of unit normal components does not exceed."""
     return np.asarray(np.sqrt(2.0 * gammaincinv(1.5, share)))
 
 

@@ -179,7 +179,7 @@ def draw_errors_at_tip(
 
 
 MOST = 150
-"""Most arrows in one figure. Of more rows, this many are drawn, evenly along the session."""
+"""Largest number of arrows in one figure, drawn evenly along the session."""
 _ROUND = np.array([1.0, 2.0, 5.0])
 
 

@@ -237,6 +237,9 @@ def read_bag(
     Args:
         namespace: namespace of the arm, if the bag holds several arms.
         touch_distances: known distances between the points that the session touches.
+
+    Raises:
+        InputError: the bag is damaged, holds no command or no sighting, or several arms or frames.
     """
     where = str(path)
     with open_bag(path) as reader:
@@ -278,7 +281,10 @@ def _make_broken(where: str, error: Exception) -> InputError:
 
 
 def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
-    """Return a buffer that holds the last command of a bag and the messages after it."""
+    """Return a buffer that holds the last command of a bag and the messages after it.
+
+    Raises InputError if the bag is damaged or holds no command.
+    """
     where = str(path)
     with open_bag(path) as reader:
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=True)

@@ -103,6 +103,10 @@ def read_csv(
 
     Args:
         touch_distances: known distances between the points that the session touches.
+
+    Raises:
+        InputError: a column is missing or not known, or a cell is wrong; it names file, line and
+            column.
     """
     table = read_table(path)
     joints = joint_names(arm.n)
@@ -210,7 +214,10 @@ def approach_names(n: int) -> tuple[str, ...]:
 
 
 def read_approach(table: Table, n: int) -> np.ndarray:
-    """Return sides of arrival: (N,) if all joints share a column, else (N, n); 0 if unknown."""
+    """Return sides of arrival: (N,) if all joints share a column, else (N, n); 0 if unknown.
+
+    Raises InputError for both kinds of columns, or for another value than -1, 0 and 1.
+    """
 
     def is_side(value: float) -> bool:
         return value in (-1.0, 0.0, 1.0)

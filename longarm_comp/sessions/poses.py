@@ -27,7 +27,10 @@ FILE = "next_poses.csv"
 
 
 def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
-    """Read the first n poses of a diagnosis' ``next_poses.csv``, most informative first."""
+    """Read the first n poses of a diagnosis' ``next_poses.csv``, most informative first.
+
+    Raises InputError if the diagnosis asks for fewer, or for none.
+    """
     path = Path(folder) / FILE
     if not path.is_file():
         raise InputError(path, "file", "missing", "a diagnosis that asks for poses writes it")
@@ -56,6 +59,9 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
 
     Args:
         inside: refuse poses outside the joint limits.
+
+    Raises:
+        InputError: a column is missing or not known, or a cell is wrong.
     """
     table = read_table(path)
     joints = joint_names(arm.n)

@@ -57,7 +57,7 @@ def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
     A CSV has t_s and the joint readings read_q1..qn (rad or m) or, without these, x, y, z of the
     tip (m); rows with a blank are left out. A bag is read from when the joints stand still after
     its last command. If it has fewer than `LEAST` sightings of the tip from then on, the joint
-    readings are returned instead.
+    readings are returned instead. Raises InputError if the file is damaged or lacks what is read.
     """
     path = Path(path)
     if not _is_bag(path):

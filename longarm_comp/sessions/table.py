@@ -25,7 +25,7 @@ FARTHEST = RANGES["_m"][1]
 Test = Callable[[float], bool]
 
 MOST_CELLS = 20_000_000
-"""Most cells of a table; as text they take about 2 GB."""
+"""Largest number of cells of a table; as text they take about 2 GB."""
 
 
 def check_cells(path: str | Path, cells: int) -> None:
@@ -120,7 +120,10 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a comma-separated file in UTF-8 with a header and at most `MOST_CELLS` cells."""
+    """Read a comma-separated file in UTF-8 with a header and at most `MOST_CELLS` cells.
+
+    Raises InputError if it is another kind of file, has no rows, or rows of different lengths.
+    """
     where = str(path)
     check_regular(path)
     check_size(path)

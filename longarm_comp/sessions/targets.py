@@ -46,7 +46,11 @@ class Targets:
 
     @classmethod
     def one(cls, numbers: Sequence[float]) -> Targets:
-        """Read one target from the command line: x y z, or x y z qx qy qz qw."""
+        """Read one target from the command line: x y z, or x y z qx qy qz qw.
+
+        Raises InputError for another count, a number above `FARTHEST`, or a quaternion not of
+        length 1.
+        """
         values = np.asarray(numbers, dtype=float)
         if values.shape not in ((3,), (7,)) or not (np.abs(values) <= FARTHEST).all():
             allowed = f"x y z or x y z qx qy qz qw, up to {FARTHEST:g}"

@@ -40,7 +40,10 @@ def tag_plate(
     dictionary: str = "DICT_4X4_50",
     first_id: int = 0,
 ) -> Plate:
-    """Return a grid of tags, ids along the rows from the top left, a white margin of 0.2 tags."""
+    """Return a grid of tags, ids along the rows from the top left, a white margin of 0.2 tags.
+
+    Raises InputError if the gap is not a whole number of the tags' pixels.
+    """
     known = _load_dictionary(dictionary)
     tag_px = 30 * known.markerSize
     gap_px, margin_px = round(gap_m / tag_m * tag_px), round(0.2 * tag_px)

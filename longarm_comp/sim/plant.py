@@ -118,7 +118,10 @@ class Plant:
                 self._swing = self._ringing.move_joints(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
-        """Make the play of some joints larger by `play` (rad, m) than it was at the start."""
+        """Make the play of some joints larger by `play` (rad, m) than it was at the start.
+
+        Raises InputError for a joint that is not known or a negative play.
+        """
         names = self.config.arm.joint_names
         for joint, value in play.items():
             if joint not in names:
@@ -219,8 +222,7 @@ def _servo_spec(
     effects: Sequence[ServoDroop | ServoDeadband],
     number: int,
 ) -> MotorSpec:
-    """Return the mechanics of a joint's servo by its data sheet, with droop and dead band of
-    `effects`.
+    """Return a joint's servo by its data sheet, with the droop and dead band of `effects`.
 
     Args:
         number: index of the joint in q.

@@ -186,6 +186,9 @@ def settle(walk: Callable[[Array], Walker], start: Array, gravity: Array) -> Arr
 
     Returns:
         (3, N) m/s^2.
+
+    Raises:
+        JobError: Newton's method does not converge.
     """
     size = float(np.linalg.norm(gravity))
     if size == 0.0:

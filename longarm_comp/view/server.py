@@ -188,7 +188,7 @@ def serve_page(port: int, gate: Gate) -> Iterator[viser.ViserServer]:
     """Serve a page until the end of the ``with`` block, on the next free port if this one is taken.
 
     viser has no option to check requests. So the function of `websockets` that it serves with is
-    wrapped while it starts.
+    wrapped while it starts. Raises JobError if this version of viser cannot be wrapped.
     """
     serve, guarded = sockets.serve, []
 

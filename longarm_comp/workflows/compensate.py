@@ -304,7 +304,8 @@ def goals_of(
     """Return the targets, each (3,) or (4, 4), their common circumstances, and their numbers (N,).
 
     Times of the targets are not used: a command comes after the model's session, whose clock has
-    stopped (`Context.as_left`).
+    stopped (`Context.as_left`). Raises InputError for a wrong shape, or circumstances that the arm
+    cannot have or that are given twice.
     """
     if isinstance(targets, Targets):
         if context is not None:

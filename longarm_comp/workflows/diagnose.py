@@ -41,7 +41,8 @@ from longarm_comp.workflows.evaluate import ErrorTable
 from longarm_comp.workflows.train import training_rows
 
 POSES = 20
-"""Fewest poses of a diagnosis without `kind_of`: fewer could hardly contradict any explanation."""
+"""Smallest number of poses of a diagnosis without `kind_of`: fewer could hardly contradict any
+explanation."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -109,9 +109,14 @@ _ROWS = TypeAdapter(tuple[Diagnosed, ...])
 
 
 def list_members(folder: Path) -> list[_Member]:
-    """List the arms of a folder.
+    """List the arms of a folder, each with a session.
 
-    A folder has one arm per subfolder with arm.yaml, or one per session beside a single arm.yaml.
+    If the folder has an arm.yaml, each session beside it is one arm. Otherwise each subfolder with
+    an arm.yaml is one arm, with its newest session; its model.yaml, if any, is the model in use.
+
+    Raises:
+        InputError: there is no arm, a subfolder has no session, or a name is not unique or cannot
+            be that of a folder.
     """
     if (folder / ARM).is_file():
         found = [_Member(s.stem, folder / ARM, s, None) for s in list_sessions(folder)]
@@ -163,7 +168,8 @@ def fleet(
     """Diagnose every arm of a folder (`list_members`), each into a folder of its own in `output`.
 
     fleet.json is written after each arm. An arm whose result is in it already, from the same files
-    and options, is not diagnosed again. An arm that cannot be diagnosed has the verdict ``failed``.
+    and options, is not diagnosed again, unless it failed. An arm that cannot be diagnosed has the
+    verdict ``failed``.
 
     Args:
         jobs: number of processes.
@@ -171,6 +177,10 @@ def fleet(
             `jobs` processes.
         network: whether to train networks on the remaining errors.
         progress: called with each finished arm and the share of all.
+
+    Raises:
+        InputError: as `list_members`; or an arm's output folder holds an arm.yaml or model.yaml
+            without a report.json.
     """
     if dask is not None:  # workers may be in another folder
         folder, output = folder.resolve(), output.resolve()
@@ -297,9 +307,9 @@ def _diagnose_arm(
 
 
 def compare_arms(arms: Sequence[Diagnosed]) -> list[Diagnosed]:
-    """Mark the findings that at least half of the arms of a kind share, and at least two.
+    """Set `FleetFinding.of_kind` in copies of the arms.
 
-    All others are an arm's own.
+    It is True for a finding that at least half of the arms of a kind share, and at least two arms.
     """
     counts: Mapping[tuple[int, str, str], int] = Counter(
         (arm.kind, f.effect, f.where) for arm in arms for f in arm.findings

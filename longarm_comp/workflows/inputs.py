@@ -83,7 +83,7 @@ def admit_session(
 
     Args:
         model: known model. Run-ups of unknown length get the length with which it was fitted.
-        min_poses: fewest poses.
+        min_poses: smallest number of poses.
         note: called with each finding of the check.
         judge: the rows are to judge the model: rows that do not fit it are noted, not refused.
     """
@@ -134,6 +134,7 @@ def choose_physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -
     """Return the given model, else the declared arm's; without sag if ``deflection`` is False.
 
     Terms that belong to one session only, such as the place of a touched point, are left out.
+    Raises InputError for the model of another arm.
     """
     if given is None:
         return declared_model(arm, deflection=deflection)
@@ -196,7 +197,7 @@ def load_predictor(
 
 
 def check_predictor(predictor: Predictor, model: Model, where: object) -> None:
-    """Check that a predictor in memory was trained on the residual of this model."""
+    """Raise InputError if a predictor was not trained on the residual of this model."""
     origin = predictor.provenance
     if origin.arm_hash and origin.arm_hash != model.arm.hash:
         allowed = f"{model.arm.hash[:12]} (arm {model.arm.name}, in use)"

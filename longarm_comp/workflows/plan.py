@@ -36,7 +36,8 @@ from longarm_comp.workflows import inputs
 
 Kind = Literal["grid", "sobol", "next", "i-optimal", "d-optimal"]
 _FILLING = {"grid": (grid, lambda arm: len(paper_grid(arm))), "sobol": (sobol, lambda arm: 2**20)}
-"""By kind: a function that makes a plan, and one that returns the most poses it can have."""
+"""By kind: a function that makes a plan, and one that returns the largest number of poses that it
+can have."""
 _OPTIMAL = ("i-optimal", "d-optimal")
 NOISE = (3e-4, 1e-3)
 """Noise of a length (m) and an angle (rad) that is assumed before anything was measured."""

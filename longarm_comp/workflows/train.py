@@ -27,7 +27,10 @@ if TYPE_CHECKING:
 
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
-    """Return joints (M, n), residual (M, 3) in m, and circumstances of the M located rows."""
+    """Return joints (M, n), residual (M, 3) in m, and circumstances of the M located rows.
+
+    Raises InputError if there is none.
+    """
     seen = session.take(session.has_position)
     if not len(seen):
         allowed = "rows with all three, to learn from"

@@ -16,7 +16,7 @@ from longarm_comp.report.plots import draw_errors_at_tip
 from longarm_comp.report.style import rc, save
 
 LEAST = 2
-"""Fewest targets seen in both runs, for an interval."""
+"""Smallest number of targets that both runs must see, for an interval."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,8 @@ A joint's motion is kept as *legs*: signed displacements from one reversal to th
 that still matter for friction or play of any size are kept: a leg at least as long as the one
 before it cancels the closed loop (the wiping-out rule of the Preisach model).  So the legs
 alternate in sign and grow towards the past.  A leg may span several moves; the *last way* is the
-displacement of the last move alone.
+displacement since the joint last stood still or reversed (in `along`: since the previous
+way-point).
 """
 
 from __future__ import annotations
@@ -155,9 +156,15 @@ class History:
         return History(sides, made, np.array([last_way(each) for each in ways]))
 
     def along(self, points: np.ndarray, start: np.ndarray | None) -> History:
-        """Return the history (k, n) at each way-point (k, n) of one motion without a stop.
+        """Return the history at each of k way-points of one motion without a stop.
 
-        It is as from `after`, but the last way at a way-point is the step from the one before it.
+        Every field has one more axis, of length k, in front. Sides and legs are those of `after`;
+        `last_way` is the displacement since the previous way-point.
+
+        Args:
+            points: (k, n) way-points, rad and m.
+            start: (n,) where the joints stood; None if neither this nor their history is known: the
+                motion then begins at the first way-point.
         """
         first = points[0] if start is None else start
         ways = np.diff(points, axis=0, prepend=first[None])

@@ -177,14 +177,15 @@ def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def tangent(twist: Twist, at: Vec, large: bool = False) -> tuple[list[Vec], list[Vec]]:
-    """Return the derivatives of a carried body's motion by the components of its twist.
+    """Return the derivatives of the motion ``exp(x)`` of a body by the components of its twist x.
 
-    They are the right Jacobian J of the motion, ``exp(x + c) = exp(x) exp(J c)``.  With ``-x`` for
-    x its blocks are ``A = 1 + b w^ + c w^w^`` and the derivative of ``p = A d`` by w, less the
-    part that the rotation of p causes.
+    They are the right Jacobian J: ``exp(x + h) = exp(x) exp(J h)`` for a small h. Let
+    ``(d, w) = -x``, and let b and c be the coefficients of `_small`. The blocks of rotation by
+    rotation and translation by translation are ``A = 1 + b w^ + c w^w^``. Column j of translation
+    by rotation is ``dp/dw_j - (A e_j) x p``, with ``p = A d`` and the unit vector e_j.
 
     Args:
-        twist: x.
+        twist: x, m and rad.
         at: a point of the carried body, in the frame after the motion (m).
         large: whether x may be large (`exp_large`).
 

@@ -23,20 +23,20 @@ from longarm_comp.core.at_work.posterior import NEGLIGIBLE, RecursivePosterior, 
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 MOST = 4
-"""Most explanations that are kept: each takes as much time as the first."""
+"""Largest number of explanations that are kept. Each takes as much computing time as the first."""
 DOUBT = 0.01
 """Probability that a sighting is wrong. Also the probability of rare changes that may be left out
 when a posterior splits."""
 VISITED, ALIKE = 16, 0.05
-"""Number of poses, the last ones, whose own errors are estimated; and the share of its range by
-which every joint of two poses may differ if they are to count as one."""
+"""Number of last visited poses whose own errors are estimated; and the share of its range by which
+every joint of two poses may differ if they are to count as one."""
 SURPRISE = -math.log(DOUBT)
 """Surprise above which a sighting may be wrong: a larger one is as rare as a wrong sighting."""
 _PATIENCE = 10
 """Number of sightings for which explanations with and without a surprising sighting are kept."""
 _HOPELESS = 1e-20
-"""Probability below which one of them is dropped even so. Two sightings that only one of them
-explains can raise it from there."""
+"""Probability below which an explanation is dropped even within `_PATIENCE` sightings of a
+surprising one. Two sightings that it alone explains can raise its probability from there."""
 _FEWEST, _LATEST = 2, 15
 """Number of sightings after a change at which the posterior splits: at least 2, as one may be
 wrong; at the latest 15, when the jump is known four times better than after one."""

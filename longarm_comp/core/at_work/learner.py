@@ -327,7 +327,7 @@ class Learner:
 
     @property
     def now(self) -> tuple[Named, ...]:
-        """The same changes, with names and sizes as estimated now."""
+        """The changes of `named`, with names and sizes as estimated now."""
         known = self.known
         if known is None:
             return self.named
@@ -350,11 +350,11 @@ class Learner:
         return dataclasses.replace(self, frozen=True)
 
     def thaw(self) -> Learner:
-        """Return the learner that learns again, from its model, or from that before a doubt."""
+        """Return the learner that learns again, from its model or that from before a doubt."""
         return dataclasses.replace(self._settle(self.settled or self.model), frozen=False)
 
     def undo(self) -> Learner:
-        """Return the learner that uses the last but one version, or the given model.
+        """Return the learner that uses the version before the last, or the given model.
 
         It ignores sightings until `thaw`.
         """

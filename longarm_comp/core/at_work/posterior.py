@@ -35,8 +35,8 @@ visible to broken."""
 _GROWN = np.array([3.0, 10.0, 30.0, 100.0])
 """Factors by which the errors may grow, equally likely, if no known effect has changed."""
 _ONSETS = 16
-"""Most onsets (possible times of a change) that are kept. Over a thousand sightings their ages
-differ by a factor of 1.6 from one to the next."""
+"""Largest number of onsets (possible times of a change) that are kept. Over a thousand sightings
+their ages differ by a factor of 1.6 from one to the next."""
 NEGLIGIBLE = 1e-3
 """Probability below which a possible change is ignored: no sighting would show its share."""
 
@@ -152,9 +152,11 @@ class RecursivePosterior:
         )
 
     def update(self, row: Row) -> RecursivePosterior:
-        """Return the posterior after one more sighting: of "nothing changed" and of every change.
+        """Return the posterior after one more sighting, for "nothing changed" and for every change.
 
-        The sighting also adds an onset. Of more than `_ONSETS` one is dropped.
+        The time before this sighting becomes a new onset (possible time of a change). If there are
+        now more than `_ONSETS`, the onset closest to its neighbours, relative to its age, is
+        dropped.
         """
         own = np.zeros((3, len(self.beside)))
         if row.place >= 0:
@@ -315,7 +317,7 @@ class RecursivePosterior:
         """Return positions and covariance, as `spread`, over some of the possible changes.
 
         Args:
-            weights: probability by (onset, change); the rest to 1 is the probability of no change.
+            weights: probability by (onset, change); no change has 1 less their sum.
             mean: (q,) mean of the parameters over these possibilities.
         """
         changed = [self.space.own(c) for _, c in weights]

@@ -136,8 +136,6 @@ class Rung:
     """One rung of the ladder: a model, and its errors at training and held-out rows.
 
     Attributes:
-        name: name of the rung.
-        model: the model.
         fit: its fit; None for the nominal arm.
         train, held_out: errors at these rows.
         commanded: held-out errors as a command would have them (`core/data/commanded.py`).
@@ -203,9 +201,9 @@ def fit_stages(
 
 
 def _settle_priors(model: Model, session: Session, usual: Mapping[str, float] | None) -> ModelFit:
-    """Fit a model repeatedly until the set of parts beyond their tolerances repeats.
+    """Fit a model repeatedly until the set of parameters far beyond their priors repeats.
 
-    The priors of these parts are widened before each further fit (`_find_beyond`).
+    These priors are widened before each further fit (`_find_beyond`).
     """
     fitted = fit_model(model, session, usual=usual)
     tried = [fitted.model.beyond]
@@ -217,17 +215,17 @@ def _settle_priors(model: Model, session: Session, usual: Mapping[str, float] | 
 
 
 def _with_widest_priors(model: Model) -> Model:
-    """Return the model with the widest prior (`SIZES[-1]`) for every part."""
+    """Return the model with the widest prior (`SIZES[-1]`) for every parameter with a prior."""
     slots = [s for s in model.slots if not s.parameter.unknown]
     return dataclasses.replace(model, beyond=tuple((s.identity, SIZES[-1]) for s in slots))
 
 
 def _log_evidence(fit: ModelFit) -> float:
-    """Return the log evidence of a fit, including its noise and its parts beyond the drawing.
+    """Return the log evidence of a fit, including its noise and the cost of widened priors.
 
-    Every long arm yields, so compliances that the fit lacks are marginalised; otherwise parts that
-    are far off would replace them.  A row that is set aside counts as one at the limit of an
-    outlier.
+    Every long arm bends, so compliances that the fit lacks are marginalised. Otherwise a geometry
+    far off its drawing would stand in for them. A row that is set aside counts as one at the limit
+    of an outlier.
     """
     arm = fit.model.arm
     absent = possible_compliances(arm, {term.key for term in fit.model.terms})
@@ -244,10 +242,11 @@ def _log_evidence(fit: ModelFit) -> float:
 
 
 def _find_beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
-    """Return `Model.beyond` for a model's values: the parts beyond their tolerances, with factors.
+    """Return `Model.beyond` for a model's values: parameters far beyond their priors, and factors.
 
-    A part far beyond its tolerance gets a wider prior at a fixed cost.  Otherwise an effect that
-    moves the tip in the same way would be preferred only because the part's prior is narrow.
+    A factor (one of `SIZES`) widens the standard deviation of a prior. This costs a fixed amount of
+    log evidence (`CHANCES`). Without it, an effect that moves the tip in the same way would be
+    preferred only because this prior is narrow.
     """
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]

@@ -27,10 +27,10 @@ from longarm_comp.core.model.model import Model, Slot
 CLOSE = 0.01
 """A fit has converged when its last step was at most this many standard errors."""
 SHARES = (1.0, 0.5, 0.25)
-"""Fractions of the parabola that are tried.
+"""Points that are tried on the parabola of geodesic acceleration, as fractions of the whole step.
 
-Only the first is tried while the noise is not known, because goals are then far away, and a damped
-step gets nearer.
+While the noise is not known, only the first is tried. The solution of the linearised problem is
+then far away, and a damped step comes nearer to it.
 """
 LEAST_DAMPING, MOST_DAMPING, DAMPING_FACTOR = 1e-6, 1e3, 30.0
 """Smallest and largest damping, and the factor from one damping to the next.
@@ -84,7 +84,8 @@ def fit_model(
         usual: noise that is known of arms of this kind, m or rad, by kind of measurement.
 
     Raises:
-        InputError: fewer than four rows are left, a point is too far off, or a term lacks an input.
+        InputError: fewer than four rows are left, a measured point is too far from the origin, or a
+            term lacks an input.
         JobError: the rows do not determine the parameters, or the fit did not stay finite.
     """
     part = SessionProblem(model, session, sigma, weights, robust, rho, usual, begun, near)

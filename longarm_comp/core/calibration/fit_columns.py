@@ -76,7 +76,7 @@ class FitColumns:
         Args:
             places: keys of the terms that are removed.
             instead: terms with parameters that are added.
-            still: keys of further terms that keep their values.
+            still: keys of further terms that keep their values instead of being marginalised.
 
         Returns:
             The marginal, which gives the evidence of other columns.

@@ -3,7 +3,8 @@
 The errors of arms of one kind are correlated: their parts are made on the same machines, and the
 same people set their zeros.  The second moment of the errors, shrunk towards the drawing's
 tolerances after Ledoit and Wolf (2004, J. Multivariate Anal. 88), is the prior of the next arm.  It
-consists of some directions, each with a free amount, and a fraction of the tolerances for the rest.
+consists of some directions, each with a free amount, and a fraction of the tolerances for what the
+directions leave.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def describe_table(arm: Arm) -> tuple[tuple[object, ...], ...]:
 
 
 def _check_table(arm: Arm, other: Arm, source: str) -> None:
-    """Raise `InputError` if another arm has other DH rows, so that its errors mean others."""
+    """Raise `InputError` if another arm has other DH rows: its errors then have another meaning."""
     if len(arm.joints) != len(other.joints):
         rows = f"{len(arm.joints)} rows, as {arm.name}"
         raise InputError(source, "joints", f"{len(other.joints)} rows", rows)

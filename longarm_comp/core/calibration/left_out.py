@@ -16,14 +16,16 @@ from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
 PARTS, SMALL = 4, 20
-"""Number of parts of each joint's range, and number of random parts, that are left out in turn."""
+"""Number of parts of each joint's range, and number of random parts of the rows, that are left out
+in turn."""
 MOST = 1000
-"""Largest number of rows whose errors are computed, evenly over the session.
+"""Largest number of rows, evenly over the session, whose errors are computed.
 
 They determine the 90 % level to one percent.
 """
 AMID = (1.0 + LEVEL) / 2.0
-"""Largest fraction of the random rows inside the stated radius: halfway from `LEVEL` to 1.
+"""Largest fraction of the rows left out at random that may lie inside the stated radius: halfway
+from `LEVEL` to 1.
 
 It is above `LEVEL` because the model was chosen on these rows, and so has larger errors at others.
 With `LEVEL` itself, 55 % of WAM's test rows are inside instead of 80 %.
@@ -121,14 +123,15 @@ class LeftOut:
         return alike, structure
 
     def _find_structure(self, noise: np.ndarray, alike: float, largest: float) -> np.ndarray | None:
-        """Find the smallest further covariance (3, 3), m^2, so that 90 % of the rows are inside.
+        """Return the smallest further covariance (3, 3), m^2, with which enough rows lie inside.
 
-        Its shape is that of the errors.
+        Enough are 90 % of the rows, inside the stated radius. The covariance is proportional to the
+        weighted mean of the products ``error error'``.
 
         Args:
             noise: (3, 3) covariance of the measurement, m^2.
             alike: the number of rows that count as one.
-            largest: limit of its size, m; None is returned if this is not enough.
+            largest: largest square root of its trace, m; None is returned if this is not enough.
         """
         shape = np.einsum("n,ni,nj->ij", self.count, self.error, self.error)
         shape /= np.trace(shape) or 1.0

@@ -268,9 +268,10 @@ BETTER = 1.0
 OUTLIER = 4.2
 """Rows beyond this many robust standard deviations in any channel get weight 0."""
 BEFOREHAND = 4.0
-"""Number of equations for which a known noise counts: of a sensor's other channels, or other arms.
+"""Number of equations to which a known noise (of other channels of a sensor, or other arms) is
+equal.
 
-The noise of these differs by about a third, like an estimate from this many equations.
+These noises differ by about a third, like estimates from this many equations.
 """
 MAD = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""

@@ -1,8 +1,7 @@
 """Checks that bases and markers did not move while the rows were recorded.
 
-Each interval of rows, to the end or to an earlier row, is tried with a base or marker at another
-place.  The part of the residual that this explains is computed from the design, with all other
-parameters free (no fit is repeated).
+Each interval of rows is tried with a base or marker at another place.  The part of the residual
+that this explains is computed from the design, with all other parameters free (no fit is repeated).
 """
 
 from __future__ import annotations
@@ -124,8 +123,8 @@ Falls = Callable[[np.ndarray, np.ndarray], np.ndarray]
 def _find_best_interval(falls: Falls, count: int) -> tuple[int, int]:
     """Return the interval [first, end) of rows in which a move explains most of the residual.
 
-    An interval that starts with the first row is replaced by the rows after it, because one part
-    stands elsewhere relative to the other.
+    An interval that starts with the first row is replaced by the rows after it, because they only
+    show that a part moved between the two.
 
     Args:
         falls: function of `_falls_by_interval`.

@@ -28,11 +28,11 @@ from longarm_comp.core.model.model import Model
 ENOUGH_REPEATS = 15
 """Smallest number of degrees of freedom of repeats whose scatter is trusted."""
 ALLOWED = 1e-3
-"""Probability that the noise of an axis exceeds by chance the limit by its repeats."""
+"""Probability that the noise of an axis exceeds by chance the limit that its repeats set."""
 RIGHT_WITHIN = 2.0
 """Factor by which a sensor's stated noise may be wrong: one standard deviation."""
 EXCESS_WITHIN = 1e3
-"""Range of the scatter by other causes: from the smallest that matters to this many times more."""
+"""Largest scatter by other causes than the sensor, over the smallest that matters."""
 NEWTON_STEPS = 10
 MOST_STEPS = 60
 """Largest number of steps if the noise and the size of the library's effects are both estimated."""
@@ -130,10 +130,10 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
 
 
 class SensorShare(NamedTuple):
-    """The share of the sensor in the white residual.
+    """The share of the sensor in the variance of the residual.
 
     Attributes:
-        share: expected share of the variance.
+        share: its expected value.
         whole: probability that all of the residual is the sensor's.
         sign: the sign of other causes, in words.
     """
@@ -144,7 +144,7 @@ class SensorShare(NamedTuple):
 
 
 def share_of_sensor(fit: ModelFit) -> SensorShare:
-    """Estimate the share of the sensor in the white residual.
+    """Estimate the share of the sensor in the variance of the residual.
 
     Either all of the residual is the sensor's, or a cause that no input shows adds to it: two
     unrecorded tools, a loose tool, an arm that does not return.  The stated noise of the rows and

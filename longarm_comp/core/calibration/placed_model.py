@@ -29,9 +29,9 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
 TWICE = 2
-"""Smallest ratio of measured numbers to the numbers that place the arm.
+"""Smallest ratio of measured values to placement parameters.
 
-With fewer, the residuals after the placement do not show the errors of the arm.
+With fewer values, the residuals after the placement do not show the errors of the arm.
 """
 
 
@@ -56,7 +56,6 @@ class SeenModel(NamedTuple):
     """A model, and how it was placed to show its errors.
 
     Attributes:
-        model: the model.
         elsewhere: whether the rows show the arm at another place.
         placed: whether the model was therefore placed by the rows.
     """
@@ -67,12 +66,12 @@ class SeenModel(NamedTuple):
 
 
 def place_as_seen(model: Model, session: Session) -> SeenModel:
-    """Place a model by the rows, if these show it at another place and hold enough numbers.
+    """Place a model by the rows, if these show it at another place and hold enough measured values.
 
-    Enough is `TWICE` the numbers that the placement needs, with each sighting counted once.  With
-    fewer the placement would fit the rows of any arm.  The numbers that place touched points are
-    subtracted from both.  The rotation of a tracked body on the tip is never declared, so it is
-    always solved.
+    There must be at least `TWICE` as many values as placement parameters that they determine. With
+    fewer, the placement would fit the rows of any arm. Repeats of a sighting count once. The
+    parameters of touched points are subtracted from both counts. The rotation of a tracked body on
+    the tip is never declared, so it is always solved.
     """
     bodies = [t for t in placement_terms(model.arm, session) if isinstance(t, TipOrientation)]
     whole = model.with_missing(bodies)
@@ -94,9 +93,9 @@ def place_as_seen(model: Model, session: Session) -> SeenModel:
 def is_misplaced(model: Model, session: Session) -> bool:
     """Tell whether the rows show the arm at another place than the model.
 
-    That is so if the median error exceeds `ELSEWHERE` times the spread of the arm's frame that
-    moves most, because a tip that touches a point hardly moves.  If only orientations were
-    measured, the limit is `ELSEWHERE` in rad.
+    That is so if the median error exceeds `ELSEWHERE` times the spread of that frame of the arm
+    which moves most. (The tip may hardly move, because it touches one point in all rows.) If only
+    orientations were measured, the limit is `ELSEWHERE` in rad.
     """
     if not session.placed.any():
         return (

@@ -26,7 +26,7 @@ from longarm_comp.core.model.model import Model
 AHEAD = 0.1
 """Fraction of a step over which the second derivative is computed (Transtrum and Sethna).
 
-The third order then contributes a tenth of itself, and rounding nothing.
+The third derivative then adds a tenth of what it adds over a whole step, and rounding nothing.
 """
 
 FARTHEST_M = 200.0
@@ -142,8 +142,8 @@ class SessionProblem:
     def project_curvature(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
         """Return the product (p,) of the prior-scaled design with the curvature of the predictions.
 
-        The curvature is half the second derivative along a step. Afterwards the model is at a part
-        of the step.
+        The curvature is half the second derivative along a step. Afterwards the model stays at
+        `AHEAD` of the step.
 
         Args:
             step: (p,) change of the values.

@@ -5,20 +5,22 @@ the model lacks is similar in similar rows, so many rows count as few.  Therefor
 one part of a joint's range at a time and in small random parts.  The error of the fit at these rows
 is computed from the design (no fit is repeated).  An error that no parameter explains is added, so
 that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann. Math.
-Artif. Intell. 74).  If this would exceed the errors of the random parts, the error grows with the
-distance from the rows instead: the parameters are then as uncertain as with fewer rows.
+Artif. Intell. 74).  The added error may be larger than the errors in the random parts allow. Then
+the covariance of the parameters is multiplied instead, as if there were fewer rows, so the error
+grows with the distance from the rows.
 
 Not all of a fit's residual is noise.  The arm behaves similarly at similar poses, so an error that
 the model lacks looks as if the parameters changed with the joints.  The residual is modelled as
 white noise plus such a Gaussian process.  Their shares follow from the evidence of the rows, with
 the part that the fit explains projected out (restricted likelihood; Patterson and Thompson 1971,
-Biometrika 58), and from repeats.  The share of the sensor is limited by the noise that the rows
-state; if the scatter turns with the tool, also to the part that is equal in all directions.
+Biometrika 58), and from repeats.  The sensor's share in the variance of the residual is limited
+(`share_of_sensor`). It cannot exceed the noise that the rows state. Scatter also is not sensor
+noise if it turns with the tool, grows with the levers of the joints, or has two centres.
 
-Every long arm yields; if the rows do not show it, the fit has put it into the geometry.  The
-measuring device may drift too: if the rows were measured along one joint's range, this looks like
-an error of this joint.  So the covariance is that of the fitted parameters together with the
-compliances and the drift that were not fitted.
+Every long arm bends under load. If the rows do not show this, the fit has explained it by the
+geometry.  The measuring device may drift too: if the rows were measured along one joint's range,
+this looks like an error of this joint.  So the covariance is that of the fitted parameters together
+with the compliances and the drift that were not fitted.
 """
 
 from __future__ import annotations
@@ -65,8 +67,8 @@ def with_uncertainty(fit: ModelFit) -> Model:
 def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     """Estimate the uncertainty of a fit.
 
-    The noise and the structure left come from its errors at rows left out of it. If too few rows
-    hold a position or a touch, the noise of the fit is taken instead.
+    Noise and structure come from its errors at rows that are left out of it. If too few rows hold a
+    position or a touch, the noise of the fit is taken instead.
     """
     kept, alike = fit.weights > 0, 1.0
     left_out = LeftOut.of(fit)
@@ -80,17 +82,15 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
         alike, structure = left_out.find_least_errors(noise)
     rho = lag_correlation(fit.residual / fit.sigma, fit.weights, fit.session.measured)
     alike = max(alike, rows_as_one(rho) / rows_as_one(fit.rho))
-    # The frame in which targets are taken: the mean of what the measuring side moved the rows by,
-    # or that of the session's start, where that of any row may be meant; and that of the end, where
-    # the base moved, or seemed to
+    # A target may be meant in the frame of any row, while one is used: the mean one, or that of the
+    # session's start (`frame_shift`). If the base moved or seemed to, that of the end counts too
     rows = fit.session.take(kept)
     moved = moved_by_measuring(fit.model, rows)
     since = moved_with_time(fit.model, rows, float(np.trace(noise)) / 3.0)
     moved = moved - fit.model.frame_shift if len(moved) else moved
     frames = (FRAME * each for each in (moved, since) if len(each))
     frame = np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
-    # Lowest and highest of what a command is told, but of time
-    # What no row tells counts as arm.yaml declares it
+    # Range of each circumstance that a command knows, except time; the declared value without rows
     arm, payload = fit.model.arm, fit.model.arm.payload
     warmth = arm.reference_temperature_c
     circumstances = {"temperature_c": (warmth, warmth)}
@@ -199,7 +199,8 @@ def _covariance_with_absent(
 
 
 ROWS = 200
-"""Largest number of rows for the arm's share, spread over the session: with three axes, 600."""
+"""Largest number of rows, spread over the session, from which `estimate_arm_share` estimates. With
+three axes they give 600 equations."""
 WIDTHS = (0.25, 0.5, 1.0)
 """Correlation lengths of the Gaussian process, as fractions of an input's range."""
 _NOTHING = 1e-8  # of the largest: rounding

@@ -108,9 +108,9 @@ def _sd_of_change(
     Args:
         q: (M, n) commanded joints, rad and m.
         context: the present circumstances.
-        edge: these, with the changed circumstance at the edge of the session's range.
-        one_load: whether it is the payload, and all rows had the same. Then the rows do not tell
-            which causes without a name depend on it, so all of them count.
+        edge: the same, with the changed circumstance at the edge of the session's range.
+        one_load: whether the payload changed and was the same in all rows. Then the rows do not
+            tell which causes without a name depend on it, so all of them count.
     """
     there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]

@@ -75,6 +75,9 @@ class Monitor:
         Args:
             residual: (3,) m, measured - predicted.
             sigma: (3,) m, expected standard deviation of the residual: of model and measurement.
+
+        Raises:
+            InputError: a shape or value is wrong.
         """
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():

@@ -59,7 +59,7 @@ class ExpectedMiss:
     def plus(self, variance: np.ndarray) -> ExpectedMiss:
         """Return the miss with a further independent error of variance (..., 3), m^2, per axis.
 
-        A covariance that nothing tells stays so: a part of an error is no bound of the whole.
+        An unknown covariance stays NaN, because a part of an error is no bound of the whole.
         """
         return ExpectedMiss(self.mean, self.covariance + variance[..., None] * np.eye(3))
 

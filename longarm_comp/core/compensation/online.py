@@ -93,7 +93,7 @@ class Readings:
         known = {name: value for name, value in columns.items() if not doubts[name]}
         told = Context(**({} if history is None else history.fields()), columns=known)
         context = told.as_left(model.ended_s)
-        # A payload that the arm cannot have weighs, whether or not arm.yaml says where it hangs
+        # An impossible payload is refused even if arm.yaml does not say where a payload hangs
         weighed = doubts if model.arm.payload is not None else wrong
         if doubt := weighed.get("payload_kg"):
             raise StaleContext(doubt)

@@ -132,8 +132,8 @@ class PathLimits:
         motion: limits of velocity and acceleration; None: the controller keeps them itself.
         max_correction_m: largest distance, at the commands, of the declared arm's tip from its
             target, m.
-        max_turn_rad: most that the orientation may be off where the joints cannot hold it.
-        max_start: most that a joint may stand away from where the plan begins, rad or m.
+        max_turn_rad: largest error of the orientation where the joints cannot hold it.
+        max_start: largest distance of a joint from where the plan begins, rad or m.
         turn_m: how far the tip may leave the path where a joint reverses, so that its play is
             taken up smoothly, m.
         max_longer: largest delay for taking up play, as a share of the planned duration; 0: planned

@@ -82,10 +82,10 @@ class Search:
     """The settings of a search for realisable joints.
 
     Attributes:
-        length_m: by this length an orientation error in rad counts as a tip error in m; best the
-            arm's own (`ik.kernel.characteristic_length`).
-        price_m: tip error (m) as which 1 rad of a revolute joint off its ideal value counts; for a
-            slide, ``length_m`` metres count as much.
+        length_m: length by which orientation errors (rad) are multiplied to compare them with tip
+            errors (m); best `ik.kernel.characteristic_length`.
+        price_m: tip error (m) that counts as much as a deviation of 1 rad of a revolute joint, or
+            of `length_m` metres of a prismatic one, from its ideal value.
         kept: number of lattice points that the model judges in each round.
         rounds: number of linearisations: first at the rounded joints, then at the best so far.
         max_nodes: largest number of nodes in the search of one target and round.
@@ -145,6 +145,9 @@ def choose(
         target: position (3,) in m or pose (4, 4), base frame.
         ideal: (n,) joints that bring the tip to the target, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
+
+    Raises:
+        InputError: the predicted tip at the ideal or the rounded joints is not finite.
     """
     return _Problem(arm, lattice, predict, target, ideal, search, locked).solve()
 
@@ -154,13 +157,15 @@ class _Problem:
 
     Attributes:
         lower, upper: (n,) limits, rad and m.
-        stepped: numbers of the s joints with steps, which stand at ``offset + step k``.
+        stepped: 0-based numbers of the s joints with steps, which stand at ``offset + step k``.
         low, high: (s,) limits of k.
-        free: numbers of the continuous joints that may move; all other joints keep their value.
+        free: 0-based numbers of the continuous joints that may move. Joints in neither list keep
+            their value.
         moving: numbers of free and stepped joints, the free ones first.
         whole: (s,) the k inside the limits that are nearest to the ideal joints.
         rounded: (n,) the ideal joints, each rounded to its nearest step.
-        price: (n,) tip error in m as which 1 rad or 1 m off the ideal value counts.
+        price: (n,) tip error (m) that counts as much as a deviation of 1 rad or 1 m from the ideal
+            value.
         note: as in `Realisable`.
     """
 
@@ -209,7 +214,11 @@ class _Problem:
         return np.clip(q, self.lower, self.upper)
 
     def solve(self) -> Realisable:
-        """Return the choice, improved in rounds: each keeps the best of it and its neighbours."""
+        """Return the choice. Each round keeps the best of the present choice and its neighbours.
+
+        Raises:
+            InputError: the predicted tip at the ideal or the rounded joints is not finite.
+        """
         errors = self.errors(np.vstack([self.ideal, self.step_aside(self.rounded)]))
         if not np.isfinite(errors[:2]).all():
             allowed = "a finite tip at the ideal and the rounded joints"

@@ -156,7 +156,6 @@ class Compensation:
         pseudo_target: ``target - predicted_error``, of the target's shape.
         command: (n,) joints to send; `ideal` if the status is no success.
         passes: number of passes of the pseudo-target.
-        status: the outcome.
         reason: why it is no success, or the doubts; empty if there are none.
         realisable: the choice of `command` among the servos' steps, from the joints
             ``realisable.ideal``. None if no choice was made.

@@ -231,8 +231,8 @@ _ROUNDS, _STEEP = 4, 4.0
 """Delays fall with the fourth to sixth root of the squared jerk that is allowed for them, so few
 rounds find it. With an exponent of 4 they approach the permitted time from above."""
 _ALONE, _NEAR = 2.0, 0.02
-"""Exponent by which the allowed squared jerk is reduced, 2 because half of the jerk is the plan's
-own; and the share by which the squared jerk may exceed the plan's."""
+"""Exponent of the reduction of the allowed squared jerk: 2, because half of the jerk is the plan's
+own. And the share by which the squared jerk may exceed the plan's."""
 
 
 def _delay_at_reversals(

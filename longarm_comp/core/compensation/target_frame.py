@@ -112,7 +112,6 @@ def find_placement(
     """Return the placement of targets of one frame and group.
 
     Args:
-        model: the model.
         frame: ``base``, ``measured``, or "" if it is not stated.
         group: group of rows to which the targets belong, if the base was moved between groups.
         where: source of the targets, for error messages.

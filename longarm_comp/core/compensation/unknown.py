@@ -23,7 +23,7 @@ _LEAST_M = 1e-5
 
 
 def missing_column(model: Model, context: Context) -> str:
-    """Name a recorded quantity that an effect of the model needs and the context lacks, or ""."""
+    """Say which quantity an effect of the model needs and the context lacks; "" for none."""
     for effect in model.effects:
         if name := effect.missing(context):
             if name == CLOCK:

@@ -69,7 +69,7 @@ class _Belief:
     signs: tuple[tuple[int, float], ...] = ()
     """Joints (0-based) whose sign the rows do not show.
 
-    With each is the RMS distance (m) by which the tip moves if the joint is negated and base and
+    Each comes with the RMS distance (m) by which the tip moves if the joint is negated and base and
     tip are placed anew.
     """
 
@@ -277,9 +277,10 @@ def _find_mistake_of_axes(model: Model, session: Session) -> tuple[str, str] | N
 def _find_unknown_signs(
     model: Model, rows: Session, misfit: float
 ) -> tuple[tuple[int, float], ...]:
-    """Return the moving joints (0-based) that would fit the rows as well if they were negated.
+    """Return the moving joints (0-based) whose sign the rows do not show.
 
-    With each is the RMS distance (m) by which the tip then moves, which is less than `misfit` (m).
+    Each comes with an RMS distance (m): by how much the predicted tips change if the joint is
+    negated and base and tip are placed anew. It is less than `misfit` (m).
     """
     made = dataclasses.replace(rows, xyz=model.tip(rows.q, rows.context()))
     unknown = []

@@ -16,6 +16,9 @@ def blocked_split(
     The poses are divided into up to `BLOCKS` blocks, each pose with all of its visits. Blocks are
     drawn until `fraction` of the rows and 30 measured poses are held out. After the first block,
     a block that would raise the held-out poses above a third is left out.
+
+    Raises:
+        InputError: there are fewer than two poses, or `fraction` is not between 0 and 1.
     """
     if not 0 < fraction < 1:
         raise InputError("split", "fraction", fraction, "between 0 and 1")

@@ -2,9 +2,9 @@
 
 It is for sessions without whole positions.  If the base's rotation R and position p are taken as
 twelve independent numbers ("lifting"), most readings are linear: ``c . (R o + p) = v`` with the
-predicted tip o in the base.  For a coordinate c is its axis; a ray gives two equations, with c
-perpendicular to the ray.  Distances to an anchor of known place give its position in the base
-(multilateration), and so three equations.  Orientations give R alone.
+predicted tip o in the base frame. A coordinate gives one equation: v is its value, and c its axis.
+A ray gives two, each with a c perpendicular to the ray.  Distances to an anchor of known place give
+its position in the base (multilateration), and so three equations.  Orientations give R alone.
 """
 
 from __future__ import annotations

@@ -83,7 +83,10 @@ def _levels(joints: int) -> np.ndarray:
 
 
 def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """Draw n poses of the paper's grid in random order, none twice."""
+    """Draw n poses of the paper's grid in random order, none twice.
+
+    Raises InputError if the grid has fewer, or is larger than a million poses.
+    """
     rng = np.random.default_rng(rng)
     poses = paper_grid(arm)
     if not 1 <= n <= len(poses):
@@ -92,7 +95,10 @@ def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
 
 
 def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """Draw n scrambled Sobol points in the joint box, which fill it evenly."""
+    """Draw n scrambled Sobol points in the joint box, which fill it evenly.
+
+    Raises InputError if n is not 1 to 2^20.
+    """
     if not 1 <= n <= 2**20:
         raise InputError("plan", "n", n, f"1 to {2**20}")
     rng = np.random.default_rng(rng)

@@ -161,7 +161,7 @@ def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> 
 def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
     """Return the interval of a number in which the visits set aside are most significantly dense.
 
-    With it are the number of rows in it and the p-value.  None if the number is constant, or fewer
+    The number of rows in it and the p-value come with it.  None if the number is constant, or fewer
     than `FEW` visits are set aside.  The arguments are as in `_commonest_text`.
     """
     order = np.argsort(values, kind="stable")

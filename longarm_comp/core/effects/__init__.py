@@ -1,0 +1,1 @@
+"""Effects: the physical causes of errors, each a small twist at one frame; and biases."""

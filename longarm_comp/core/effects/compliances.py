@@ -184,10 +184,10 @@ class LinkBending(Effect):
         return math.log(every / len(self.sites(arm)))
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameters; with the prior, a quarter of the reach bends by 10 mrad.
+        """Return the parameters.
 
-        That is under the typical torque at the start of the link.  A short link of the same section
-        bends less.
+        Their prior is the value with which a quarter of the reach bends by 10 mrad under the
+        typical torque at the start of the link. A short link of the same section bends less.
         """
         return self.with_prior(0.01 / (typical_loads(arm).at(self.row - 1) * reach(arm) / 4))
 

@@ -96,7 +96,7 @@ class DhError(Effect):
         return self.with_prior(*priors.values())
 
     def check(self, arm: Arm, where: str) -> None:
-        """Refuse a length error of more than `ELSEWHERE`, a quarter, of the arm's reach."""
+        """Raise InputError if a length error exceeds `ELSEWHERE`, a quarter, of the arm's reach."""
         most = ELSEWHERE * reach(arm)
         for p in self.declared():
             value = getattr(self, p.name)

@@ -155,13 +155,14 @@ class TelescopeClearance(JointTerm):
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Tell whether a row is a slide with a beam of length `rest` that slides in another one."""
+        """Tell whether a row is prismatic and has a beam that slides in the one before it."""
         return arm.joints[row - 1].type == "prismatic" and _slider(arm, row) is not None
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameters; `give` has a prior that tilts by 3 mrad.
+        """Return the parameters.
 
-        That is under the arm's typical torque, with an overlap of half the body's length.
+        The prior of `give` is the value that tilts the beam by 3 mrad at the arm's typical torque
+        and an overlap of half the body.
         """
         slider = _slider(arm, self.joint)
         body = slider.body_length_m if slider and slider.body_length_m else 1.0
@@ -189,9 +190,10 @@ class TelescopeClearance(JointTerm):
 
 
 def _slider(arm: Arm, row: int) -> Beam | None:
-    """Return the sliding beam of a row, of length `rest`; None if there is none.
+    """Return the beam of a row that slides inside the beam before it; None if there is none.
 
-    Its body must overlap the beam before it over the whole range of the joint.
+    It has ``length: rest`` and a body length in arm.yaml, and its body overlaps the beam before it
+    over the whole range of the joint.
     """
     beams = [b for b in arm.links if b.row == row and b.role == "d"]
     joint = arm.joints[row - 1]

@@ -16,8 +16,8 @@ from longarm_comp.core.effects.link_deflection import extra_sag
 def slowing() -> float:
     """Declare the form field for an exponential slowdown: one over the time constant, 1/h.
 
-    0 means a constant rate.  An instrument warms up in a quarter of an hour or more, ground settles
-    in hours.
+    0 means a constant rate. The upper limit and the tried values follow from usual time constants:
+    a quarter of an hour or more for a warm-up, hours for ground that settles.
     """
     return form(0.0, lower=0.0, upper=36.0, tried=(0.0, 0.25, 1.0, 4.0))
 

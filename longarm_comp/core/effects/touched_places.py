@@ -93,10 +93,10 @@ class TouchBeside(Bias):
         return (*turn, dataclasses.replace(stretch, prior=self.tolerance))
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Subtract the vector from the other point to this one.
+        """Return the tip less the vector from the other point to this one, m.
 
-        This is done in rows that touched this point or one that it carries; the other point's own
-        term subtracts the rest.
+        In rows that touched neither this point nor one that it carries, the tip is returned. The
+        term of the other point subtracts that point's own position.
         """
         turn = spatial.exp_large((0.0, 0.0, 0.0, self.rx, self.ry, self.rz))
         way = spatial.scale(self.distance + self.stretch, turn.rotate((1.0, 0.0, 0.0)))

@@ -43,7 +43,6 @@ class SmallestSize:
     """The smallest size of a candidate that would be accepted.
 
     Attributes:
-        candidate: the possible effect.
         log_bayes_factor: evidence for it in these data.
         size: smallest size in prior standard deviations; infinite if no size could be seen.
         shift_m: RMS shift of the tip by an effect of this size, m; infinite if `size` is.
@@ -68,7 +67,6 @@ def find_smallest_sizes(
 
     Args:
         fit: the fit, with its rows, noise and weights.
-        candidates: the possible effects.
         threshold: log Bayes factor to reach.
 
     Returns:

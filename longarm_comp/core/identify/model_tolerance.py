@@ -31,8 +31,8 @@ On UR5 and three Pandas (1, 4, 6) the evidence is highest at 0.1 to 0.3. But at 
 single soft parts, whose names are then lost (`test_explain.py`), and held-out rows of real arms are
 predicted no better than at 0.03."""
 BACKGROUND_REST = 0.005
-"""The same of all effects that are not elastic.  Beside the findings on Justin and UR5 the evidence
-is highest at 0.005 to 0.008."""
+"""The same share for all effects that are not elastic.  Beside the findings on Justin and UR5 the
+evidence is highest at 0.005 to 0.008."""
 
 
 OF_NOISE = 0.1
@@ -65,7 +65,7 @@ class ModelTolerance(NamedTuple):
 
     @property
     def elastic_share(self) -> float:
-        """Size of an elastic finding, as a share of its prior; at most 1, and 1 for 0."""
+        """Share of its prior that an elastic finding has; at most 1, and 1 if `compliance` is 0."""
         return min(self.compliance, 1.0) or 1.0
 
 

@@ -78,8 +78,8 @@ class Proof:
         """Compute the (M,) error, m, that a command is expected to have at each row, by model.
 
         A bias moves the sighting, not the tip, so a command does not have the error that it
-        explains. The squared errors as seen and as commanded are averaged: the former with the
-        probability that all found biases are really biases, the latter with the rest.
+        explains. The mean of the squared errors as seen and as commanded is taken. The weight of
+        the former is the probability that all found biases are really biases.
 
         Args:
             found: the effects of the fullest model.

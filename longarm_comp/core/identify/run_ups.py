@@ -27,7 +27,8 @@ from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.model.model import Model, slots_of
 
 RUN_UPS = (0.02, 0.035, 0.05, 0.07, 0.1)
-"""Lengths that are tried, rad (for a slide times `SLIDE`, m). Data hardly tell a factor of 1.5."""
+"""Lengths that are tried, rad. A slide moves by the number times `SLIDE`, in m. Data hardly
+distinguish lengths within a factor of 1.5."""
 
 
 def remembers_run_up(term: Effect | Bias) -> bool:
@@ -42,14 +43,18 @@ def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
     """Return the session with a length for the run-ups whose length was not recorded.
 
     Args:
-        run_up: length of all of them, rad; for slides it is times `SLIDE`, in m.
+        run_up: length of all of them, rad; slides move by the number times `SLIDE`, in m.
     """
     slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
     return session.with_run_ups(run_up * np.where(slides, SLIDE, 1.0))
 
 
 def with_fitted_run_ups(session: Session, model: Model) -> Session:
-    """Return the session with unrecorded run-ups of the length with which a model was fitted."""
+    """Set run-ups of unrecorded length to the length with which a model was fitted.
+
+    It is the largest form `run_up` of the model's effects. If there is none, the session is
+    returned unchanged.
+    """
     taken = [float(e.forms["run_up"]) for e in model.effects if remembers_run_up(e)]
     longest = max(taken, default=0.0)
     return with_run_ups(session, model.arm, longest) if longest else session

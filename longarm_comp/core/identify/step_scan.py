@@ -25,8 +25,8 @@ function of the joint; the finest are a twentieth of a degree in 250 degrees."""
 POSITIONS = 2 * COARSEST
 """Number of positions at which a joint must have stood: two on each of the coarsest steps."""
 APART, FINER = 0.25, 20
-"""Distance of the numbers of steps that are tried first (at the end of the range they differ by
-this share of a step), and into how many parts it is divided around the best."""
+"""Difference of the numbers of steps that are tried first: at the end of the range they differ by
+this share of a step. And the number of parts into which it is divided around the best."""
 BEST = 8
 """Number of peaks of the first search, which ignores the geometry, that are searched finely."""
 

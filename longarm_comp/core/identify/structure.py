@@ -33,7 +33,8 @@ WORTH = 0.25
 SMALLEST_M = 5e-5
 """Smallest structure at the tip that counts, m: servos and cameras are not more exact."""
 OF_SPREAD = 2e-4
-"""The same on a small arm, as a share of the median distance of the sightings from their middle."""
+"""Smallest structure on a small arm, as a share of the median distance of the sightings from their
+middle."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def cause_probability(p_value: float) -> float:
 def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
     """Test whether the residual of a fit is a function of any input.
 
-    Each group of columns is compared with the rest of the residual (F test), and the smallest
+    Each group of columns is compared with what it leaves of the residual (F test), and the smallest
     p value is multiplied by the number of groups.  Joint readings that the fit reproduces to their
     encoder's step do not count.
 

@@ -17,7 +17,8 @@ from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.identify.structure import Structure, smallest_that_matters
 
 OFF = 0.5
-"""Smallest excess over the noise, as a share of it, that counts. The noise is known to a tenth."""
+"""Smallest excess over the noise that counts, as a share of the noise, which is known to a tenth.
+"""
 
 
 def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Session]]) -> Structure:

@@ -90,7 +90,8 @@ def solve_compiled(
     context has several values, or the input is invalid and needs an error message.
 
     Args:
-        options: number of equations, tolerance, and weight of a radian (m).
+        target: (3,), m, or (4, 4), base frame.
+        options: number of equations, tolerance (m and rad), and weight of a radian (m).
     """
     key = (None if context is None else context.layout, *options)
     tasks: dict[Any, _Task] = model.memo.setdefault("tasks", {})

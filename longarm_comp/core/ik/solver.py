@@ -113,7 +113,7 @@ def solve(
 ) -> Solution:
     """Find joints that bring the tip to one target: a position (3,), m, or a pose, base frame.
 
-    The other arguments are those of `solve_many`.
+    The other arguments and errors are those of `solve_many`. Raises InputError for another shape.
     """
     if isinstance(target, Frame):
         target = target.matrix()
@@ -170,6 +170,10 @@ def solve_many(
         tol: tolerance of the search on the position (m) and on the angle (rad).
         max_starts: number of starts including the seed; 1 never leaves the seed's branch.
         engine: how to run the search; see `warm_up` for the compiled one.
+
+    Raises:
+        InputError: a shape is wrong, a number is not finite, a pose holds no rotation, or a joint
+            is not known.
     """
     arm = model.arm
     wanted, m = _checked_targets(targets, position_only)
@@ -204,7 +208,10 @@ def solve_many(
 
 
 def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
-    """Return the fault of each of N targets; an empty string for a valid one."""
+    """Return the fault of each of N targets; an empty string for a valid one.
+
+    Raises InputError if their shape is not (N, 3) or (N, 4, 4).
+    """
     if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
         allowed = "shape (N, 3) or (N, 4, 4)"
         raise InputError(where, "targets", f"shape {targets.shape}", allowed)
@@ -253,7 +260,7 @@ def _checked_targets(targets: np.ndarray, position_only: bool) -> tuple[np.ndarr
 def checked_seed(
     model: Model, seed: np.ndarray | None, count: int, where: str = "ik.solve_many"
 ) -> np.ndarray:
-    """Return checked starts (N, n), clipped to the limits."""
+    """Return starts (N, n), clipped to the limits. Raises InputError for a wrong shape or value."""
     arm = model.arm
     given = np.asarray(arm.mid if seed is None else seed, dtype=float)
     if given.shape not in ((arm.n,), (count, arm.n)):
@@ -268,7 +275,7 @@ def checked_seed(
 
 
 def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
-    """Return 0-based numbers in q of joints given by number or name."""
+    """Return 0-based numbers in q of joints by number or name. Raises InputError if not known."""
     names = model.arm.joint_names
     indices = []
     for joint in locked:

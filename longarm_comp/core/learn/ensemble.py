@@ -63,6 +63,10 @@ def train(
         network: a network to train instead of the paper's (docs/your_own_network.md).
         progress: called with (networks trained, largest number of networks).
         provenance: arm, session and model of the predictor; the settings are added.
+
+    Raises:
+        InputError: fewer than 20 rows, a wrong shape or value, rows of one pose, or no GPU for
+            ``cuda``.
     """
     q, known = check_rows("train", q, context)
     y = _checked_targets(q, residual)

@@ -102,7 +102,10 @@ def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
-    """Return the encoding of training rows; ``q`` and ``context`` as `check_rows` returns them."""
+    """Return the encoding of training rows; ``q`` and ``context`` as `check_rows` returns them.
+
+    Raises InputError if `kind` is not known or all rows have one pose.
+    """
     if kind not in INPUT_KINDS:
         raise InputError("train", "inputs", kind, f"one of {sorted(INPUT_KINDS)}")
     used = tuple(name for name in INPUT_KINDS[kind] if context.has(name))
@@ -118,7 +121,10 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
 
 
 def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Context]:
-    """Return checked joints, a finite (N, n) array, and circumstances of matching shape."""
+    """Return joints as a finite (N, n) array, and circumstances of matching shape.
+
+    Raises InputError for a wrong shape or value; ``where`` names the source.
+    """
     q = np.asarray(q, float)
     if q.ndim != 2 or q.shape[1] == 0:
         raise InputError(where, "q", f"shape {q.shape}", "(N, n) joint values")

@@ -95,7 +95,8 @@ class TorchMembers:
 def load_file(path: str | Path) -> NetworkKind:
     """Execute a Python file that defines ``network(inputs, outputs)``; return its network.
 
-    The network has the name of the file without ``.py``.
+    The network has the name of the file without ``.py``. Raises InputError if the file cannot be
+    executed or defines no such function.
     """
     path = Path(path)
     module = execute_file(path, "network")
@@ -108,7 +109,10 @@ def load_file(path: str | Path) -> NetworkKind:
 
 
 def choose_network(given: str | Path) -> NetworkKind:
-    """Return the network of an installed package by its name, or that of a Python file."""
+    """Return the network of an installed package by its name, or that of a Python file.
+
+    Raises InputError if no package has it; for a file as `load_file`.
+    """
     if found := _of_packages().get(str(given)):
         return found
     if Path(given).suffix != ".py":

@@ -68,7 +68,7 @@ class _Header(Declared):
 
 
 def check_ending(path: str | os.PathLike[str], of_others: bool) -> None:
-    """Check that a file's ending fits the kind of its network.
+    """Raise InputError if a file's ending does not fit the kind of its network.
 
     Args:
         of_others: whether the network is from outside the package.
@@ -133,6 +133,10 @@ def load(
         arm_hash, joint_names: of the arm; None: not checked.
         model_hash: SHA-256 of model.yaml; empty for the declared arm; None: not checked.
         model: name of the model, for the error message.
+
+    Raises:
+        InputError: the file is damaged, or belongs to another arm or model, or its network is not
+            known.
     """
     header, arrays = _read(path)
     network, d = None, arrays["kept"].size

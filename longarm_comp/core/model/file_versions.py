@@ -53,7 +53,7 @@ def _beside(path: str | Path, what: str) -> Path:
 
 
 def replace_file(path: Path, to: str | Path) -> None:
-    """Move a file to the place of another."""
+    """Move a file to the place of another. Raises InputError if it may not be replaced."""
     try:
         os.replace(path, follow_link(to))
     except OSError as error:

@@ -95,13 +95,14 @@ def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
 _LOOK_M = 0.005
 """Depth (m) in a box up to which the check may miss the arm; half the box's thickness if less."""
 _AT_ONCE = 64
-"""Most parts into which a piece of a motion is cut at a time: one posture takes about as long."""
+"""Largest number of parts into which a piece of a motion is cut at a time: so many postures take
+about as long as one."""
 _TOGETHER = 4096
-"""Most postures that are checked at a time, for their memory."""
+"""Largest number of postures that are checked at a time: it limits the memory."""
 _MOST_LOOKS = 100_000
-"""Postures after which the check of a motion gives up: some seconds."""
+"""Number of postures after which the check of a motion gives up: some seconds."""
 _DRIVERS_LOOKS = 800
-"""The same for a driver, which does nothing else meanwhile: 45 ms with five boxes."""
+"""The same number for a driver, which does nothing else meanwhile: 45 ms with five boxes."""
 _TOO_LONG = (
     "keep_out: so long a way so near a box takes too long to check; allowed: shorter parts of it, "
     "or a thicker box"

@@ -232,7 +232,11 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
 
 
 def undo(path: str | Path) -> None:
-    """Restore the previous version, byte for byte."""
+    """Restore the previous version, byte for byte.
+
+    Raises:
+        InputError: there is no previous version, or it is not valid.
+    """
     settle(path)
     kept = previous(path)
     if not kept.is_file():
@@ -242,7 +246,11 @@ def undo(path: str | Path) -> None:
 
 
 def read_stored(path: str | Path) -> StoredModel:
-    """Return the file's contents, validated."""
+    """Return the file's contents, validated.
+
+    Raises:
+        InputError: the file cannot be read or is no YAML, or a key or value is not allowed.
+    """
     return parse_declared(StoredModel, read_yaml(path), str(path))
 
 
@@ -261,6 +269,10 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
 
     Args:
         where: the file, for error messages.
+
+    Raises:
+        InputError: the model belongs to another arm, an effect, place or parameter is not known, an
+            effect is given twice, or a value is not allowed.
     """
     if stored.arm.hash != arm.hash:
         mine = f"the arm given: {arm.name} {arm.hash[:12]}"

@@ -28,7 +28,8 @@ from longarm_comp.core.model.model import Model
 Criterion = Literal["i-optimal", "d-optimal"]
 Measure = Literal["position", "pose", "distance", "touch"]
 POOL, REFERENCE = 1024, 256
-"""Least number of poses to choose from, and number of poses over which the tip's error counts."""
+"""Smallest number of poses to choose from, and number of poses over which the tip's error counts.
+"""
 AHEAD = 20
 """Number of further poses that are chosen, only to say what they would bring."""
 WIDEST = 1.0
@@ -37,7 +38,8 @@ ANEW = 1e-3
 """Share of its start to which the largest `own` of the poses may fall before everything is computed
 anew: the differences that update it lose as many digits."""
 PASSES = 2
-"""Times at most that every pose is exchanged: each costs as much as the first choice."""
+"""Largest number of rounds in which every pose is exchanged: each costs as much as the first
+choice."""
 
 
 @dataclass(frozen=True, eq=False)

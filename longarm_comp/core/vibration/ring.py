@@ -70,6 +70,9 @@ def find_amplitudes(
         joints: (M, n, P) rad and m.
         damping: damping ratio of every mode.
         factors: (F,) factors on all frequencies; each gives a result.
+
+    Raises:
+        InputError: the damping is not between 0 and 1.
     """
     if not 0.0 < damping < 1.0:
         raise InputError("ringing", "damping", damping, "above 0 and below 1")
@@ -157,7 +160,7 @@ def ring_of_moves(
 
 
 REST_S = 0.3
-"""Least time to rest, s, which servos and cameras need; used if arm.yaml declares no damping."""
+"""Shortest time to rest, s, which servos and cameras need; used if arm.yaml declares no damping."""
 
 
 def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None) -> float:
@@ -180,7 +183,7 @@ def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None)
 
 
 _LOOKED_AT = 32
-"""Most moves whose rings are computed."""
+"""Largest number of moves whose rings are computed."""
 
 
 @dataclass(frozen=True)

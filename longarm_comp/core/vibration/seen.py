@@ -18,7 +18,7 @@ from longarm_comp.core.vibration.modes import Modes
 from longarm_comp.core.vibration.ring import USUAL_DAMPING
 
 LEAST = 12
-"""Least number of sightings to which a wave is fitted."""
+"""Smallest number of sightings to which a wave is fitted."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ GOAL_TICKS = 8
 AGREE_TICKS = 40
 """Largest difference of two readings in succession that are believed: 3.5 degrees of a servo.
 
-A hand that moves a free arm turns no servo so far between two readings (some ms), and a byte that
-is damaged changes a position by less only where the jump to it is as small.
+A hand that moves a free arm turns no servo so far between two readings (some ms), and a damaged
+byte that changes a position by less causes as small a jump only.
 """
 
 Change = tuple[bytes, bytes]

@@ -21,7 +21,8 @@ class SerialPort:
         reply_timeout_s: longest wait for an answer, s, beyond the time of its bytes on the wire.
 
     Raises:
-        BusUnplugged: the port cannot be opened or another process holds it.
+        BusUnplugged: the port cannot be opened, another process holds it, or (from `send` and
+            `receive`) it is gone.
     """
 
     def __init__(self, path: str, baudrate: int, reply_timeout_s: float = 0.02) -> None:

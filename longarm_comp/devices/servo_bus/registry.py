@@ -24,6 +24,7 @@ GROUP = "longarm_comp.servo_protocols"
 
 @cache
 def protocols() -> dict[str, type[Dialect]]:
+    """Return all protocols by name. Raises InputError if a package registers a taken name."""
     known: dict[str, type[Dialect]] = {kind.name: kind for kind in (FeetechSts, DynamixelX)}
     for kind, source in protocols_of_other_packages(GROUP, Dialect):
         names = [kind.name, *(model.name for model in kind.models)]
@@ -63,7 +64,8 @@ _ALL_IDS = range(253)
 _PATIENCE_S = 0.2
 """Longest wait, s, for a servo that may already have the id that is to be given."""
 _LOOKS, _DAMAGED = 5, 2
-"""Number of states that are read from a found servo; damaged replies that make it a clash."""
+"""Number of states that are read from a found servo, and number of damaged replies from which on
+several servos seem to have its id."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,7 @@ class FoundServo:
     alarm: str = ""  # its present alarms, in words
     memory: Mapping[str, int] = field(default_factory=dict)
     """Registers that decide what a command means to the servo, by name."""
-    told: str = ""  # those that are not as from the factory or differ among models, with addresses
+    told: str = ""  # registers not as from the factory, or that differ among models, with addresses
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,6 @@ def scan_line(
 
     Args:
         protocol, baudrate: the only one to try; None: all known ones, one after the other.
-        ids: ids that are asked.
         reply_timeout_s: longest wait per id, s.
         tell: called with a text about the present id, and the share done, 0 to 1.
         expected: ids that should be there. If one is silent, it is asked again with ten times the
@@ -140,6 +141,7 @@ def scan_line(
 
     Raises:
         BusUnplugged: the port cannot be opened, or does not have the rate.
+        InputError: the protocol is not known.
     """
     if protocol is not None and protocol not in protocols():
         raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
@@ -226,8 +228,9 @@ def change_servo_id(found: Scan, servo_id: int) -> int:
 
     Raises:
         InputError: the new id is not 0 to 252.
-        JobError: several servos are on the line, another servo has the new id, or the servo does
-            not answer to it.
+        JobError: not exactly one servo is on the line, the ids of this protocol can only be set
+            with the maker's tool, another servo has the new id, or the servo does not answer to it.
+        BusUnplugged: the port cannot be opened.
     """
     if servo_id not in _ALL_IDS:
         raise InputError("servo set-id", "ID", servo_id, f"0 to {_ALL_IDS[-1]}")

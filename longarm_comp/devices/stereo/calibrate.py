@@ -39,8 +39,8 @@ def calibrate_stereo(
 ) -> StereoCalibration:
     """Fit intrinsics with plumb-bob distortion of both cameras and the transform between them.
 
-    Pairs whose triangulation residual exceeds twice the median are left out, and the rest is fitted
-    again: a hand-held board moves between exposures that are not simultaneous.
+    Pairs whose triangulation residual exceeds twice the median are left out, and the others are
+    fitted again: a hand-held board moves between exposures that are not simultaneous.
 
     Args:
         pairs: corners in the left and the right image of each pair.

@@ -22,7 +22,8 @@ _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 def pair_files(folder: Path) -> list[tuple[Path, Path]]:
     """List the left and right image files of a folder, in the order of their names.
 
-    For instance ``left/3.png`` and ``right/3.png``, or ``left3.png`` and ``right3.png``.
+    For instance ``left/3.png`` and ``right/3.png``, or ``left3.png`` and ``right3.png``. Raises
+    InputError if there is no folder, no pair, or an image without its partner.
     """
     allowed = "a folder of images whose names have left and right in them, otherwise the same"
     if not folder.is_dir():
@@ -94,6 +95,7 @@ def write_camera(path: Path, name: str, camera: CameraInfo, head: str) -> None:
 
 
 def read_camera(path: Path) -> CameraInfo:
+    """Read a file of `write_camera`. Raises InputError for an entry that is missing or wrong."""
     data = read_yaml(path)
     values: dict[str, tuple[float, ...]] = {}
     for key, (field, rows, columns) in _MATRICES.items():

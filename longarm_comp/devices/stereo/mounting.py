@@ -11,7 +11,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView
 
 _TOLD_FROM = 3
-"""Fewest views for a check, because in one view the board may be held in an unusual way."""
+"""Smallest number of views for a check: in a single one the board may be held in an unusual way."""
 _LEAST_OFF_PX, _TELLING_SHARE = 3.0, 0.3
 """Epipolar distance, px, above which pairs are suspect (lens distortion causes less); and the share
 of it below which another pairing of the pictures counts as the right one."""

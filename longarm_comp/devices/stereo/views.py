@@ -14,9 +14,10 @@ from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
 FEWEST_CORNERS = 8
-"""Fewest corners seen by both cameras: four determine a plane's image, four more average noise."""
+"""Smallest number of corners seen by both cameras: four determine a plane's image, four more
+average noise."""
 FEWEST_VIEWS = 10
-"""Fewest views, as OpenCV's guide to calibration recommends."""
+"""Smallest number of views, as OpenCV's guide to calibration recommends."""
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
 _NEW_PLACE, _NEW_SIZE, _NEW_TILT_DEG = 0.12, 0.12, 10.0
 """A view is new if the board moved by this share of the image's width, changed its distance by this

@@ -1,4 +1,4 @@
-"""The visits of a plan of poses in the order to drive them, and checks that speak against them."""
+"""The visits of a plan of poses, in driving order, and the checks of them before the arm moves."""
 
 from __future__ import annotations
 
@@ -51,6 +51,9 @@ def list_visits(
     Args:
         repeats: number of poses, drawn at random, that are visited two more times.
         shuffle: drive in random order, so that effects of time and pose can be told apart.
+
+    Raises:
+        InputError: there are more repeats than poses.
     """
     if not 0 <= repeats <= len(plan):
         raise InputError("collect", "--repeats", repeats, f"0 to {len(plan)} (poses of the plan)")
@@ -140,7 +143,7 @@ def plan_checks(
 
 
 def blocked_visits(checks: Sequence[PlanCheck], visits: Sequence[Visit]) -> dict[int, str]:
-    """Return by its index, for each visit that must not be driven, the first reason."""
+    """Return the first reason against each visit that must not be driven, by index of the visit."""
     found: dict[int, str] = {}
     for check in checks:
         for visit, fault in zip(visits, check.faults, strict=True):
@@ -159,6 +162,7 @@ def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
 
 
 def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: object) -> None:
+    """Raise InputError if a visit must not be driven."""
     found = blocked_visits(checks, visits)
     for index, why in found.items():
         others = f" (and {len(found) - 1} more poses)" if len(found) > 1 else ""

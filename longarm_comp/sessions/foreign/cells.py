@@ -105,6 +105,10 @@ def read_cells(
         sheet: name of the workbook's sheet; by default its only one.
         decimal: decimal sign of a text file; by default the one that the cells show.
         columns: names of the columns, instead of those in the header.
+
+    Raises:
+        InputError: the file is no readable table, a row has more or fewer cells, or names are
+            missing.
     """
     where = str(path)
     if path.suffix.lower() in WORKBOOK:

@@ -128,6 +128,10 @@ def find_columns(
         arm: tells names and types of the joints; None: joints without a unit are revolute.
         apart: names of columns to leave out, because they are read as an orientation.
         axes: ``x``, ``y`` or ``z`` by index of a column that was recognised as a coordinate.
+
+    Raises:
+        InputError: a mapped name, unit or column is not allowed, a unit is missing, or two columns
+            have one meaning.
     """
     where = cells.where
     mapped = {cells.place(key, "--map"): key for key in given}

@@ -50,6 +50,9 @@ def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str,
 
     Returns:
         The table; and notes that say how near the times are, and which rows have no partner.
+
+    Raises:
+        InputError: a value occurs twice in a further table, or no rows belong together.
     """
     made, *others = map(_with_points, tables)
     notes: list[str] = []

@@ -14,7 +14,8 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.foreign.units import CONVENTIONS, Rotation
 
 _FEWEST = 10
-"""Fewest rows: their thirty coordinates determine the nine unknowns of base and tool."""
+"""Smallest number of rows: their thirty coordinates determine the nine unknowns of base and tool.
+"""
 _CLEAR = 2.0
 """A convention is clearly worse than the best if its error is above this many times the best."""
 

@@ -161,7 +161,11 @@ class _Imported:
 
 
 def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _Imported:
-    """Read a table of another program, or several that make one session."""
+    """Read a table of another program, or several that make one session.
+
+    Raises InputError if a file, an option or a cell is wrong, or joints or measurements are
+    missing.
+    """
     files = tuple(map(Path, [path] if isinstance(path, str | Path) else path))
     tables = [read_cells(file, options.sheet, options.decimal, options.columns) for file in files]
     cells, arm = tables[0], options.arm

@@ -39,7 +39,10 @@ class Form:
         return re.compile(f"(?i)(?P<heading>.*?)(?P<word>{word})(?P<part>{parts})[\\])]?")
 
     def read(self, name: str) -> tuple[str, str, int] | None:
-        """Split a name without unit into heading, word and index in `parts`; None if not so."""
+        """Split a name without unit into heading, word and index in `parts`.
+
+        None if the name does not have this form.
+        """
         found = self._name_pattern.fullmatch(name)
         if found is None:
             return None
@@ -82,7 +85,13 @@ FORMS = (
 
 @dataclass(frozen=True)
 class Found:
-    """Columns of one form; `places` are their indices in the table, in the order of its parts."""
+    """The columns of a table that have one form.
+
+    Attributes:
+        heading: text before the word in every name, such as the name of a marker; may be empty.
+        word: the word of the form in these names.
+        places: indices of the columns, in the order of `Form.parts`.
+    """
 
     form: Form
     heading: str

@@ -124,7 +124,10 @@ OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
 
 
 def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> HiddenEffect:
-    """Return an effect by name, `dose` times its typical size, at a random place."""
+    """Return an effect by name, `dose` times its typical size, at a random place.
+
+    Raises InputError if the name is not known.
+    """
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
     return HIDDEN[name](arm, rng).scale_by(dose)
@@ -163,6 +166,9 @@ def scale_to_size(
     Args:
         poses: (N, n) joints, rad and m; 60 random ones by default.
         seen: returns the seen tip (N, 3), m, with an effect; it is called like `moved_tip`.
+
+    Raises:
+        InputError: the effect does not move this arm.
     """
     poses = rng.uniform(arm.lower, arm.upper, (60, arm.n)) if poses is None else poses
     context = typical_context(len(poses), arm, rng)

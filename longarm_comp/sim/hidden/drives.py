@@ -121,8 +121,7 @@ class ServoLag(HiddenEffect):
 
 @dataclass(frozen=True)
 class _Resting(HiddenEffect):
-    """A joint that rests at one end of a free motion: by its load where |torque| > gate, else by
-    its side of approach."""
+    """A joint at one end of a free motion: by its load where |torque| > gate, else by its side."""
 
     gated = True
     half: Array  # half of the way from side to side, (n,), rad or m

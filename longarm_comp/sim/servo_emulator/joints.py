@@ -70,7 +70,10 @@ class EmulatedArm:
 
 
 def read_arm(path: str | Path) -> EmulatedArm:
-    """Read a servo driver's YAML, plain or as ROS parameters."""
+    """Read a servo driver's YAML, plain or as ROS parameters.
+
+    Raises InputError if an entry is missing or wrong.
+    """
     data = read_yaml(path)
     if isinstance(data, dict) and len(data) == 1:
         (only,) = data.values()

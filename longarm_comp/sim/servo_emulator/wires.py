@@ -16,7 +16,10 @@ GROUP = "longarm_comp.servo_wires"
 
 @cache
 def list_wires() -> dict[str, Wire]:
-    """Return the servos' side of all protocols that are emulated, by name."""
+    """Return the servos' side of all protocols that are emulated, by name.
+
+    Raises InputError if a package registers a name that is taken.
+    """
     known: dict[str, Wire] = {wire.name: wire for wire in (FeetechWire(), DynamixelWire())}
     for kind, source in protocols_of_other_packages(GROUP, Wire):
         if kind.name in known:
@@ -26,7 +29,7 @@ def list_wires() -> dict[str, Wire]:
 
 
 def wire_of(protocol: str, where: object) -> Wire:
-    """Return the servos' side of a protocol. Refuses one that is not emulated."""
+    """Return the servos' side of a protocol. Raises InputError for one that is not emulated."""
     if protocol not in list_wires():
         allowed = f"for a simulated arm {', '.join(list_wires())} (docs/add_a_protocol.md)"
         raise InputError(where, "protocol", protocol, allowed)

@@ -96,7 +96,6 @@ class Functions:
         of: class of quantity that each function must depend on; None: any.
 
     Attributes:
-        listed: the functions.
         groups: the groups of functions that are fitted together at one component.
         each_joint: sets of (commanded joint, function) that are fitted together, each function
             along its joint's own axis.

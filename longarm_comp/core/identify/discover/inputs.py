@@ -62,7 +62,7 @@ class FunctionInput:
 
     @cached_property
     def low(self) -> float:
-        """Least value in the data."""
+        """Smallest value in the data."""
         return float(self.values.min())
 
     @cached_property
@@ -91,7 +91,6 @@ class FunctionInputs:
     """The quantities that a discovered function may depend on, no two of them alike (`ALIKE`).
 
     Attributes:
-        all: the quantities.
         shared: names of those that all joints share (sum of loads, time, recorded columns).
         joints: number of commanded joints; 0 on the measuring side.
     """
@@ -174,7 +173,7 @@ def read_camera_inputs(points: np.ndarray, session: Session) -> FunctionInputs:
 def _list_names(
     arm: Arm, session: Session, columns: tuple[str, ...], remembering: Collection[int]
 ) -> Iterator[str]:
-    """Yield the names of all quantities to try, the plainest first: of equal ones it is kept."""
+    """Yield the names of all quantities to try, plainest first: of equal ones the first is kept."""
     joints = range(1, arm.n + 1)
     rows = [joint.id for joint in arm.joints]
     yield from (f"q{j}" for j in joints)

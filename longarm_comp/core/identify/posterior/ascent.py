@@ -52,7 +52,6 @@ def find_explanation(
     place, and the offers are admitted again. The explanation of higher evidence is kept.
 
     Args:
-        bank: the offers.
         known: numbers of the offers that were found before.
         begun: the effects of an earlier explanation by the same offers. If given, the ascent also
             starts from these instead of `known`, and there is no restart.

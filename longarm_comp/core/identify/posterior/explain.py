@@ -134,9 +134,9 @@ def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> Explain
 def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
     """Return the best state of an arm that declares no weights.
 
-    The search also starts from each elastic effect at all of its places, if these are better.
-    Such an arm's weights are estimated only by a fit: without an elastic effect they have no
-    columns, and after a fit with the wrong effect the columns favour the wrong part.
+    The search also starts from each elastic effect at all of its places, if that has a higher
+    evidence. Such an arm's weights are estimated only by a fit: without an elastic effect they have
+    no columns, and after a fit with the wrong effect the columns favour the wrong part.
     """
     best = search.repeat_until_best(state)
     for c in search.candidates:

@@ -34,7 +34,6 @@ class ExplainedSession:
         noise: the last estimate of the noise.
         doubtful: effects whose presence is in doubt; they are not in the model.
         candidates: the library as it was offered last.
-        tolerance: the model tolerance.
         linear: the linear stage of the search, which can be repeated on other rows.
     """
 

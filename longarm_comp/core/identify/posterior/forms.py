@@ -1,8 +1,9 @@
 """Moves the scales of forms, such as a threshold, to where the evidence is highest.
 
-A row on the wrong side of a threshold errs by the whole jump.  So it is set aside as an outlier,
-and its information is lost, which would have moved the threshold.  Therefore, if rows were set
-aside, the form with which most rows agree is sought first, and no row counts more than an outlier.
+A row on the wrong side of a threshold is off by the whole jump, so it is set aside as an outlier.
+Then the information that would have moved the threshold is lost. Therefore, if rows were set aside,
+the form with which most rows agree is sought first (`measure_agreement`). In this comparison
+outliers count too, each like a row at the limit of an outlier.
 """
 
 from __future__ import annotations
@@ -31,7 +32,6 @@ def find_better_forms(
 
     Args:
         fit: the fit that holds the terms.
-        terms: the terms to try.
         candidates: the library; its values of the scales are tried first.
 
     Returns:

@@ -104,7 +104,7 @@ class SingleEffect:
 
     Attributes:
         offered: the C offers of the bank.
-        q: (C,) probability of every offer; the rest to 1 is the probability of no effect.
+        q: (C,) probability of every offer; no effect has 1 less their sum.
         mean: (K,) mean coefficients of the bank's columns.
         changed: what is left of offers that lost places to other effects, by offer number.
     """

@@ -78,7 +78,7 @@ class OfferTable:
     def of(cls, products: Products, numbered: Mapping[int, Offer]) -> list[OfferTable]:
         """Make a table of the offers with one coefficient, and one of those with several.
 
-        Most have one. A table without offers is left out.
+        Most offers have one. A table without offers is left out.
         """
         wide = {n: len(offer.column_numbers) > 1 for n, offer in numbered.items()}
         parts = ({n: numbered[n] for n in wide if wide[n] == more} for more in (False, True))

@@ -40,7 +40,7 @@ tolerance, may raise the log evidence by forty (the touches of an iiwa 14 need m
 
 @dataclass(frozen=True)
 class PosteriorResult:
-    """The posterior over the offers of one bank: the best explanation, split by probability.
+    """The posterior over the offers of one bank: the best explanation, divided by probability.
 
     Attributes:
         found: its effects with a presence of at least 95 %.
@@ -60,13 +60,10 @@ class OfferedEffects:
     """The offers at a fit, with the candidates that they stand for.
 
     Attributes:
-        fitted: the fit.
         candidates: the candidates, in the order of the bank's offers.
-        bank: the offers.
         widths: (K,) units of the bank's columns.
         known: numbers of the offers that were found before.
         base: log evidence without any effect.
-        tolerance: the model tolerance.
     """
 
     fitted: ModelFit
@@ -131,7 +128,7 @@ class OfferedEffects:
         return tuple(made)
 
     def evidence_of(self, explained: PosteriorResult) -> float:
-        """Return the log evidence, at this tolerance, of an explanation by another tolerance."""
+        """Return the log evidence, at this tolerance, of an explanation found at another one."""
         offers = []
         for effect in explained.effects:
             whole, kept = self.bank.offers[effect.best], effect.offer.keys
@@ -145,7 +142,10 @@ class OfferedEffects:
 
     @cached_property
     def evidence_pruned(self) -> float:
-        """Log evidence of these without the effects and places that do not raise it enough."""
+        """Log evidence of the effects found before, less those that raise it too little.
+
+        Their places that raise it too little are left out too.
+        """
         offers = [self.bank.offers[n] for n in self.known]
         offers = [offers[k] for k in self.bank.worth_their_price(offers)]
         return self.base + max(map(self.bank.evidence, (offers, self._drop_idle_places(offers))))
@@ -186,8 +186,7 @@ class OfferedEffects:
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
     def _add_rivals(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
-        """Return an effect with its rivals: all names that may be true instead, at their best
-        places.
+        """Return an effect with its rivals: all other names that may be true, at their best places.
 
         If no measurement distinguishes some names, the likeliest is judged and they share its
         probability.
@@ -241,8 +240,8 @@ class OfferedEffects:
     ) -> Iterator[tuple[int, Offer, list[Offer]]]:
         """Yield the offers that may replace offer k, with a log evidence of at least about `least`.
 
-        Each comes with its number and with the offers that stay beside it. If another of the
-        offers has the same name as a named replacement, this is replaced too.
+        Each comes with its number and with the offers that stay beside it. If the replacement is a
+        named effect of another name than offer k, other offers of its name are replaced too.
         """
         others = [*offers[:k], *offers[k + 1 :]]
         may, most = [], []

@@ -1,8 +1,8 @@
 """Makes the bank of offers of a session: the library, and functions without a name.
 
 Every name has the same prior probability, which is divided among its places and forms.  All
-functions without a name have a twentieth together.  For each effect in the model there are further
-columns, because the form of no effect is exact (`FORMS`).
+functions without a name together have the prior probability `UNNAMED`.  For each effect in the
+model there are further columns, because the form of no effect is exact (`FORMS`).
 """
 
 from __future__ import annotations
@@ -58,7 +58,6 @@ def make_offers(
         library: the named effects.
         functions: functions without a name.
         found: the effects found so far; they stay on offer in their present form.
-        tolerances: the model tolerances.
         others: whether to offer more than `found`.
         near: a similar fit with the same rows and noise, at which the background columns are
             computed. Default: `fitted`.
@@ -213,8 +212,8 @@ def _besides_findings(
 
     They are what every arm has a little of (`model_tolerance.py`), and errors of the forms of the
     found effects.  The error of a form varies with every joint by its `_principal_functions`.  A
-    row so near to a threshold that the tolerance decides its side gets a column of its own, so it
-    tells nothing of its side.
+    row so near to a threshold that the tolerance decides its side gets a column of its own, so its
+    side has no influence.
 
     Returns:
         (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
@@ -254,8 +253,9 @@ def _besides_findings(
 def _principal_functions(values: np.ndarray) -> np.ndarray:
     """Compute two principal components (N, k) of the Legendre polynomials of a joint (N,).
 
-    With a line and a parabola in their place an error of a form explained a gain of 1 % beside a
-    soft joint; with all six functions the palletiser's model left a structure in time.
+    Two are a compromise. With a line and a parabola instead, an error of a form explained a gain of
+    1 % beside a soft joint. With all six polynomials the palletiser's model left a structure in
+    time.
     """
     ways, sizes, _ = np.linalg.svd(legendre_polynomials(values), full_matrices=False)
     return (ways * math.sqrt(len(values)))[:, sizes > 1e-6 * sizes.max(initial=0.0)][:, :2]

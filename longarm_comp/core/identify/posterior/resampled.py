@@ -39,8 +39,6 @@ class Resampling:
     Attributes:
         fit: the fit of the geometry and the found effects, without the background compliance.
         candidates, functions: the library and the functions without a name on offer.
-        found: the found effects.
-        tolerance: the model tolerance.
         of_halves: the effects found by a search on each half of the rows.
     """
 

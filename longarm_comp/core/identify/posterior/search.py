@@ -149,7 +149,6 @@ class ExplanationSearch:
 
         Args:
             fitted: the fit that holds the effects.
-            found: the effects.
 
         Returns:
             The highest log evidence, and its tolerance.
@@ -160,14 +159,13 @@ class ExplanationSearch:
     def evidence_of_all(
         self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit
     ) -> float:
-        """Return the log evidence of an explanation with all of its effects.
+        """Return the log evidence of an explanation with all effects, at its best tolerance.
 
         None is dropped, because the columns, which are linearised, tell little about the arm
         without a large effect.
 
         Args:
             fitted: the fit that holds the effects.
-            found: the effects.
             near: as in `make_offers`.
         """
         every = self.offer_by_tolerance(fitted, found, others=False, **near)
