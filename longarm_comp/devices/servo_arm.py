@@ -91,7 +91,7 @@ class ServoArm:
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
         self.owing_off = stopped  # torque off was not confirmed yet
-        self._unheld: set[int] = set()  # servos that have not confirmed the goal of a fault
+        self._unheld: set[int] = set()  # servos that are not known to hold since a fault
         self._cycles = 0
         self._missed: set[int] = set()  # servos not heard since all were read to be driven
         self._lost: set[int] = set()  # servos that may have lost their power under torque
@@ -326,7 +326,10 @@ class ServoArm:
         if driving and self.follower.is_fresh(now):
             self._stood = {i: state.position_ticks for i, state in states.items()}
         stopped = step.state is FollowerState.FAULT
-        self._unheld = set(step.goals or self._unheld) if stopped else set()
+        if not stopped:
+            self._unheld.clear()
+        elif step.goals is not None:  # the fault has just begun
+            self._unheld = set(self._ids)
         if self.bus is not None and self.powered:
             try:
                 if stopped:  # until it is confirmed: a servo that lost a goal drives on
@@ -338,16 +341,15 @@ class ServoArm:
         return Cycle(step, self._convert_states(states), states, trouble)
 
     def _hold_unheld(self, bus: SerialServoBus) -> None:
-        """Hold driven servos at their last read positions, until they have confirmed it.
+        """Hold servos where they are, once each is heard, trusted and driven, until it confirms it.
 
-        Other servos get no goal, because a goal would switch their torque on.
+        Servos without torque get no goal, because a goal would switch it on.
         """
         goals = self.follower.find_holding_goals()
-        asked = self._unheld & goals.keys()
-        driven = bus.driven(sorted(asked))
-        held = {i: goals[i] for i in asked if driven[i]}
+        driven = bus.driven(sorted(self._unheld & goals.keys()))
+        held = {i: goals[i] for i, on in driven.items() if on}
         missing = bus.hold(held)
-        self._unheld = (self._unheld - asked) | missing
+        self._unheld -= held.keys() - missing
         if missing:
             raise IncompleteReply("servos have not confirmed where they hold", ids=sorted(missing))
 

@@ -84,6 +84,34 @@ class FollowerConfig(ServoSettings):
     )
 
 
+def _check_turns(where: str, joint: JointConfig, off_ticks: float) -> None:
+    """Refuse limits that the servo cannot reach, or near which its encoder jumps within one turn.
+
+    A servo that its load pushes past the jump would turn round to its goal the other way.
+
+    Args:
+        where: name of the joint's section.
+        off_ticks: how far from its goal a servo may rest, ticks.
+    """
+    (low, high), away = joint.goal_range, 0.0 if joint.multi_turn else off_ticks
+    ticks = [joint.exact_ticks(limit) for limit in (joint.lower, joint.upper)]
+    for field, at in zip(("lower", "upper"), ticks, strict=True):
+        if low + away - 0.5 <= at <= high - away + 0.5:
+            continue
+        ends = sorted((joint.to_si(low + away), joint.to_si(high - away)))
+        allowed = f"{ends[0]:.6g} to {ends[1]:.6g} {joint.unit} in its turns"
+        if not joint.multi_turn:
+            allowed += f", {away:g} ticks (stall_error_ticks) from where the encoder jumps"
+            middle, reads = (low + high) / 2, sum(ticks) / 2
+            if abs(ticks[1] - ticks[0]) <= high - low - 2.0 * away:
+                allowed += f"; mount the horn so that the middle of the range reads {middle:.0f}, "
+                allowed += f"not {reads:.0f}, or"
+            else:
+                allowed += ";"
+            allowed += " multi_turn: true gives more turns"
+        raise Misdeclared(f"{where}.{field}", getattr(joint, field), allowed)
+
+
 class ServoConfig(ServoSettings):
     """Configuration of all servos of an arm; ``joints`` keeps the order of the file."""
 
@@ -104,14 +132,7 @@ class ServoConfig(ServoSettings):
             if joint.servo.protocol != self.bus.protocol:
                 known = [m.name for m in models().values() if m.protocol == self.bus.protocol]
                 raise Misdeclared(f"{where}.model", joint.model, "one of " + ", ".join(known))
-            low, high = joint.goal_range
-            for field, limit in (("lower", joint.lower), ("upper", joint.upper)):
-                ticks = joint.zero_ticks + joint.direction * limit / joint.si_per_tick
-                if not low - 0.5 <= ticks <= high + 0.5:
-                    ends = sorted((joint.to_si(low), joint.to_si(high)))
-                    hint = "" if joint.multi_turn else "; multi_turn: true gives more turns"
-                    allowed = f"{ends[0]:.6g} to {ends[1]:.6g} {joint.unit} in its turns{hint}"
-                    raise Misdeclared(f"{where}.{field}", limit, allowed)
+            _check_turns(where, joint, self.follower.stall_error_ticks)
             if joint.max_speed_ticks_s > joint.fastest_ticks_s * (1.0 + 1e-6):
                 top = f"{joint.fastest_ticks_s * joint.si_per_tick:.4g} {joint.unit}/s"
                 allowed = f"at most {top}, as fast as a {joint.model} moves it; "

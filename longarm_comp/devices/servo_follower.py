@@ -1,8 +1,8 @@
 """Follows a joint trajectory: computes bounded servo goals step by step from the read-back.
 
 It uses neither ROS nor a port. The caller reads the bus, calls ``step`` with the states and sends
-the goals that ``step`` returns (`ServoArm.cycle`). On a fault every servo is told once to hold its
-position; then no more goals are returned.
+the goals that ``step`` returns (`ServoArm.cycle`). On a fault it returns once the goals that hold
+the servos; then no more goals.
 """
 
 from __future__ import annotations
@@ -328,7 +328,7 @@ class TrajectoryFollower:
     def _enter_fault(self, findings: list[JointFault]) -> dict[int, int]:
         """Enter the fault state; return goals that hold the present positions, ticks by servo id.
 
-        A silent servo keeps its last goal.
+        A servo without a trusted reading in this step is left out. The caller holds it later.
         """
         self.state = FollowerState.FAULT
         for finding in findings:

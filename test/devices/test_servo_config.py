@@ -12,6 +12,7 @@ import yaml
 from longarm_comp.arm_folder.servos import find_contradictions
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
+from longarm_comp.devices.servo_bus.registry import models
 from longarm_comp.devices.servo_config import JointConfig, ServoConfig
 
 REVOLUTE: dict[str, Any] = {
@@ -121,6 +122,26 @@ def test_a_wrong_field_is_named_with_what_is_allowed(
     assert said in message
 
 
+@pytest.mark.parametrize(("field", "zero", "beyond"), [("lower", 40, -1), ("upper", 4055, 1)])
+def test_limits_within_one_turn_keep_away_from_where_the_encoder_jumps(
+    field: str, zero: int, beyond: int
+) -> None:
+    """There a servo that rests beside its goal would turn to it the other way round."""
+    own = REVOLUTE | {field: 0.0, "zero_ticks": zero}
+    past = own | {"zero_ticks": zero + beyond}
+    ServoConfig.parse(_document(a=own), "servo.yaml")
+    last = models()["sts3215"].multi_turn[field == "upper"]
+    many = own | {"zero_ticks": last, "multi_turn": True}
+    ServoConfig.parse(_document(a=many), "servo.yaml")
+    for told in (_document(a=past), _document(a=own) | {"follower": {"stall_error_ticks": 41.0}}):
+        said = _refused(told)
+        assert said.startswith(f"joints.a.{field} |") and "stall_error_ticks" in said
+        assert "the middle of the range reads 2048, not" in said
+    wide = REVOLUTE | {"lower": -3.1, "upper": 3.0}
+    assert "mount" not in _refused(_document(a=wide | {"upper": 3.1}))
+    assert "not 2015" in _refused(_document(a=wide))
+
+
 @pytest.mark.parametrize("geared", [{}, {"gear_ratio": 2.0}])
 def test_an_error_of_half_a_turn_of_the_servo_guards_against_nothing(
     geared: dict[str, Any],
@@ -167,7 +188,7 @@ def test_a_faster_servo_of_a_model_may_be_declared() -> None:
 def test_a_limit_that_guards_against_nothing_is_refused(
     limit: str, most: float, allowed: str
 ) -> None:
-    data = _document(a=REVOLUTE)
+    data = _document(a=REVOLUTE | {"multi_turn": True})
     ServoConfig.parse(data | {"follower": {limit: most}}, "servo.yaml")
     said = _refused(data | {"follower": {limit: 1.001 * most}})
     assert said.startswith(f"follower.{limit} |") and allowed in said

@@ -159,6 +159,26 @@ def test_a_servo_that_missed_a_faults_goal_is_held_when_it_answers_again(driven:
     driven.until(lambda _: each(lambda motor: abs(motor.goal - motor.position) < 1.0)[1])
 
 
+def test_a_servo_that_was_not_heard_at_a_fault_is_held_once_it_answers_and_is_driven(
+    driven: Driven,
+) -> None:
+    """It has no goal of the fault, and goes on to the last one that it heard."""
+    emulator = driven.emulator
+    _run_away(driven)
+    emulator.faults.silent.add(1)
+    _overheat(driven, 2)
+    driven.becomes(FollowerState.FAULT)
+    for torque in (False, True):
+        with emulator.motor(1) as motor:
+            motor.torque_on = torque
+        emulator.faults.silent.clear()
+        driven.until(lambda cycle: cycle.joints)
+        driven.cycles(5)
+    each = emulator.each
+    driven.until(lambda _: each(lambda motor: abs(motor.goal - motor.position) < 1.0)[1])
+    assert set(emulator.torques_on().values()) == {True}
+
+
 @pytest.mark.parametrize("turned", [-300.0, -4096.0])
 def test_a_goal_of_a_fault_that_was_missed_wakes_no_servo_whose_power_is_back(
     driven: Driven, turned: float
