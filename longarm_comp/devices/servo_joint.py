@@ -148,6 +148,14 @@ class JointConfig(ServoSettings):
         return round(ticks) >= 1 and drift + beside <= 0.15 * ticks
 
     @property
+    def absolute(self) -> bool:
+        """Tell whether a reading alone tells where the joint stands.
+
+        It does if the servo reads within one turn, and this is one turn of the joint.
+        """
+        return not self.multi_turn and self.type == "revolute" and self.gear_ratio == 1.0
+
+    @property
     def goal_range(self) -> tuple[int, int]:
         """Lowest and highest goal that the servo accepts, ticks."""
         return self.servo.multi_turn if self.multi_turn else self.servo.single_turn
