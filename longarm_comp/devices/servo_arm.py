@@ -28,6 +28,9 @@ from longarm_comp.devices.servo_watch import stands_in_its_droop
 from longarm_comp.devices.setup_journal import SetupJournal
 from longarm_comp.devices.turn_counts import TurnCounts
 
+_LOOK_S = 0.5
+"""Time, s, after which it is looked again whether the torque is still on."""
+
 
 @dataclass(frozen=True)
 class ServoReading:
@@ -94,7 +97,7 @@ class ServoArm:
         self.powered = False  # whether the torque was switched on
         self.owing_off = stopped  # torque off was not confirmed yet
         self._unheld: set[int] = set()  # servos that are not known to hold since a fault
-        self._cycles = 0
+        self._look_at = 0.0  # when to look next whether the torque is on
         self._missed: set[int] = set()  # servos not heard since all were read to be driven
         self._next_try = 0.0
         self._closed = f"{config.bus.port} is unplugged"
@@ -288,7 +291,7 @@ class ServoArm:
 
     def cycle(self, now: float) -> Cycle:
         """Read all servos, step the follower, send goals. Bus errors are not raised."""
-        self._cycles, self._now = self._cycles + 1, now
+        self._now = now
         trouble, states, driven = "", {}, {}
         if (self.bus is None or self.owing_off) and now >= self._next_try:
             self._next_try = now + 0.5
@@ -299,9 +302,9 @@ class ServoArm:
         else:
             try:
                 states = bus.read(self._ids)
-                # cycles between two checks that the torque is still on
-                if self.powered and (self._cycles % 25 == 0 or self._missed):
+                if self.powered and (now >= self._look_at or self._missed):
                     driven = bus.driven(self._ids)
+                    self._look_at = now + _LOOK_S
                     self._missed.clear()
             except IncompleteReply as error:
                 trouble, states = str(error), error.states

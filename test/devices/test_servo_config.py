@@ -131,7 +131,7 @@ def test_limits_within_one_turn_keep_away_from_where_the_encoder_jumps(
     past = own | {"zero_ticks": zero + beyond}
     ServoConfig.parse(_document(a=own), "servo.yaml")
     last = models()["sts3215"].multi_turn[field == "upper"]
-    many = own | {"zero_ticks": last, "multi_turn": True}
+    many = REVOLUTE | {field: (last - 2048) * 2 * math.pi / 4096, "multi_turn": True}
     ServoConfig.parse(_document(a=many), "servo.yaml")
     for told in (_document(a=past), _document(a=own) | {"follower": {"stall_error_ticks": 41.0}}):
         said = _refused(told)
@@ -189,9 +189,59 @@ def test_a_limit_that_guards_against_nothing_is_refused(
     limit: str, most: float, allowed: str
 ) -> None:
     data = _document(a=REVOLUTE | {"multi_turn": True})
-    ServoConfig.parse(data | {"follower": {limit: most}}, "servo.yaml")
-    said = _refused(data | {"follower": {limit: 1.001 * most}})
+    long = {"silence_s": 5.0, "stall_time_s": 5.0}
+    ServoConfig.parse(data | {"follower": long | {limit: most}}, "servo.yaml")
+    said = _refused(data | {"follower": long | {limit: 1.001 * most}})
     assert said.startswith(f"follower.{limit} |") and allowed in said
+
+
+@pytest.mark.parametrize(
+    ("bus", "follower", "wrong"),
+    [
+        ({"reply_timeout_s": 0.1, "retries": 2}, {"silence_s": 0.3}, ""),
+        ({"reply_timeout_s": 0.1, "retries": 2}, {"silence_s": 0.29}, "bus.reply_timeout_s"),
+        ({"reply_timeout_s": 0.1, "retries": 3}, {"silence_s": 0.3}, "bus.reply_timeout_s"),
+        ({"reply_timeout_s": 1.0, "retries": 10}, {}, "bus.reply_timeout_s"),
+        ({}, {"max_step_s": 0.25}, ""),
+        ({}, {"max_step_s": 0.26}, "follower.max_step_s"),
+        ({}, {"stall_time_s": 0.1}, ""),
+        ({}, {"stall_time_s": 0.09}, "follower.max_step_s"),
+    ],
+)
+def test_durations_that_contradict_each_other_are_refused(
+    bus: dict[str, Any], follower: dict[str, Any], wrong: str
+) -> None:
+    document = _document(a=REVOLUTE)
+    document["bus"] |= bus
+    document["follower"] = follower
+    if wrong:
+        assert _refused(document).startswith(f"{wrong} |")
+    else:
+        ServoConfig.parse(document, "servo.yaml")
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "follower", "wrong"),
+    [
+        (10.0, {}, ""),
+        (9.9, {}, "follower.max_step_s"),
+        (20.0, {"max_step_s": 0.05}, ""),
+        (19.9, {"max_step_s": 0.05}, "follower.max_step_s"),
+        (50.0, {"blend_s": 0.04}, ""),
+        (50.0, {"blend_s": 0.039}, "follower.blend_s"),
+    ],
+)
+def test_a_rate_must_be_high_enough_for_the_follower(
+    rate_hz: float, follower: dict[str, Any], wrong: str
+) -> None:
+    config = ServoConfig.parse(_document(a=REVOLUTE) | {"follower": follower}, "servo.yaml")
+    if not wrong:
+        config.check_rate(rate_hz, "here")
+        return
+    with pytest.raises(InputError) as caught:
+        config.check_rate(rate_hz, "here")
+    assert (caught.value.where, caught.value.field) == ("here", "rate_hz")
+    assert wrong in str(caught.value)
 
 
 def test_plain_and_ros_parameter_files_are_read(tmp_path: Path) -> None:
