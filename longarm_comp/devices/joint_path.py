@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.follower_report import Accepted
+from longarm_comp.devices.servo_config import FollowerConfig, ServoConfig
 from longarm_comp.math.cubic_path import STRAIGHT, Array, CubicPath, monotone_slopes
 from longarm_comp.math.shaper import Shaper
 
@@ -198,6 +199,14 @@ class Turn:
         self.waited_s += dt
         waits = self.waited_s < self.patience_s and not have_come()
         return time_s if waits else time_s + dt
+
+
+def find_turn(accepted: Accepted, limits: FollowerConfig) -> Turn | None:
+    """Return the end of a move's run-up; None if it has none, or one within the blend."""
+    if len(accepted.times) != 2 or accepted.times[0] < limits.blend_s:
+        return None
+    legs = np.diff(accepted.points, axis=0, prepend=accepted.start[None])
+    return Turn(float(accepted.times[0]), legs[0] * legs[1] < 0.0, limits.stall_time_s)
 
 
 def plan_path(

@@ -6,6 +6,7 @@ Not thread-safe. Times are monotonic seconds and are passed in.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,10 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import TrajectoryFollower
 from longarm_comp.devices.servo_watch import stands_in_its_droop
 from longarm_comp.devices.setup_journal import SetupJournal
+from longarm_comp.devices.turn_counts import TurnCounts
+
+_LOOK_S = 0.5
+"""Time, s, after which it is looked again whether the torque is still on."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +92,13 @@ class ServoArm:
         self.config, self.follower = config, follower or TrajectoryFollower(config)
         self._ids = list(config.ids.values())
         self._speeds: dict[int, float] = {}
-        self._stood: dict[int, int] = {}  # ticks by servo id, when the torque last held the arm
+        self._counts, self._now = TurnCounts(config), math.nan  # and when the last cycle began
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
         self.owing_off = stopped  # torque off was not confirmed yet
-        self._unheld: set[int] = set()  # servos that have not confirmed the goal of a fault
-        self._cycles = 0
+        self._unheld: set[int] = set()  # servos that are not known to hold since a fault
+        self._look_at = 0.0  # when to look next whether the torque is on
         self._missed: set[int] = set()  # servos not heard since all were read to be driven
-        self._lost: set[int] = set()  # servos that may have lost their power under torque
         self._next_try = 0.0
         self._closed = f"{config.bus.port} is unplugged"
         self.bus: SerialServoBus | None = self._open_bus(again=False)
@@ -158,14 +162,15 @@ class ServoArm:
     def _check_unmoved(self, bus: SerialServoBus) -> None:
         """Refuse an arm that does not stand where it was held when the port was lost."""
         for servo_id, state in bus.read(self._ids).items():
-            moved = abs(state.position_ticks - self._stood[servo_id])
+            stood = self._counts.stood[servo_id]
+            moved = abs(state.position_ticks - stood)
             if moved > self.config.follower.lost_error_ticks:
                 raise JobError(
                     "this port leads to another arm, or the arm was moved: configure the driver "
                     "again",
                     servo_id=servo_id,
                     reads=state.position_ticks,
-                    stood=self._stood[servo_id],
+                    stood=stood,
                 )
 
     def _set_turns(self, bus: SerialServoBus) -> None:
@@ -202,11 +207,12 @@ class ServoArm:
         Raises:
             BusUnplugged, IncompleteReply, ServoFault: it could not be switched (on), or was not
                 confirmed (off).
-            JobError: a servo was set for other turns meanwhile, or may have lost count of them.
+            JobError: a servo was set for other turns meanwhile, or may have lost count of them
+                (`TurnCounts`).
         """
         before = self.powered
         if before and not on:
-            self._lost |= self._missed
+            self._counts.lose(self._missed)
         self.powered = self.powered and on
         self.owing_off = self.owing_off or not on
         goals: dict[int, int] = {}
@@ -227,7 +233,7 @@ class ServoArm:
         self.powered, self.owing_off = on, False
         if on:
             self._missed.clear()
-            self.follower.hold_at({**self._stood, **goals})
+            self.follower.hold_at({**self._counts.stood, **goals})
 
     def _goals_to_hold(self, bus: SerialServoBus) -> dict[int, int]:
         """Return the goals, ticks by id, of driven servos that rest in their droop.
@@ -236,8 +242,8 @@ class ServoArm:
         """
         states, goals, driven = bus.read(self._ids), bus.goals(self._ids), bus.driven(self._ids)
         self._note_lost(states, driven)
-        self._check_turn_counts(states)
-        self._stood = {i: state.position_ticks for i, state in states.items()}
+        self._counts.follow(self._now, states)
+        self._counts.check()
         return {
             joint.servo_id: goals[joint.servo_id]
             for joint in self.config.joints.values()
@@ -250,29 +256,15 @@ class ServoArm:
     def _note_lost(self, states: Mapping[int, ServoState], driven: Mapping[int, bool]) -> None:
         """Note servos whose torque went off without command or alarm: they had lost power."""
         if self.powered:
-            self._lost |= {i for i, on in driven.items() if not on and not states[i].error_flags}
-
-    def _check_turn_counts(self, states: Mapping[int, ServoState]) -> None:
-        """Refuse multi-turn servos that may have lost their count of turns without power.
-
-        They lose whole turns, so a move of more than half a turn without torque is the sign. A
-        servo that lost power under torque is always refused: the arm may have sunk by any distance.
-        """
-        for name, joint in self.config.joints.items():
-            at = states[joint.servo_id].position_ticks
-            moved = abs(at - self._stood.get(joint.servo_id, at)) > joint.servo.ticks_per_turn / 2
-            if joint.multi_turn and (moved or joint.servo_id in self._lost):
-                raise JobError(
-                    f"{name} may have lost count of its servo's turns without power: see whether "
-                    "it stands where it says; then configure the driver again, which believes it",
-                    reads=f"{joint.to_si(at):.4g} {joint.unit}",
-                    stood=f"{joint.to_si(self._stood[joint.servo_id]):.4g} {joint.unit}",
-                )
+            off = {i for i, on in driven.items() if not on}
+            self._counts.lose(i for i in off if not states[i].error_flags)
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """As `ServoFollower.accept`; also raises JobError while the torque is off."""
         if not self.powered:
             raise JobError("the torque is off")
+        if trajectory.points and self.follower.is_fresh(now):
+            self._counts.check()
         return self.follower.accept(trajectory, now)
 
     def estop(self) -> None:
@@ -300,7 +292,7 @@ class ServoArm:
 
     def cycle(self, now: float) -> Cycle:
         """Read all servos, step the follower, send goals. Bus errors are not raised."""
-        self._cycles += 1
+        self._now = now
         trouble, states, driven = "", {}, {}
         if (self.bus is None or self.owing_off) and now >= self._next_try:
             self._next_try = now + 0.5
@@ -311,9 +303,9 @@ class ServoArm:
         else:
             try:
                 states = bus.read(self._ids)
-                # cycles between two checks that the torque is still on
-                if self.powered and (self._cycles % 25 == 0 or self._missed):
+                if self.powered and (now >= self._look_at or self._missed):
                     driven = bus.driven(self._ids)
+                    self._look_at = now + _LOOK_S
                     self._missed.clear()
             except IncompleteReply as error:
                 trouble, states = str(error), error.states
@@ -323,10 +315,15 @@ class ServoArm:
         self._note_lost(states, driven)
         step = self.follower.step(now, states, driven)
         driving = step.state in (FollowerState.TRACKING, FollowerState.HOLDING)
-        if driving and self.follower.is_fresh(now):
-            self._stood = {i: state.position_ticks for i, state in states.items()}
+        if not driving:
+            self._counts.follow(now, states)
+        elif self.follower.is_fresh(now):
+            self._counts.trust(now, states)
         stopped = step.state is FollowerState.FAULT
-        self._unheld = set(step.goals or self._unheld) if stopped else set()
+        if not stopped:
+            self._unheld.clear()
+        elif step.goals is not None:  # the fault has just begun
+            self._unheld = set(self._ids)
         if self.bus is not None and self.powered:
             try:
                 if stopped:  # until it is confirmed: a servo that lost a goal drives on
@@ -338,16 +335,15 @@ class ServoArm:
         return Cycle(step, self._convert_states(states), states, trouble)
 
     def _hold_unheld(self, bus: SerialServoBus) -> None:
-        """Send holding goals to driven servos that have not confirmed theirs, and read the replies.
+        """Hold servos where they are, once each is heard, trusted and driven, until it confirms it.
 
-        Other servos get no goal, because a goal would switch their torque on.
+        Servos without torque get no goal, because a goal would switch it on.
         """
         goals = self.follower.find_holding_goals()
-        asked = self._unheld & goals.keys()
-        driven = bus.driven(sorted(asked))
-        held = {i: goals[i] for i in asked if driven[i]}
+        driven = bus.driven(sorted(self._unheld & goals.keys()))
+        held = {i: goals[i] for i, on in driven.items() if on}
         missing = bus.hold(held)
-        self._unheld = (self._unheld - asked) | missing
+        self._unheld -= held.keys() - missing
         if missing:
             raise IncompleteReply("servos have not confirmed where they hold", ids=sorted(missing))
 

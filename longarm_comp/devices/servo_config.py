@@ -14,11 +14,15 @@ from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import Misdeclared, parse_declared, read_yaml
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
 from longarm_comp.devices.servo_bus.state import ServoModel
 from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
+
+_ROUNDED = 1.0 + 1e-6
+"""Factor by which a value may exceed another one because of rounding."""
 
 
 class BusConfig(ServoSettings):
@@ -84,6 +88,34 @@ class FollowerConfig(ServoSettings):
     )
 
 
+def _check_turns(where: str, joint: JointConfig, off_ticks: float) -> None:
+    """Refuse limits that the servo cannot reach, or near which its encoder jumps within one turn.
+
+    A servo that its load pushes past the jump would turn round to its goal the other way.
+
+    Args:
+        where: name of the joint's section.
+        off_ticks: how far from its goal a servo may rest, ticks.
+    """
+    (low, high), away = joint.goal_range, 0.0 if joint.multi_turn else off_ticks
+    ticks = [joint.exact_ticks(limit) for limit in (joint.lower, joint.upper)]
+    for field, at in zip(("lower", "upper"), ticks, strict=True):
+        if low + away - 0.5 <= at <= high - away + 0.5:
+            continue
+        ends = sorted((joint.to_si(low + away), joint.to_si(high - away)))
+        allowed = f"{ends[0]:.6g} to {ends[1]:.6g} {joint.unit} in its turns"
+        if not joint.multi_turn:
+            allowed += f", {away:g} ticks (stall_error_ticks) from where the encoder jumps"
+            middle, reads = (low + high) / 2, sum(ticks) / 2
+            if abs(ticks[1] - ticks[0]) <= high - low - 2.0 * away:
+                allowed += f"; mount the horn so that the middle of the range reads {middle:.0f}, "
+                allowed += f"not {reads:.0f}, or"
+            else:
+                allowed += ";"
+            allowed += " multi_turn: true gives more turns"
+        raise Misdeclared(f"{where}.{field}", getattr(joint, field), allowed)
+
+
 class ServoConfig(ServoSettings):
     """Configuration of all servos of an arm; ``joints`` keeps the order of the file."""
 
@@ -104,27 +136,21 @@ class ServoConfig(ServoSettings):
             if joint.servo.protocol != self.bus.protocol:
                 known = [m.name for m in models().values() if m.protocol == self.bus.protocol]
                 raise Misdeclared(f"{where}.model", joint.model, "one of " + ", ".join(known))
-            low, high = joint.goal_range
-            for field, limit in (("lower", joint.lower), ("upper", joint.upper)):
-                ticks = joint.zero_ticks + joint.direction * limit / joint.si_per_tick
-                if not low - 0.5 <= ticks <= high + 0.5:
-                    ends = sorted((joint.to_si(low), joint.to_si(high)))
-                    hint = "" if joint.multi_turn else "; multi_turn: true gives more turns"
-                    allowed = f"{ends[0]:.6g} to {ends[1]:.6g} {joint.unit} in its turns{hint}"
-                    raise Misdeclared(f"{where}.{field}", limit, allowed)
-            if joint.max_speed_ticks_s > joint.fastest_ticks_s * (1.0 + 1e-6):
+            _check_turns(where, joint, self.follower.stall_error_ticks)
+            if joint.max_speed_ticks_s > joint.fastest_ticks_s * _ROUNDED:
                 top = f"{joint.fastest_ticks_s * joint.si_per_tick:.4g} {joint.unit}/s"
                 allowed = f"at most {top}, as fast as a {joint.model} moves it; "
                 allowed += "top_speed_ticks_s where this servo is faster"
                 raise Misdeclared(f"{where}.max_velocity", joint.max_velocity, allowed)
             half_turn = joint.servo.ticks_per_turn / 2 * joint.si_per_tick
-            if joint.max_error is not None and joint.max_error > half_turn * (1.0 + 1e-6):
+            if joint.max_error is not None and joint.max_error > half_turn * _ROUNDED:
                 allowed = f"at most {half_turn:.4g} {joint.unit}, half a turn of the servo"
                 raise Misdeclared(f"{where}.max_error", joint.max_error, allowed)
             if joint.tick_limits[0] > joint.tick_limits[1]:
                 raise Misdeclared(
                     f"{where}.upper", joint.upper, "at least one encoder tick above lower"
                 )
+        self._check_durations()
         # With limits beyond half a turn, a servo that stands still or lost a turn would pass
         half = min(joint.servo.ticks_per_turn for joint in self.joints.values()) / 2
         for field, value in self.follower:
@@ -132,6 +158,29 @@ class ServoConfig(ServoSettings):
                 allowed = f"at most {half:g}, half a turn of the servo"
                 raise Misdeclared(f"follower.{field}", value, allowed)
         return self
+
+    def _check_durations(self) -> None:
+        """Refuse durations that contradict each other."""
+        bus, limits = self.bus, self.follower
+        longest = limits.silence_s / (1 + bus.retries)
+        if bus.reply_timeout_s > longest * _ROUNDED:
+            allowed = f"at most {longest:.4g} with {bus.retries} retries: no fault can be found "
+            allowed += f"before a read ends, and silence_s is {limits.silence_s:g}"
+            raise Misdeclared("bus.reply_timeout_s", bus.reply_timeout_s, allowed)
+        for field in ("silence_s", "stall_time_s"):  # else one late cycle would be a fault
+            most = getattr(limits, field)
+            if limits.max_step_s > most * _ROUNDED:
+                allowed = f"at most {field}, {most:g}"
+                raise Misdeclared("follower.max_step_s", limits.max_step_s, allowed)
+
+    def check_rate(self, rate_hz: float, where: str) -> None:
+        """Refuse too few cycles a second for the follower: InputError, which names ``where``."""
+        limits = self.follower
+        for field, most in (("max_step_s", limits.max_step_s), ("blend_s", limits.blend_s / 2)):
+            if 1.0 / rate_hz > most * _ROUNDED:
+                cycles = "a cycle within" if field == "max_step_s" else "two cycles within"
+                said = f"{cycles} follower.{field}, {getattr(limits, field):g}"
+                raise InputError(where, "rate_hz", rate_hz, f"at least {1.0 / most:.4g}: {said}")
 
     @property
     def models(self) -> dict[int, ServoModel]:

@@ -1,8 +1,8 @@
 """Follows a joint trajectory: computes bounded servo goals step by step from the read-back.
 
 It uses neither ROS nor a port. The caller reads the bus, calls ``step`` with the states and sends
-the goals that ``step`` returns (`ServoArm.cycle`). On a fault every servo is told once to hold its
-position; then no more goals are returned.
+the goals that ``step`` returns (`ServoArm.cycle`). On a fault it returns once the goals that hold
+the servos; then no more goals.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from longarm_comp.devices.joint_path import (
     TakenOver,
     Turn,
     check_trajectory,
+    find_turn,
     plan_path,
 )
 from longarm_comp.devices.servo_bus.state import ServoState
@@ -103,8 +104,9 @@ class TrajectoryFollower:
         """Accept a trajectory. It starts with the next step, from the present set-point.
 
         Joints that it does not name stay where they are. A trajectory without points stops the arm
-        smoothly. A trajectory that is too fast is slowed down (`plan_path`), with an event SLOWED.
-        It always ends at rest, with an event ARRIVED, or SHORT if a joint came to rest elsewhere.
+        smoothly from its set-point, whatever was read. A trajectory that is too fast is slowed down
+        (`plan_path`), with an event SLOWED. It always ends at rest, with an event ARRIVED, or SHORT
+        if a joint came to rest elsewhere.
 
         Raises:
             InputError: the trajectory is invalid, or leaves the limits.
@@ -112,11 +114,12 @@ class TrajectoryFollower:
         """
         if self.state in (FollowerState.FAULT, FollowerState.ESTOP):
             raise JobError("no trajectory is taken until the arm is reset", state=self.state.value)
-        if not self.is_fresh(now):
-            raise JobError("no fresh reading of every servo", servos=len(self._joints))
-        self._check_health(now)
-        start, moves = self._start_path(), bool(trajectory.points)
-        replaces = self.state is FollowerState.TRACKING
+        moves, replaces = bool(trajectory.points), self.state is FollowerState.TRACKING
+        if moves or self._set is None:
+            if not self.is_fresh(now):
+                raise JobError("no fresh reading of every servo", servos=len(self._joints))
+            self._check_health(now)
+        start = self._start_path()
         if moves:
             times, positions, velocities = check_trajectory(trajectory, self._config, start)
             path = plan_path(start, times, positions, velocities, self._max_velocity)
@@ -140,30 +143,21 @@ class TrajectoryFollower:
             if entry:
                 raise JobError(entry)
         self._set, self._way, self._way_time = start, way, 0.0
-        self._turn = self._find_turn(accepted) if way is taken else None
+        self._turn = find_turn(accepted, self._config.follower) if way is taken else None
         self._trims, self._untrimmed = self._may_trim and moves and not several, ""
         self._trim.begin(path=several)
         self.state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
         kind = EventKind.REPLACED if replaces else EventKind.STARTED
         self._note_event(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
         if path.stretch > 1.001:
-            self._note_event(
-                EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits"
-            )
+            slower = f"{path.stretch:.2f} times slower, for the velocity limits"
+            self._note_event(EventKind.SLOWED, slower)
         return accepted
 
     def _take_over(self, path: CubicPath, start: Array) -> TakenOver:
         """Return the path blended with braking from the present set-point and velocity."""
         blend_s = self._config.follower.blend_s
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
-
-    def _find_turn(self, accepted: Accepted) -> Turn | None:
-        """Return the end of a move's run-up; None if it has none, or one within the blend."""
-        limits = self._config.follower
-        if len(accepted.times) != 2 or accepted.times[0] < limits.blend_s:
-            return None
-        legs = np.diff(accepted.points, axis=0, prepend=accepted.start[None])
-        return Turn(float(accepted.times[0]), legs[0] * legs[1] < 0.0, limits.stall_time_s)
 
     def _plan_braking(self, start: Array) -> CubicPath:
         """Plan from a set-point to the nearest position of rest."""
@@ -334,7 +328,7 @@ class TrajectoryFollower:
     def _enter_fault(self, findings: list[JointFault]) -> dict[int, int]:
         """Enter the fault state; return goals that hold the present positions, ticks by servo id.
 
-        A silent servo keeps its last goal.
+        A servo without a trusted reading in this step is left out. The caller holds it later.
         """
         self.state = FollowerState.FAULT
         for finding in findings:

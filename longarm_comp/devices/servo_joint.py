@@ -148,6 +148,14 @@ class JointConfig(ServoSettings):
         return round(ticks) >= 1 and drift + beside <= 0.15 * ticks
 
     @property
+    def absolute(self) -> bool:
+        """Tell whether a reading alone tells where the joint stands.
+
+        It does if the servo reads within one turn, and this is one turn of the joint.
+        """
+        return not self.multi_turn and self.type == "revolute" and self.gear_ratio == 1.0
+
+    @property
     def goal_range(self) -> tuple[int, int]:
         """Lowest and highest goal that the servo accepts, ticks."""
         return self.servo.multi_turn if self.multi_turn else self.servo.single_turn
@@ -155,7 +163,7 @@ class JointConfig(ServoSettings):
     @cached_property
     def tick_limits(self) -> tuple[int, int]:
         """Lowest and highest goal within the joint's limits, ticks, rounded inwards."""
-        ends = sorted(self._exact_ticks(limit) for limit in (self.lower, self.upper))
+        ends = sorted(self.exact_ticks(limit) for limit in (self.lower, self.upper))
         return math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9)
 
     def check_inside(self, value: float, where: str, field: str) -> None:
@@ -180,7 +188,7 @@ class JointConfig(ServoSettings):
             InputError: the value is outside the limits.
         """
         self.check_inside(value, f"servo {self.servo_id}", "position")
-        return self.nearest_within_limits(self._exact_ticks(value))
+        return self.nearest_within_limits(self.exact_ticks(value))
 
     def to_si(self, ticks: float) -> float:
         """Return the joint value (rad or m) of an encoder reading in ticks."""
@@ -210,5 +218,6 @@ class JointConfig(ServoSettings):
         """Return a checked copy of the joint with the given fields replaced."""
         return JointConfig.model_validate(self.model_dump() | values)
 
-    def _exact_ticks(self, value: float) -> float:
+    def exact_ticks(self, value: float) -> float:
+        """Return the encoder reading, ticks with fractions, at a joint value, rad or m."""
         return self.zero_ticks + self.direction * value / self.si_per_tick

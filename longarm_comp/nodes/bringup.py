@@ -138,7 +138,7 @@ SIMULATED = ("simulated_arm", *REAL)
 PATHS = "trajectory_compensator"
 """The node that is started if `BringUp.paths` is True."""
 
-_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s": 60.0}
+_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.5, "patience_s": 60.0}
 """Longer timeouts, s, for emulated servos: they start with the driver and share its computer."""
 
 

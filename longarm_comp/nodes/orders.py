@@ -246,14 +246,15 @@ class FollowServer:
             broken = self._find_violation(goal.request.path_tolerance, "on the way")
             late = time.monotonic() > deadline_s
             if broken or late or goal.is_cancel_requested:
-                await self._halt_motion(name)
+                halted = describe_halt(*await self._halt_motion(name))
                 if broken:
-                    return abort_goal(goal, result.PATH_TOLERANCE_VIOLATED, broken)
+                    why = f"{broken}: {halted}"
+                    return abort_goal(goal, result.PATH_TOLERANCE_VIOLATED, why)
                 if late:
-                    why = "not at the end within goal_time_tolerance"
+                    why = f"not at the end within goal_time_tolerance: {halted}"
                     return abort_goal(goal, result.GOAL_TOLERANCE_VIOLATED, why)
                 goal.canceled()
-                return result(error_string="cancelled: the arm was stopped")
+                return result(error_string=f"cancelled: {halted}")
             await self._ticks.next()
         event, why = end
         if event == Motion.REFUSED:
@@ -268,13 +269,14 @@ class FollowServer:
         goal.succeed()
         return result(error_code=result.SUCCESSFUL)
 
-    async def _halt_motion(self, name: str) -> None:
-        """Stop smoothly, and wait until the arm is at rest or the driver reports another end."""
-        if self._told[name] is None:
-            self._told[f"{name} halt"] = None
-            self._site.take(JointTrajectory(), f"{name} halt")
-            while self._told[f"{name} halt"] is None:
-                await self._ticks.next()
+    async def _halt_motion(self, name: str) -> tuple[int, str]:
+        """Order a smooth stop; return the event that ends this order, and its reason."""
+        halt = f"{name} halt"
+        self._told[halt] = None
+        self._site.take(JointTrajectory(), halt)
+        while (end := self._told[halt]) is None:
+            await self._ticks.next()
+        return end
 
     def _find_violation(self, limits: Any, where: str) -> str:
         """Say which joint is farther from its set-point than ``limits`` allow; empty if none.
@@ -306,6 +308,18 @@ class FollowServer:
         message.actual.velocities = [readings[name].velocity for name in names]
         message.error = point(lambda name: wanted[name] - readings[name].position)
         goal.publish_feedback(message)
+
+
+def describe_halt(event: int | None, why: str) -> str:
+    """Say whether the arm was stopped, from the `Motion` event that ended a stop order.
+
+    Args:
+        event: None if there was none.
+        why: reason of an event other than REACHED, or of there being none.
+    """
+    if event == Motion.REACHED:
+        return "the arm was stopped"
+    return f"the arm was not stopped as asked: {why}"
 
 
 def abort_goal(goal: Any, code: int, why: str) -> Any:

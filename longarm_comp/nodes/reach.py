@@ -17,6 +17,7 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.messages import joints_message, vector_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, Sighted, TipMonitor
+from longarm_comp.nodes.orders import describe_halt
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.targets import TargetInlet
 from longarm_interfaces.action import Reach
@@ -121,11 +122,12 @@ class ReachServer:
             result.reached = joints_message(self._arm, q, self._state.stamp)
         if motion is not None and motion.event == Motion.REACHED and not halted:
             return True
+        event, why = (None, self._no_driver) if motion is None else (motion.event, motion.message)
         if halted:
-            result.message = "cancelled: the arm was stopped"
+            result.message = f"cancelled: {describe_halt(event, why)}"
             goal.canceled()
             return False
-        result.message = self._no_driver if motion is None else motion.message
+        result.message = why
         goal.abort()
         return False
 

@@ -116,9 +116,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
         super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
         changes = self._service_change_state
         changes.callback = _refuse_missing(changes.callback)
-        p = self.p
-        given = declare_sections(self, SECTIONS)
+        p, given = self.p, declare_sections(self, SECTIONS)
         self._config = ServoConfig.parse(given, "parameters of servo_driver")
+        self._config.check_rate(p["rate_hz"], "parameters of servo_driver")
         self._keeps_out, self._shapes = self._rules_of(p)
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self.arm: ServoArm | None = None

@@ -94,6 +94,7 @@ def test_a_configuration_names_it_and_its_servos_move(
     data = {
         "bus": {"protocol": "maker", "port": emulator.port, "baudrate": 115200,
                 "reply_timeout_s": 0.15},
+        "follower": {"silence_s": 0.5},
         "joints": {"a": joint | {"servo_id": 1}, "b": joint | {"servo_id": 2}},
     }  # fmt: skip
     (tmp_path / "servos.yaml").write_text(yaml.safe_dump(data))
@@ -123,7 +124,7 @@ start = {j.servo_id: j.ticks(at[j.name]) for j in arm.joints}
 with ServoEmulator(arm.protocol, start, link=Path("bus")) as made:
     config = ServoConfig.load(file)
     bus = ServoConfig.parse(config.model_dump() | {"bus": {**config.bus.model_dump(),
-        "port": "bus", "reply_timeout_s": 0.2}}, "here").open_bus()
+        "port": "bus", "reply_timeout_s": 0.2}, "follower": {"silence_s": 0.6}}, "here").open_bus()
     ticks = {i: s.position_ticks for i, s in bus.read([1, 2]).items()}
 print({k: round(v, 3) for k, v in arm.values(ticks).items()})
 """

@@ -12,6 +12,7 @@ import yaml
 from longarm_comp.arm_folder.servos import find_contradictions
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
+from longarm_comp.devices.servo_bus.registry import models
 from longarm_comp.devices.servo_config import JointConfig, ServoConfig
 
 REVOLUTE: dict[str, Any] = {
@@ -121,6 +122,26 @@ def test_a_wrong_field_is_named_with_what_is_allowed(
     assert said in message
 
 
+@pytest.mark.parametrize(("field", "zero", "beyond"), [("lower", 40, -1), ("upper", 4055, 1)])
+def test_limits_within_one_turn_keep_away_from_where_the_encoder_jumps(
+    field: str, zero: int, beyond: int
+) -> None:
+    """There a servo that rests beside its goal would turn to it the other way round."""
+    own = REVOLUTE | {field: 0.0, "zero_ticks": zero}
+    past = own | {"zero_ticks": zero + beyond}
+    ServoConfig.parse(_document(a=own), "servo.yaml")
+    last = models()["sts3215"].multi_turn[field == "upper"]
+    many = REVOLUTE | {field: (last - 2048) * 2 * math.pi / 4096, "multi_turn": True}
+    ServoConfig.parse(_document(a=many), "servo.yaml")
+    for told in (_document(a=past), _document(a=own) | {"follower": {"stall_error_ticks": 41.0}}):
+        said = _refused(told)
+        assert said.startswith(f"joints.a.{field} |") and "stall_error_ticks" in said
+        assert "the middle of the range reads 2048, not" in said
+    wide = REVOLUTE | {"lower": -3.1, "upper": 3.0}
+    assert "mount" not in _refused(_document(a=wide | {"upper": 3.1}))
+    assert "not 2015" in _refused(_document(a=wide))
+
+
 @pytest.mark.parametrize("geared", [{}, {"gear_ratio": 2.0}])
 def test_an_error_of_half_a_turn_of_the_servo_guards_against_nothing(
     geared: dict[str, Any],
@@ -167,10 +188,60 @@ def test_a_faster_servo_of_a_model_may_be_declared() -> None:
 def test_a_limit_that_guards_against_nothing_is_refused(
     limit: str, most: float, allowed: str
 ) -> None:
-    data = _document(a=REVOLUTE)
-    ServoConfig.parse(data | {"follower": {limit: most}}, "servo.yaml")
-    said = _refused(data | {"follower": {limit: 1.001 * most}})
+    data = _document(a=REVOLUTE | {"multi_turn": True})
+    long = {"silence_s": 5.0, "stall_time_s": 5.0}
+    ServoConfig.parse(data | {"follower": long | {limit: most}}, "servo.yaml")
+    said = _refused(data | {"follower": long | {limit: 1.001 * most}})
     assert said.startswith(f"follower.{limit} |") and allowed in said
+
+
+@pytest.mark.parametrize(
+    ("bus", "follower", "wrong"),
+    [
+        ({"reply_timeout_s": 0.1, "retries": 2}, {"silence_s": 0.3}, ""),
+        ({"reply_timeout_s": 0.1, "retries": 2}, {"silence_s": 0.29}, "bus.reply_timeout_s"),
+        ({"reply_timeout_s": 0.1, "retries": 3}, {"silence_s": 0.3}, "bus.reply_timeout_s"),
+        ({"reply_timeout_s": 1.0, "retries": 10}, {}, "bus.reply_timeout_s"),
+        ({}, {"max_step_s": 0.25}, ""),
+        ({}, {"max_step_s": 0.26}, "follower.max_step_s"),
+        ({}, {"stall_time_s": 0.1}, ""),
+        ({}, {"stall_time_s": 0.09}, "follower.max_step_s"),
+    ],
+)
+def test_durations_that_contradict_each_other_are_refused(
+    bus: dict[str, Any], follower: dict[str, Any], wrong: str
+) -> None:
+    document = _document(a=REVOLUTE)
+    document["bus"] |= bus
+    document["follower"] = follower
+    if wrong:
+        assert _refused(document).startswith(f"{wrong} |")
+    else:
+        ServoConfig.parse(document, "servo.yaml")
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "follower", "wrong"),
+    [
+        (10.0, {}, ""),
+        (9.9, {}, "follower.max_step_s"),
+        (20.0, {"max_step_s": 0.05}, ""),
+        (19.9, {"max_step_s": 0.05}, "follower.max_step_s"),
+        (50.0, {"blend_s": 0.04}, ""),
+        (50.0, {"blend_s": 0.039}, "follower.blend_s"),
+    ],
+)
+def test_a_rate_must_be_high_enough_for_the_follower(
+    rate_hz: float, follower: dict[str, Any], wrong: str
+) -> None:
+    config = ServoConfig.parse(_document(a=REVOLUTE) | {"follower": follower}, "servo.yaml")
+    if not wrong:
+        config.check_rate(rate_hz, "here")
+        return
+    with pytest.raises(InputError) as caught:
+        config.check_rate(rate_hz, "here")
+    assert (caught.value.where, caught.value.field) == ("here", "rate_hz")
+    assert wrong in str(caught.value)
 
 
 def test_plain_and_ros_parameter_files_are_read(tmp_path: Path) -> None:

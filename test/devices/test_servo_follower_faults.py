@@ -13,6 +13,7 @@ from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds, servo_stat
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.follower_report import EventKind, FollowerState, Step
+from longarm_comp.devices.joint_path import JointTrajectory
 from longarm_comp.devices.servo_bus.state import ServoAlarm
 from longarm_comp.devices.servo_watch import ServoTrouble, ServoWatch, stands_in_its_droop
 
@@ -180,6 +181,29 @@ def test_one_reply_alone_is_no_alarm(rig: Rig) -> None:
     assert rig.step().goals is not None
     rig.run(5.0)
     assert rig.column("turn")[-1] == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize("readings", ["missing", "doubtful", "late"])
+def test_a_stop_brakes_whatever_was_read(rig: Rig, readings: str) -> None:
+    _moving(rig)
+    healthy = rig.states[9]
+    if readings == "doubtful":
+        rig.states[9] = replace(healthy, error_flags=ServoAlarm.OVERLOAD)
+    if readings == "late":
+        rig.now += 2.0 * LIMITS.silence_s
+    else:
+        rig.step(hide=(9,) if readings == "missing" else ())
+    with pytest.raises(JobError, match="no fresh reading"):
+        rig.send((1.0, {"turn": 0.9}))
+    before = rig.follower.set_points
+    assert rig.follower.accept(JointTrajectory((), ()), rig.now).replaces
+    rig.states[9] = healthy
+    steps = rig.run(2.0)
+    assert [kind for kind in kinds(steps) if kind is not EventKind.DOUBTFUL] == [
+        EventKind.REPLACED, EventKind.ARRIVED,
+    ]  # fmt: skip
+    braking = TURN.max_velocity * LIMITS.blend_s
+    assert 0.0 <= rig.follower.set_points["turn"] - before["turn"] <= braking
 
 
 def test_a_read_back_that_jumps_is_not_believed(rig: Rig) -> None:

@@ -108,6 +108,8 @@ def test_nothing_is_taken_before_every_servo_was_heard() -> None:
     follower.step(0.02, {5: servo_state(2048), 9: servo_state(3900)})
     with pytest.raises(JobError, match="fresh reading"):
         follower.accept(target, 5.0)
+    with pytest.raises(JobError, match="fresh reading"):
+        follower.accept(JointTrajectory((), ()), 5.0)  # to stop, where nothing moves
     follower.accept(target, 0.02)
 
 

@@ -139,7 +139,8 @@ def test_a_loaded_arm_does_not_sink_when_its_driver_starts_again(protocol: str) 
                  "lower": -1.5, "upper": 1.5, "max_velocity": 3.0}  # fmt: skip
         config = ServoConfig.parse(
             {"bus": {"protocol": protocol, "port": emulator.port, "reply_timeout_s": 0.2},
-             "joints": {f"j{i}": {"servo_id": i, **joint} for i in at}}, "here",
+             "joints": {f"j{i}": {"servo_id": i, **joint} for i in at},
+             "follower": {"silence_s": 0.6}}, "here",
         )  # fmt: skip
 
         def rest(arm: ServoArm, **target: float) -> float:
@@ -173,6 +174,15 @@ def test_a_loaded_arm_does_not_sink_when_its_driver_starts_again(protocol: str) 
         assert arm.bus is not None
         assert abs(arm.bus.goals([1])[1] - config.joints["j1"].to_ticks(0.5)) > 100
         arm.close()
+
+
+def test_a_servo_that_let_go_is_found_within_half_a_second_at_any_rate(driven: Driven) -> None:
+    driven.cycles(1)
+    now = time.monotonic() + 1.0
+    driven.arm.cycle(now)
+    driven.emulator.power_cycle(2)
+    assert driven.arm.cycle(now + 0.4).step.state is FollowerState.IDLE
+    assert driven.arm.cycle(now + 0.6).step.state is FollowerState.FAULT
 
 
 def test_what_another_servo_has_stored_is_not_rewritten_when_the_cable_is_back(

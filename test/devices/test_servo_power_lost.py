@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from driven_arm import MODEL, Driven, driven_arm
+from driven_arm import HORN, MODEL, RACK, Driven, driven_arm
 from faulty_bus import wait_until
 
 from longarm_comp.core.errors import JobError
@@ -159,6 +160,26 @@ def test_a_servo_that_missed_a_faults_goal_is_held_when_it_answers_again(driven:
     driven.until(lambda _: each(lambda motor: abs(motor.goal - motor.position) < 1.0)[1])
 
 
+def test_a_servo_that_was_not_heard_at_a_fault_is_held_once_it_answers_and_is_driven(
+    driven: Driven,
+) -> None:
+    """It has no goal of the fault, and goes on to the last one that it heard."""
+    emulator = driven.emulator
+    _run_away(driven)
+    emulator.faults.silent.add(1)
+    _overheat(driven, 2)
+    driven.becomes(FollowerState.FAULT)
+    for torque in (False, True):
+        with emulator.motor(1) as motor:
+            motor.torque_on = torque
+        emulator.faults.silent.clear()
+        driven.until(lambda cycle: cycle.joints)
+        driven.cycles(5)
+    each = emulator.each
+    driven.until(lambda _: each(lambda motor: abs(motor.goal - motor.position) < 1.0)[1])
+    assert set(emulator.torques_on().values()) == {True}
+
+
 @pytest.mark.parametrize("turned", [-300.0, -4096.0])
 def test_a_goal_of_a_fault_that_was_missed_wakes_no_servo_whose_power_is_back(
     driven: Driven, turned: float
@@ -179,7 +200,7 @@ def test_a_goal_of_a_fault_that_was_missed_wakes_no_servo_whose_power_is_back(
 def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
     driven: Driven, stopped: str
 ) -> None:
-    """A whole turn without power; half of one is a hand's, unless the power went under torque."""
+    """A whole turn without power; it may come back, unless the power went under torque."""
     driven.send(shoulder=0.9)
     driven.becomes(FollowerState.HOLDING)
     arm, torques = driven.arm, driven.emulator.torques_on
@@ -205,7 +226,7 @@ def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
         with pytest.raises(JobError, match="shoulder may have lost count of its servo's turns"):
             switch()
         assert not torques()[1]
-    driven.turn_by_hand(4096.0 - 2000.0)
+    driven.turn_by_hand(4096.0)
     driven.cycles(20)
     if stopped in ("in a fault", "silent"):
         with pytest.raises(JobError, match="shoulder may have lost count of its servo's turns"):
@@ -216,11 +237,70 @@ def test_a_servo_that_lost_count_of_its_turns_is_not_driven_on(
         assert set(torques().values()) == {True}
 
 
-def test_a_servo_of_one_turn_that_lost_its_power_goes_on_after_reset(driven: Driven) -> None:
-    driven.emulator.power_cycle(2)
-    driven.becomes(FollowerState.FAULT)
+@pytest.mark.parametrize(("boom", "counts"), [(HORN, False), (RACK, True)])
+def test_a_servo_on_a_joint_goes_on_after_it_lost_its_power_and_a_geared_one_does_not(
+    tmp_path: Path, boom: str, counts: bool
+) -> None:
+    with driven_arm("feetech", tmp_path, boom) as driven:
+        driven.emulator.power_cycle(2)
+        driven.becomes(FollowerState.FAULT)
+        said = pytest.raises(JobError, match="boom may have lost count")
+        with said if counts else nullcontext():
+            driven.arm.release(time.monotonic())
+        assert driven.emulator.torques_on()[2] is not counts
+
+
+def test_a_joint_that_a_hand_moves_while_it_is_read_keeps_its_count(driven: Driven) -> None:
+    """Farther than half a turn of its servo."""
+    driven.send(shoulder=0.9)
+    driven.becomes(FollowerState.HOLDING)
+    driven.arm.estop()
+    for _ in range(9):
+        driven.turn_by_hand(-280.0)
+        driven.cycles(2)
     driven.arm.release(time.monotonic())
     assert set(driven.emulator.torques_on().values()) == {True}
+
+
+@pytest.mark.parametrize(("boom", "counts"), [(HORN, False), (RACK, True)])
+def test_a_geared_servo_that_passed_its_encoders_jump_without_torque_is_not_driven_on(
+    tmp_path: Path, boom: str, counts: bool
+) -> None:
+    with driven_arm("feetech", tmp_path, boom) as driven:
+        arm, emulator = driven.arm, driven.emulator
+        driven.cycles(3)
+        arm.estop()
+        steps = int((4096.0 - emulator.positions()[2]) // 300.0) + 2
+
+        def turn(by: float) -> None:
+            for _ in range(steps):
+                emulator.push(2, emulator.positions()[2] + by)
+                driven.cycles(2)
+
+        turn(300.0)
+        said = pytest.raises(JobError, match="boom may have lost count")
+        with said if counts else nullcontext():
+            arm.release(time.monotonic())
+        assert set(emulator.torques_on().values()) == {not counts}
+        arm.estop()
+        turn(-300.0)
+        arm.release(time.monotonic())
+        driven.send(boom=0.05)
+
+
+def test_a_geared_servo_pushed_past_its_encoders_jump_under_torque_is_not_driven_on(
+    tmp_path: Path,
+) -> None:
+    with driven_arm("feetech", tmp_path) as driven:
+        driven.cycles(3)
+        with driven.emulator.motor(2) as motor:
+            motor.turn(1400.0)
+            motor.goal = motor.position
+        driven.cycles(3)
+        with pytest.raises(JobError, match="boom may have lost count"):
+            driven.send(boom=0.05)
+        with pytest.raises(JobError, match="boom may have lost count"):
+            driven.arm.release(time.monotonic())
 
 
 def test_a_servo_that_let_go_with_an_alarm_has_not_lost_count(driven: Driven) -> None:

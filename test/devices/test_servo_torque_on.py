@@ -84,7 +84,8 @@ def _config(protocol: str, port: str) -> ServoConfig:
              "lower": -1.0, "upper": 1.0, "max_velocity": 1.0}  # fmt: skip
     line = {"protocol": protocol, "port": port, "reply_timeout_s": 0.5}
     joints = {f"j{i}": {"servo_id": i, **joint} for i in (1, 2, 3)}
-    return ServoConfig.parse({"bus": line, "joints": joints}, "here")
+    follower = {"silence_s": 1.5}
+    return ServoConfig.parse({"bus": line, "joints": joints, "follower": follower}, "here")
 
 
 @pytest.mark.parametrize("protocol", sorted(MODEL))

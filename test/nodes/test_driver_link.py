@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from nodes_bench import Bench, bench
 from own_graph import own_graph
 from played_driver import Driver
-from target_requests import request
+from target_requests import pose, request
 from wind_up import there_and_back
 
 from longarm_comp.core.arm.arm import Arm
@@ -26,6 +26,7 @@ from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import trajectory_message
 from longarm_comp.nodes.orders import order_id
+from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
@@ -114,6 +115,43 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
     says(STATUS.SUCCESS, "", executed=True)
     driver.instances = ()
     says(STATUS.NO_DRIVER, "silent")
+
+
+@pytest.mark.parametrize(
+    ("event", "said"),
+    [
+        (Motion.REACHED, "cancelled: the arm was stopped"),
+        (Motion.REFUSED, "cancelled: the arm was not stopped as asked: the fake says so"),
+        (Motion.BROKEN_OFF, "cancelled: the arm was not stopped as asked: the fake says so"),
+        (None, "cancelled: the arm was not stopped as asked: servo_driver has been silent"),
+    ],
+)
+def test_a_cancelled_reach_calls_an_arm_stopped_only_at_rest(
+    stage: Bench, arm: Arm, driver: Driver, event: int | None, said: str
+) -> None:
+    driver.instances, driver.event = ("a",), Motion.ACCEPTED
+    driver.state, driver.answers = DriverState.READY, True
+    client = graph.COMPENSATE.client(stage.node)
+    target = declared_model(arm).pose(arm.mid)
+    stage.spin(lambda: stage.call(client, request(target, arm, execute=True)).success)
+    reach = stage.action(Reach, graph.REACH.name)
+    heard: list[int] = []
+    sent = reach.send_goal_async(
+        Reach.Goal(target=pose(target)), lambda told: heard.append(told.feedback.phase)
+    )
+    stage.spin(lambda: sent.done() and Reach.Feedback.MOVING in heard)
+    if event is None:
+        driver.answers, driver.instances = False, ()
+    else:
+        driver.event = event
+    goal = sent.result()
+    goal.cancel_goal_async()
+    ended = goal.get_result_async()
+    stage.spin(ended.done)
+    assert ended.result().result.message.startswith(said)
+    assert not driver.got[-1].points
+    driver.answers = True
+    reach.destroy()
 
 
 def test_what_the_driver_accepted_is_the_history_of_the_joints(

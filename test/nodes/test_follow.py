@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,11 +14,14 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from driver_rig import Rig
+from nodes_bench import bench
+from own_graph import own_graph
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import duration
+from longarm_comp.nodes.orders import FollowServer
 from longarm_interfaces.msg import Motion
 
 needs_follow = pytest.mark.skipif(
@@ -115,6 +120,45 @@ def test_a_goal_that_cannot_be_followed_is_refused_in_words(
     code_number = getattr(graph.FOLLOW.type.Result, code)
     assert words in followed.ends(GoalStatus.STATUS_ABORTED, code_number)
     assert rig.joints() == pytest.approx(before, abs=1e-3)
+
+
+class PlayedDriver:
+    """It accepts what moves, and says of an order to stop what it is set to."""
+
+    names, readings, set_points, following = ("shoulder",), {}, {}, ""
+
+    def __init__(self, event: int) -> None:
+        self.event, self.server = event, None
+
+    def take(self, message: JointTrajectory, name: str) -> None:
+        self.server.on_event(Motion.ACCEPTED if message.points else self.event, name, "so")
+
+
+@needs_follow
+@pytest.mark.parametrize(
+    ("event", "said"),
+    [
+        (Motion.REACHED, "the arm was stopped"),
+        (Motion.REPLACED, "the arm was not stopped as asked: so"),
+        (Motion.REFUSED, "the arm was not stopped as asked: so"),
+        (Motion.BROKEN_OFF, "the arm was not stopped as asked: so"),
+    ],
+)
+def test_a_goal_that_ends_early_calls_an_arm_stopped_only_at_rest(
+    tmp_path: Path, event: int, said: str
+) -> None:
+    codes = graph.FOLLOW.type.Result
+    with own_graph(tmp_path), bench() as stage:
+        site = PlayedDriver(event)
+        site.server = FollowServer(stage.node, site)
+        cancelled = Followed(SimpleNamespace(stage=stage), 20.0, shoulder=0.5)
+        cancelled.goal.cancel_goal_async()
+        end = cancelled.ends(GoalStatus.STATUS_CANCELED, codes.SUCCESSFUL)
+        assert end == f"cancelled: {said}"
+        given = {"goal_time_tolerance": duration(0.01)}
+        late = Followed(SimpleNamespace(stage=stage), 0.01, given, shoulder=0.5)
+        end = late.ends(GoalStatus.STATUS_ABORTED, codes.GOAL_TOLERANCE_VIOLATED)
+        assert end == f"not at the end within goal_time_tolerance: {said}"
 
 
 @needs_follow

@@ -352,6 +352,8 @@ def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Pat
     wrong.write_text(rig.file.read_text().replace("gear_ratio", "gear_ration"))
     said = refusal(rig, "--params-file", str(wrong))
     assert "gear_ration" in said and "allowed" in said
+    said = refusal(rig, "--params-file", str(rig.file), "-p", "rate_hz:=5.0")
+    assert "rate_hz: 5.0; allowed: at least 10" in said
 
 
 @pytest.mark.parametrize(
@@ -404,7 +406,8 @@ def test_shaped_moves_arrive_and_shaping_needs_an_arm(rig: Rig, tmp_path: Path) 
 def test_a_driver_that_says_ready_takes_a_trajectory_before_its_first_cycle(rig: Rig) -> None:
     """Nor later, when the last reading is older than is believed: the servos are read first."""
     rig.ends()
-    rig.start(rate_hz=1.0, **{"follower.silence_s": 0.1})
+    slow = {"max_step_s": 1.0, "silence_s": 1.0, "stall_time_s": 1.0, "blend_s": 2.0}
+    rig.start(rate_hz=1.0, **{f"follower.{name}": value for name, value in slow.items()})
     rig.is_in(DriverState.READY)
     rig.send("at once", shoulder=0.2)
     rig.stage.spin(lambda: rig.events("at once"))

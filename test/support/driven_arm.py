@@ -22,10 +22,15 @@ bus: {protocol: %s, port: %s, reply_timeout_s: 0.1, retries: 1}
 joints:
   shoulder: {servo_id: 1, model: %s, type: revolute, zero_ticks: 2048, gear_ratio: 3.0,
              multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 1.0}
-  boom: {servo_id: 2, model: %s, type: prismatic, zero_ticks: 3900, direction: -1,
-         pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.09}
+  boom: {servo_id: 2, model: %s, %s}
 follower: {stall_time_s: 0.6, silence_s: 1.5}
 """
+RACK = (
+    "type: prismatic, zero_ticks: 3900, direction: -1, pinion_radius_m: 0.018, lower: 0.0, "
+    "upper: 0.1, max_velocity: 0.09"
+)
+HORN = "type: revolute, zero_ticks: 2048, lower: -1.0, upper: 1.0, max_velocity: 0.9"
+"""The boom of a rack, and one on its servo's horn."""
 MODEL = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
 
 
@@ -76,10 +81,10 @@ class Driven:
 
 
 @contextmanager
-def driven_arm(protocol: str, folder: Path) -> Iterator[Driven]:
+def driven_arm(protocol: str, folder: Path, boom: str = RACK) -> Iterator[Driven]:
     model, link = MODEL[protocol], folder / "bus"
     path = folder / "servo_driver.yaml"
-    path.write_text(CONFIG % (protocol, link, model, model))
+    path.write_text(CONFIG % (protocol, link, model, model, boom))
     true = read_arm(path)
     at = {"shoulder": 0.2, "boom": 0.02}
     start = {joint.servo_id: joint.ticks(at[joint.name]) for joint in true.joints}

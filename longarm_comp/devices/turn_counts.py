@@ -1,0 +1,68 @@
+"""Follows the readings of servos, to know whether they still tell where the joints stand."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.devices.servo_bus.state import ServoState
+from longarm_comp.devices.servo_config import ServoConfig
+
+
+class TurnCounts:
+    """Follows every servo from reading to reading, with the torque on or off.
+
+    A reading tells where a joint stands only up to whole turns of its servo, except for
+    `JointConfig.absolute`. The count of these turns is in doubt while the readings have jumped by
+    more than half a turn, and have not jumped back: the servo lost count without power, or its horn
+    passed the place where an encoder of one turn jumps. It is also in doubt from when a joint moved
+    unread for so long that its servo may have made half a turn, or sank without power.
+
+    Attributes:
+        stood: last readings, ticks by servo id.
+    """
+
+    def __init__(self, config: ServoConfig) -> None:
+        self._joints, self._unmoved_ticks = config.joints, config.follower.lost_error_ticks
+        self.stood: dict[int, int] = {}
+        self._read_at: dict[int, float] = {}
+        self._jumps: Counter[int] = Counter()  # turns by which readings have jumped, by servo id
+        self._lost: set[int] = set()
+
+    def trust(self, now: float, states: Mapping[int, ServoState]) -> None:
+        """Note readings of servos that follow their goals: they have not jumped.
+
+        ``now``: monotonic time, s. ``states``: read-back by servo id.
+        """
+        self.stood |= {i: state.position_ticks for i, state in states.items()}
+        self._read_at |= dict.fromkeys(states, now)
+
+    def follow(self, now: float, states: Mapping[int, ServoState]) -> None:
+        """Note readings of servos that nothing moves, or that may not follow. Args as `trust`."""
+        for joint in self._joints.values():
+            i, turn = joint.servo_id, joint.servo.ticks_per_turn
+            if i not in states or i not in self.stood:
+                continue
+            moved = states[i].position_ticks - self.stood[i]
+            jumps = round(moved / turn)
+            self._jumps[i] += jumps
+            farthest = joint.fastest_ticks_s * (now - self._read_at[i])
+            if farthest > turn / 2 and abs(moved - jumps * turn) > self._unmoved_ticks:
+                self._lost.add(i)
+        self.trust(now, states)
+
+    def lose(self, ids: Iterable[int]) -> None:
+        """Note servos that may have lost their power under torque."""
+        self._lost.update(ids)
+
+    def check(self) -> None:
+        """Raise JobError if a joint may stand whole turns of its servo from where it reads."""
+        for name, joint in self._joints.items():
+            i = joint.servo_id
+            if not joint.absolute and (self._jumps[i] or i in self._lost):
+                raise JobError(
+                    f"{name} may have lost count of its servo's turns: see whether it stands where "
+                    "it says; then configure the driver again, which believes it",
+                    reads=f"{joint.to_si(self.stood[i]):.4g} {joint.unit}",
+                )
