@@ -48,6 +48,7 @@ class ServoSetup:
 
     Args:
         joints: configuration of each joint, by name.
+        journal: of the arm; changes of the servos' settings are entered there.
         check: called before anything is held or moved; raises an error if it must not be.
 
     Attributes:
@@ -59,11 +60,11 @@ class ServoSetup:
         self,
         bus: SerialServoBus,
         joints: Mapping[str, JointConfig],
+        journal: SetupJournal,
         check: Callable[[], object] = lambda: None,
     ) -> None:
-        self._bus, self._joints, self._check = bus, joints, check
+        self._bus, self._joints, self._journal, self._check = bus, joints, journal, check
         self._ids = [joint.servo_id for joint in joints.values()]
-        self._journal = SetupJournal(bus.port, bus.protocol)
         self.memory: dict[str, ServoMemory] = {}
         self.said: list[str] = []
 
@@ -94,8 +95,8 @@ class ServoSetup:
             left = set(self._journal.write_back(self._bus)) & set(self._ids)
             if left:
                 raise JobError(
-                    "servos have not stored again what they had: the next `longarm servo setup` on "
-                    "this port sees to it",
+                    "servos have not stored again what they had: the next `longarm servo setup` of "
+                    "this arm sees to it",
                     ids=sorted(left),
                     file=self._journal.path,
                 )
@@ -111,7 +112,8 @@ class ServoSetup:
 
     def _set_turns(self) -> None:
         many = {j.servo_id: j.multi_turn for j in self._joints.values()}
-        self.said = self._bus.set_turns(many, self._journal.begin)
+        self.said = self._journal.describe_others()
+        self.said += self._bus.set_turns(many, self._journal.begin)
         kept = self._bus.memory(self._ids)
         self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 

@@ -193,7 +193,8 @@ def test_what_nobody_is_there_to_answer_names_its_flag(shell: Shell) -> None:
         file.write_text(text)
         assert shell("servo", "setup", mine, *words) == 0
         assert "now" in shell.out
-    assert "servo file" in shell.refused("servo", "setup", shell.folder)
+    for words in (("setup", shell.folder), ("set-id", 5, "--arm", shell.folder)):
+        assert "servo file" in shell.refused("servo", *words)
 
 
 @pytest.mark.parametrize("by", ["port", "file", "folder"])
@@ -212,14 +213,14 @@ def test_nothing_moves_under_a_stop(shell: Shell, by: str, tmp_path: Path) -> No
         latch.ask(Stop.HOLD)
         latch.keep()
         servos = dict.fromkeys((1, 2, 3), models()["sts3215"])
-        with closing(open_bus("feetech", emulator.port, 1000000, servos)) as line:
+        with closing(open_bus("feetech", emulator.port, 1000000, servos, 0.2)) as line:
             line.torque([1, 2, 3], on=True)
-        words = ("--port", emulator.port, *RIGHT, *POSE_FLAGS)
+        bus_there = ("--port", emulator.port, "--timeout", 0.2)  # also on a busy machine
+        words = (*bus_there, *RIGHT, *POSE_FLAGS)
         assert "held since" in untouched(mine, shell, *words)
-        if by == "port":
-            only = ("--port", emulator.port, "--ids", "1")
-            assert "held since" in shell.refused("servo", "set-id", 5, *only, code=3)
-            assert 5 not in emulator.torques_on()
+        only = (*bus_there, "--ids", "1", *(("--arm", mine) if by != "port" else ()))
+        assert "held since" in shell.refused("servo", "set-id", 5, *only, code=3)
+        assert 5 not in emulator.torques_on()
         assert all(emulator.torques_on().values())
         with latch.lift_stops(Stop.HOLD):
             pass
