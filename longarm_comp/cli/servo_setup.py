@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -77,7 +77,7 @@ def setup(
     from longarm_comp.devices.servo_bus.registry import open_bus
     from longarm_comp.devices.servo_check import check_reach
     from longarm_comp.devices.servo_config import ServoConfig
-    from longarm_comp.devices.servo_setup import ServoSetup, show_value, zero_from_pose
+    from longarm_comp.devices.servo_setup import ServoSetup, show_value
     from longarm_comp.devices.setup_journal import SetupJournal
 
     file, wait, state = folder / SERVOS, partial(go_on, _COMMAND, yes), own_state(folder)
@@ -106,23 +106,17 @@ def setup(
     with closing(servo_bus), ServoSetup(servo_bus, blind, journal, check).safely() as bench:
         for text in bench.said:
             note(text)
-        said = ", ".join(f"{name} {show_value(blind[name], v)}" for name, v in held.items())
-        wait(f"Put the arm into this pose and hold it still (another: --pose): {said}.")
-        rest = bench.rest()
-        unknown = [name for name in blind if name not in directions]
-        if unknown:
-            wait("The torque goes on; each joint makes a small move. Stand clear.")
-            bench.hold()
-            directions |= {name: _ask_direction(bench, name) for name in unknown}
-            wait("The torque goes off again: hold or support the arm.")
-            bench.let_go()
-        joints = {}
-        for name, joint in blind.items():
-            kept = bench.memory[name]
-            turned = joint.with_values(direction=directions[name], stored=kept.placing)
-            zero = zero_from_pose(turned, rest[name], held[name])
-            joints[name] = turned.with_values(zero_ticks=zero)
-            check_reach(name, joints[name], kept)
+        zeros = _find_zeros(bench, blind, held, directions, yes)
+        joints = {
+            name: joint.with_values(
+                direction=directions[name],
+                stored=bench.memory[name].placing,
+                zero_ticks=zeros[name],
+            )
+            for name, joint in blind.items()
+        }
+        for name, joint in joints.items():
+            check_reach(name, joint, bench.memory[name])
         line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
         text = with_joints(file.read_text("utf-8"), line_found, joints, file)
         wait(f"{file} will be written.")
@@ -156,7 +150,7 @@ def _held_pose(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
     from longarm_comp.devices.servo_setup import hand_unit
 
     joints = config.joints
-    held = {name: min(max(0.0, joint.lower), joint.upper) for name, joint in joints.items()}
+    held = {name: joint.home for name, joint in joints.items()}
     form = "JOINT=NUMBER, deg or mm"
     for name, value in numbers_by_name(_COMMAND, "--pose", pose, form, list(joints)).items():
         held[name] = value * hand_unit(joints[name])[0]
@@ -198,6 +192,52 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
             note(f"{name}: servo {servo.servo_id} is a {servo.model}, and the file will say so")
         joints[name] = joint.with_values(model=servo.model)
     return joints
+
+
+def _find_zeros(
+    bench: ServoSetup,
+    joints: Mapping[str, JointConfig],
+    held: Mapping[str, float],
+    directions: dict[str, int],
+    yes: bool,
+) -> dict[str, float]:
+    """Return the joints' zeros, ticks, from a pose that the user holds; ask for it until they fit.
+
+    A zero fits if it is in the turn from which the servo counts after power-on.
+
+    Args:
+        held: the pose, rad or m.
+        directions: +1 or -1 by joint; those left out are asked for and added.
+
+    Raises:
+        JobError: a zero does not fit, and with ``yes`` there is nobody to ask.
+    """
+    from longarm_comp.devices.servo_setup import describe_power_on, show_value, zero_from_pose
+
+    wait = partial(go_on, _COMMAND, yes)
+    said = ", ".join(f"{name} {show_value(joints[name], v)}" for name, v in held.items())
+    while True:
+        wait(f"Put the arm into this pose and hold it still (another: --pose): {said}.")
+        rest = bench.rest()
+        unknown = [name for name in joints if name not in directions]
+        if unknown:
+            wait("The torque goes on; each joint makes a small move. Stand clear.")
+            bench.hold()
+            directions |= {name: _ask_direction(bench, name) for name in unknown}
+            wait("The torque goes off again: hold or support the arm.")
+            bench.let_go()
+        zeros: dict[str, float] = {}
+        elsewhere: dict[str, JointConfig] = {}
+        for name, joint in joints.items():
+            zeros[name] = zero_from_pose(joint, directions[name], rest[name], held[name])
+            low, high = joint.zero_range(directions[name], bench.memory[name].placing)
+            if not low <= zeros[name] <= high:
+                elsewhere[name] = joint
+        if not elsewhere:
+            return zeros
+        if yes:
+            raise JobError(f"{describe_power_on(elsewhere)}; without --yes, setup waits for that")
+        wait(f"{describe_power_on(elsewhere)}.")
 
 
 def _ask_direction(setup: ServoSetup, name: str) -> int:

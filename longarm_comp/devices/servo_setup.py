@@ -38,9 +38,22 @@ def hand_unit(joint: JointConfig) -> tuple[float, str]:
     return (1e-3, "mm") if joint.type == "prismatic" else (math.radians(1.0), "deg")
 
 
-def zero_from_pose(joint: JointConfig, ticks: float, value: float) -> float:
+def zero_from_pose(joint: JointConfig, direction: int, ticks: float, value: float) -> float:
     """Return whole ticks at joint value 0, for a reading of ``ticks`` at ``value`` (rad, m)."""
-    return float(round(ticks - joint.direction * value / joint.si_per_tick))
+    return float(round(ticks - direction * value / joint.si_per_tick))
+
+
+def describe_power_on(joints: Mapping[str, JointConfig]) -> str:
+    """Say what to do about servos that count from another turn than that of their zero."""
+    at = [
+        f"{name} at {show_value(joint, joint.home)}, less than "
+        f"{show_value(joint, joint.servo.ticks_per_turn / 2 * joint.si_per_tick)} off"
+        for name, joint in joints.items()
+    ]
+    return (
+        "the turns that servos have counted contradict the pose: cut the servos' power and give it "
+        f"back with {'; '.join(at)} (if they do so again, --pose, --direction or gearing is wrong)"
+    )
 
 
 class ServoSetup:
