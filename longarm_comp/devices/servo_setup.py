@@ -20,8 +20,9 @@ _PERIOD_S = 0.02
 """Time between two readings, s."""
 _LOOKS, _STILL_TICKS = 15, 8
 """Number of readings of a held pose, and their largest difference, because a hand trembles."""
-_NEAR_TICKS, _SETTLED_S = 6, 0.3
-"""A move is over when the servo has rested this near its goal for this time, s."""
+_NEAR_TICKS, _SETTLED_S, _PATIENCE_S = 6, 0.3, 5.0
+"""A move is over when the servo has rested this near its goal for this time, s; or so long, s,
+after it was led to its goal."""
 _LONGEST_STEP_S, _ASIDE_TICKS = 0.1, 24
 """Longest time by which a goal moves on at once, and how far beside the way led a servo may be:
 2 degrees of its horn, for a gear that gives way."""
@@ -171,7 +172,7 @@ class ServoSetup:
             +1 if the ticks grew, else -1. The move is upwards unless it would leave the range.
 
         Raises:
-            JobError: there is no room for the move, or the joint does not follow.
+            JobError: there is no room for the move, or the joint does not follow or come back.
         """
         joint, kept = self._joints[name], self.memory[name]
         start = self._read_ticks(joint)
@@ -190,6 +191,12 @@ class ServoSetup:
             raise JobError(what, ticks=moved)
         yield 1 if moved > 0 else -1
         self._go_to(name, start)
+        left = self._read_ticks(joint) - start
+        if abs(left) > _ASIDE_TICKS:
+            raise JobError(
+                f"{name} did not come back from its small move: servo {joint.servo_id} stands "
+                f"{left} ticks from where it began, with {kept.notable}"
+            )
 
     def _go_to(self, name: str, goal: int) -> None:
         """Lead one servo slowly to a goal, ticks, until it rests there or the time is over.
@@ -206,9 +213,9 @@ class ServoSetup:
         start = last = self._read_ticks(joint)
         far, led = abs(goal - start), 0.0
         before = rested = time.monotonic()
-        # Time for the move: three times one second and its duration
-        limit = before + 3.0 * (1.0 + far / speed)
+        limit = before + _PATIENCE_S
         while (now := time.monotonic()) < limit:
+            limit = now + _PATIENCE_S if led < far else limit
             led = min(far, led + speed * min(now - before, _LONGEST_STEP_S))
             before = now
             sent = start + round(math.copysign(led, goal - start))

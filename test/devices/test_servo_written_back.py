@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import itertools
@@ -30,6 +31,7 @@ from servo_bench import bus as geared_bus
 from servo_terminal import RIGHT
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.devices import servo_setup
 from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.registry import models, open_bus
@@ -199,6 +201,46 @@ def test_a_nudge_stays_within_the_servos_limits_or_names_them(
         made.nudge("joint2"),
     ):
         raise AssertionError
+
+
+def test_a_busy_computer_leads_a_servo_all_the_way(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Patience begins when the goal is sent: each step of the way takes longer here."""
+    monkeypatch.setattr(servo_setup, "_PATIENCE_S", 0.5)
+    write = SerialServoBus.write_goal
+
+    def late(*words: object) -> None:
+        time.sleep(0.15)
+        write(*words)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(SerialServoBus, "write_goal", late)
+    with two("feetech") as emulator:
+        config = configured(direct(shell, "sts3215"), emulator)
+        with bench(emulator, config) as made:
+            with made.nudge("joint2"):
+                assert emulator.positions()[2] == pytest.approx(2048 + 57, abs=10.0)
+            assert emulator.positions()[2] == pytest.approx(2048, abs=10.0)
+
+
+@pytest.mark.parametrize("beside", [22, 26])
+def test_a_joint_that_does_not_come_back_is_told(
+    shell: Shell, emulator: ServoEmulator, beside: int
+) -> None:
+    """Two degrees of the horn may be left, for a gear that gives way."""
+    config = configured(direct(shell, MODELS[emulator.protocol]), emulator)
+    stays = f"joint2 did not come back .* servo 2 stands {beside} ticks from where it began"
+    with bench(emulator, config) as made:
+        with contextlib.ExitStack() as told:
+            if beside > 24:
+                told.enter_context(pytest.raises(JobError, match=stays))
+            with made.nudge("joint2") as grew, emulator.motor(2) as motor:
+                assert grew == 1
+                motor.turn(2048 + beside - motor.position)
+                motor.blocked = True
+        with emulator.motor(2) as motor:
+            motor.blocked = False
+    assert not any(emulator.torques_on().values())
 
 
 # ---- written back -------------------------------------------------------------------------------
