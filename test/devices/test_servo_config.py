@@ -162,8 +162,11 @@ def test_a_zero_of_many_turns_is_in_the_turn_that_is_read_after_power_on(
         same = float(said.split("for instance ")[1].split(",")[0])
         assert (same - zero) % 4096 == 0
         ServoConfig.parse(at(same), "servo.yaml")
-    alone = REVOLUTE | {"zero_ticks": -1000, "lower": 2.0, "upper": 3.0}  # of one turn: its limits
-    ServoConfig.parse(_document(a=alone), "servo.yaml")
+    if "stored" in change:  # with one turn, only the limits decide
+        one = {"multi_turn": False, "gear_ratio": 1.0, "lower": 0.0, "upper": 0.1}
+        for zero in (0, 4000):
+            shifted = document["joints"]["a"] | one | {"zero_ticks": zero}
+            ServoConfig.parse(document | {"joints": {"a": shifted}}, "servo.yaml")
 
 
 @pytest.mark.parametrize("geared", [{}, {"gear_ratio": 2.0}])

@@ -130,6 +130,7 @@ def test_an_arm_keeps_what_it_has_to_write_back_in_its_own_folder(tmp_path: Path
     assert own.read() == {} and own.end([1]) == []
     assert users.read() == {1: (b"had", b"new")}
     assert own.path.is_relative_to(tmp_path / "own")
+    assert users.describe_others() == []
     (said,) = own.describe_others()
     assert str(users.path) in said
 
