@@ -127,7 +127,8 @@ class JointConfig(ServoSettings):
             same = self.zero_ticks - turn * math.floor((self.zero_ticks - low) / turn)
             allowed = (
                 f"{math.ceil(low)} to {math.floor(high)}, in the turn from which the servo counts "
-                f"after power-on: for instance {same:g}, the same place of its horn"
+                f"after power-on: for instance {same:g}, the same place of its horn, if the joint "
+                f"is near {self.home:.4g} {self.unit} at every power-on"
             )
             raise Misdeclared("zero_ticks", self.zero_ticks, allowed)
         return self

@@ -123,10 +123,11 @@ def describe_left(folder: Path, port: str, own: Path | None = None) -> Iterator[
             data = json.loads(file.read_text("utf-8"))
             ids = sorted(_changes(data))
             at = data.get("port")
+            here = at is not None and os.path.realpath(at) == device
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             yield _say_damaged(file)
             continue
-        if at is not None and os.path.realpath(at) == device:
+        if here:
             yield (
                 f"a setup of {data.get('arm')} was broken off: servos {ids} {_HELD} ({file}); its "
                 "next `longarm servo setup` or start of its driver sees to it"

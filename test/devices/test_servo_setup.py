@@ -44,7 +44,8 @@ def emulator(request: pytest.FixtureRequest) -> Iterator[FaultyBus]:
 def test_scan_finds_protocol_ids_models_and_two_servos_with_one_id(
     shell: Shell, emulator: FaultyBus
 ) -> None:
-    found = shell.json("servo", "scan", "--port", emulator.port, "--ids", "1-4")
+    patient = ("--timeout", 0.05)  # also on a busy machine
+    found = shell.json("servo", "scan", "--port", emulator.port, "--ids", "1-4", *patient)
     assert (found["protocol"], [s["servo_id"] for s in found["servos"]]) == (
         emulator.protocol, [1, 2, 3],
     )  # fmt: skip
@@ -53,7 +54,7 @@ def test_scan_finds_protocol_ids_models_and_two_servos_with_one_id(
     assert not any(s["clash"] for s in found["servos"])
     emulator.add_twin(2, 700.0)
     words = ("--port", emulator.port, "--protocol", emulator.protocol, "--baud", 1000000)
-    said = shell.refused("servo", "scan", *words, "--ids", "1-3", code=3)
+    said = shell.refused("servo", "scan", *words, "--ids", "1-3", *patient, code=3)
     assert "id" in said and "[2]" in said
     assert "two servos with this id" in shell.out
 

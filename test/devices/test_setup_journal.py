@@ -193,8 +193,10 @@ def test_the_journal_waits_for_a_silent_servo_and_is_not_guessed_when_damaged(
             ServoArm(config, journal=journal)
         words = ("servo", "setup", mine, "--port", three.port, *RIGHT)
         assert "is damaged" in shell.refused(*words, code=3)
-        (said,) = drives(config, SetupJournal("", "another/arm.yaml", config.bus))[-1:]
-        assert f"{journal.path} is damaged" in said and journal.path.exists()
+        for text in ("[]", '{"turns": {}, "port": 5}'):
+            journal.path.write_text(text)
+            (said,) = drives(config, SetupJournal("", "another/arm.yaml", config.bus))[-1:]
+            assert f"{journal.path} is damaged" in said and journal.path.exists()
 
 
 def test_entries_are_kept_by_arm_and_by_protocol() -> None:
