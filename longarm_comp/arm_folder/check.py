@@ -239,7 +239,8 @@ def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFindin
             said = f"limits {joint.lower:g} to {joint.upper:g} {joint.unit}; poses are planned "
             said += f"within {lower:g} to {upper:g}, as in {ARM}"
             found.append(implausible(f"{path.name}: joints.{name}", said))
-    zeros = [n for n, j in servos.joints.items() if j.zero_ticks == j.servo.ticks_per_turn / 2]
+    turns = {name: joint.servo.ticks_per_turn for name, joint in servos.joints.items()}
+    zeros = [n for n, turn in turns.items() if servos.joints[n].zero_ticks % turn == turn / 2]
     if zeros and path.name not in known:
         said = f"half a turn at {', '.join(zeros)}: read the encoders at joint value 0"
         said += " (longarm servo setup); check ids, gearing and directions too"

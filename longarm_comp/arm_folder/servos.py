@@ -142,6 +142,9 @@ def _fit_servo(
     transmission, tick = _fit_gearing(joint, farthest / room, model.ticks_per_turn)
     if horn:
         transmission, tick = {"gear_ratio": 1.0}, 2 * math.pi / model.ticks_per_turn
+    # Whole turns lower, so that the servo stands in its first turn with the joint nearest to 0
+    home = min(max(0.0, joint.limits[0]), joint.limits[1])
+    turns = 0 if horn else math.floor((middle + round(home / tick)) / model.ticks_per_turn)
     speed = _SHARE * min(_SMALL_TICKS_S, model.top_speed_ticks_s or math.inf) * tick
     # Speed of the tip at which people may stand beside an arm (ISO 10218-1, reduced speed)
     speed = min(speed, 0.25 / reach_m) if horn else speed
@@ -149,7 +152,7 @@ def _fit_servo(
         "servo_id": number,
         "model": model.name,
         "type": joint.type,
-        "zero_ticks": middle,
+        "zero_ticks": middle - turns * model.ticks_per_turn,
         **transmission,
         "multi_turn": not horn,
         "lower": round(joint.limits[0], 7),

@@ -281,5 +281,11 @@ servo_line = several(
     ),
     click.option("--baud", type=click.IntRange(min=1), help="bit/s; default: what answers."),
     click.option("--ids", default="0-252", help="Ids to ask: 1-20 or 1,2."),
+    click.option(
+        "--timeout",
+        default=0.02,
+        type=click.FloatRange(0.001, 1.0),
+        help="Patience with one id, s.",
+    ),
 )
-"""Options ``--port``, ``--protocol``, ``--baud``, ``--ids`` of a servo bus."""
+"""Options ``--port``, ``--protocol``, ``--baud``, ``--ids``, ``--timeout`` of a servo bus."""

@@ -91,7 +91,7 @@ COMMANDS = (
     ),
     Entry("servo scan", "servo:scan", "List the servos on a bus: id, model, ids used twice."),
     Entry("servo set-id", "servo:set_id", "Give the only connected servo its id."),
-    Entry("servo setup", "servo:setup", "Find zeros and directions of the servos."),
+    Entry("servo setup", "servo_setup:setup", "Find zeros and directions of the servos."),
     Entry("stereo marker", "stereo:marker", "Write a marker or calibration board to print."),
     Entry("stereo webcams", "stereo:webcams", "List the webcams, and how to publish their images."),
     Entry("stereo calibrate", "stereo:calibrate", "Calibrate the two cameras from a board."),

@@ -1,14 +1,10 @@
-"""``longarm find-port``, ``servo scan``, ``servo set-id`` and ``servo setup``."""
+"""``longarm find-port``, ``servo scan`` and ``servo set-id``."""
 
 from __future__ import annotations
 
 import re
-import signal
-import sys
 from collections.abc import Collection, Sequence
-from contextlib import closing
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,21 +12,15 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table, progress
-from longarm_comp.cli.signals import ask, by_name, go_on, handle_signals, numbers_by_name
+from longarm_comp.cli.signals import ask, go_on
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
     from longarm_comp.devices.servo_bus.registry import FoundServo, Scan
-    from longarm_comp.devices.servo_config import ServoConfig
-    from longarm_comp.devices.servo_joint import JointConfig
-    from longarm_comp.devices.servo_setup import ServoSetup
 
 
 @click.command()
 @options.servo_line
-@click.option(
-    "--timeout", default=0.02, type=click.FloatRange(0.001, 1.0), help="Patience with one id, s."
-)
 @options.as_json
 def scan(port: str | None, **line: Any) -> None:
     """List the servos on a bus: id, model, firmware, ids that two servos share, alarms, and what
@@ -45,28 +35,25 @@ def scan(port: str | None, **line: Any) -> None:
       longarm servo scan --port /dev/ttyUSB0
       longarm servo scan --port /dev/ttyUSB0 --protocol feetech --baud 1000000 --ids 1-20 --json
     """
-    from longarm_comp.devices.setup_journal import SetupJournal
+    from longarm_comp.devices.setup_journal import describe_left
+    from longarm_comp.devices.state_folder import state_folder
 
-    found = _find_servos("servo scan", port, **line)
+    found = find_servos("servo scan", port, **line)
     print_json(asdict(found))
-    _show_servos(found)
-    left = SetupJournal(found.port, found.protocol)
-    if ids_left := sorted(left.read()):
-        note(
-            f"a setup was broken off: servos {ids_left} have not stored again what they had "
-            f"({left.path}); the next setup or start of the driver sees to it"
-        )
+    show_servos(found)
+    for said in describe_left(state_folder(), found.port):
+        note(said)
     if all(servo.model for servo in found.servos):
         note("next: longarm servo setup DIR writes each servo's model, zero and direction")
 
 
-def _find_servos(
+def find_servos(
     command: str,
     port: str | None,
     protocol: str | None,
     baud: int | None,
     ids: str,
-    timeout: float = 0.02,
+    timeout: float,
     known: str | None = None,
     expected: Collection[int] = (),
 ) -> Scan:
@@ -103,7 +90,7 @@ def _find_servos(
     return found
 
 
-def _show_servos(found: Scan) -> None:
+def show_servos(found: Scan) -> None:
     """Print the servos found; raise `JobError` where two answer with the same id."""
     rows = []
     for s in found.servos:
@@ -115,7 +102,7 @@ def _show_servos(found: Scan) -> None:
     print_table(title, ("id", "model", "firmware", ""), rows)
     for s in found.servos:
         if not s.model and not s.clash:
-            note(f"next: {_describe_unknown(s, found.protocol)}")
+            note(f"next: {describe_unknown(s, found.protocol)}")
     if found.clashes:
         raise JobError(
             "answers are damaged or doubled: connect these servos one at a time and give each its "
@@ -124,7 +111,7 @@ def _show_servos(found: Scan) -> None:
         )
 
 
-def _describe_unknown(servo: FoundServo, protocol: str) -> str:
+def describe_unknown(servo: FoundServo, protocol: str) -> str:
     from longarm_comp.devices.servo_bus.registry import protocols
 
     known = ", ".join(model.name for model in protocols()[protocol].models)
@@ -148,25 +135,53 @@ def _parse_ids(text: str) -> Sequence[int]:
 @click.command("set-id")
 @click.argument("servo_id", type=int, metavar="ID")
 @options.servo_line
-def set_id(servo_id: int, port: str | None, **line: Any) -> None:
+@options.path_option("--arm", "Folder of the arm: its own stops count, too.")
+def set_id(servo_id: int, port: str | None, arm: Path | None, **line: Any) -> None:
     """Give the only connected servo the id ID; the servo keeps it without power.
 
     New servos all have the id 1. Connect one alone, give it its id, disconnect it, connect the
-    next. Refused while an arm on this port is stopped or held: its torque would go off.
+    next. Refused while an arm on this port is stopped or held: its torque would go off. An arm
+    whose servo_driver.yaml names a folder for stops (state) is known with --arm alone.
 
     \b
-    Example:
+    Examples:
       longarm servo set-id 3 --port /dev/ttyUSB0
+      longarm servo set-id 3 --port /dev/ttyUSB0 --arm my_arm
     """
     from longarm_comp.devices.servo_bus.registry import change_servo_id
-    from longarm_comp.devices.state_folder import state_folder
-    from longarm_comp.devices.stop_latch import refuse_under_stop
 
-    found = _find_servos("servo set-id", port, **line)
-    refuse_under_stop(state_folder(), [found.port])
+    state = own_state(arm) if arm else ""
+    found = find_servos("servo set-id", port, **line)
+    refuse_stopped(state, {found.port}, arm)
     old = change_servo_id(found, servo_id)
     note(f"servo {old} is servo {servo_id} now: write it on the servo")
     note("next: connect the next servo alone; when all are done, longarm servo setup DIR")
+
+
+def own_state(folder: Path) -> str:
+    """Return the folder for stops that an arm's servo file names; empty: the user's.
+
+    Raises:
+        InputError: the arm's folder has no servo file.
+    """
+    from longarm_comp.arm_folder.parameter_file import read_parameters
+    from longarm_comp.arm_folder.servos import SERVOS
+
+    file = folder / SERVOS
+    if not file.is_file():
+        raise InputError(file, "servo file", "missing", "`longarm init` makes it")
+    return str(read_parameters(file).get("state") or "")
+
+
+def refuse_stopped(state: str, ports: Collection[str], folder: Path | None) -> None:
+    """Raise `JobError` if ports, or the arm in a folder, are stopped or held.
+
+    ``state``: the arm's own folder for stops; empty: the user's.
+    """
+    from longarm_comp.devices.state_folder import state_folder
+    from longarm_comp.devices.stop_latch import refuse_under_stop
+
+    refuse_under_stop(state_folder(state), ports, folder and folder / "arm.yaml")
 
 
 @click.command("find-port")
@@ -195,190 +210,3 @@ def find_port() -> None:
     go_on("find-port", False, "Plug it in again.")
     note(f"next: longarm servo scan --port {gone[0]}")
     click.echo(gone[0])
-
-
-_COMMAND = "servo setup"
-_SIGNS = {"+": 1, "-": -1}
-
-
-@click.command()
-@options.folder
-@options.servo_line
-@click.option(
-    "--pose", multiple=True, metavar="JOINT=VALUE", help="Held pose, deg or mm. Default: 0."
-)
-@click.option(
-    "--direction",
-    multiple=True,
-    metavar="JOINT=+|-",
-    help="+ if the ticks grow with the joint value, else -.",
-)
-@options.flag("--yes", "Do not wait at each step: the arm is held or supported.")
-@options.as_json
-@handle_signals(signal.default_int_handler)
-def setup(
-    folder: Path,
-    port: str | None,
-    pose: Sequence[str],
-    direction: Sequence[str],
-    yes: bool,
-    **line: Any,
-) -> None:
-    """Find zeros and directions of DIR's servos, and write DIR/servo_driver.yaml.
-
-    The steps are: scan for servos; switch the torque off; take the zeros from a pose that you hold;
-    move each joint by 5 degrees (a slide by 5 mm) and ask which way it went. Then the file is
-    written in one step, read again, and the joints' values are shown. Every question is also an
-    option. The torque is off at the end and after an interruption; an interruption leaves the file
-    as it was. While the arm is stopped or held nothing is touched.
-
-    \b
-    Examples:
-      longarm servo setup my_arm
-      longarm servo setup my_arm --port /dev/ttyUSB0 --yes --pose joint2=30 \\
-        --direction joint1=+ --direction joint2=-
-    """
-    from longarm_comp.arm_folder.measured import note_measured
-    from longarm_comp.arm_folder.parameter_file import read_parameters
-    from longarm_comp.arm_folder.servos import KEYS, SERVOS, with_joints
-    from longarm_comp.core.files import write_text
-    from longarm_comp.devices.servo_bus.registry import open_bus
-    from longarm_comp.devices.servo_check import check_reach
-    from longarm_comp.devices.servo_config import ServoConfig
-    from longarm_comp.devices.servo_setup import ServoSetup, show_value, zero_from_pose
-    from longarm_comp.devices.state_folder import state_folder
-    from longarm_comp.devices.stop_latch import refuse_under_stop
-
-    file, wait = folder / SERVOS, partial(go_on, _COMMAND, yes)
-    if not file.is_file():
-        raise InputError(file, "servo file", "missing", "`longarm init` makes it")
-    config = ServoConfig.load(file)
-    held, directions, bus = (
-        _held_pose(config, pose),
-        _given_directions(config, direction),
-        config.bus,
-    )
-    known = {joint.servo_id for joint in config.joints.values()}
-    found = _find_servos(_COMMAND, port, known=bus.port, expected=known, **line)
-    stops = Path(read_parameters(file).get("state") or state_folder())
-    check = partial(refuse_under_stop, stops, {found.port, bus.port}, folder / "arm.yaml")
-    check()
-    _show_servos(found)
-    blind = _on_the_bus(config, found)
-    wait("The torque goes off: hold or support the arm.")
-    servo_bus = open_bus(
-        found.protocol,
-        found.port,
-        found.baudrate,
-        {joint.servo_id: joint.servo for joint in blind.values()},
-        bus.reply_timeout_s,
-        bus.retries,
-    )
-    with closing(servo_bus), ServoSetup(servo_bus, blind, check).safely() as bench:
-        for text in bench.said:
-            note(text)
-        said = ", ".join(f"{name} {show_value(blind[name], v)}" for name, v in held.items())
-        wait(f"Put the arm into this pose and hold it still (another: --pose): {said}.")
-        rest = bench.rest()
-        unknown = [name for name in blind if name not in directions]
-        if unknown:
-            wait("The torque goes on; each joint makes a small move. Stand clear.")
-            bench.hold()
-            directions |= {name: _ask_direction(bench, name) for name in unknown}
-            wait("The torque goes off again: hold or support the arm.")
-            bench.let_go()
-        joints = {}
-        for name, joint in blind.items():
-            kept = bench.memory[name]
-            turned = joint.with_values(direction=directions[name], stored=kept.placing)
-            zero = zero_from_pose(turned, rest[name], held[name])
-            joints[name] = turned.with_values(zero_ticks=zero)
-            check_reach(name, joints[name], kept)
-        line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
-        text = with_joints(file.read_text("utf-8"), line_found, joints, file)
-        wait(f"{file} will be written.")
-        write_text(file, text)
-        bench.keep()
-    note_measured(folder, SERVOS, "servo setup", {"zero": "pose"})
-    written = ServoConfig.load(file)  # as the driver will read it
-    with closing(written.open_bus()) as bus_now:
-        states = bus_now.read(list(written.ids.values()))
-    reads = {n: j.to_si(states[j.servo_id].position_ticks) for n, j in written.joints.items()}
-    facts = {
-        name: {key: getattr(joint, key) for key in KEYS} | {"now": reads[name]}
-        for name, joint in joints.items()
-    }
-    print_json({"file": file, **line_found, "joints": facts})
-    signs = {number: sign for sign, number in _SIGNS.items()}
-    rows = [
-        (name, j.servo_id, signs[j.direction], f"{j.zero_ticks:g}", show_value(j, reads[name]))
-        for name, j in joints.items()
-    ]
-    header = ("joint", "id", "direction", "zero_ticks", "now")
-    print_table(f"{file}, read back", header, rows)
-    note(f"next: longarm check {folder}")
-
-
-def _held_pose(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
-    """Return the joint values, rad or m, of the pose that the user holds.
-
-    Joints not in ``pose`` are at 0, or at the limit nearest to it.
-    """
-    from longarm_comp.devices.servo_setup import hand_unit
-
-    joints = config.joints
-    held = {name: min(max(0.0, joint.lower), joint.upper) for name, joint in joints.items()}
-    form = "JOINT=NUMBER, deg or mm"
-    for name, value in numbers_by_name(_COMMAND, "--pose", pose, form, list(joints)).items():
-        held[name] = value * hand_unit(joints[name])[0]
-    return held
-
-
-def _given_directions(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
-    """Return the directions, +1 or -1, that are given by option, by joint.
-
-    Raises:
-        InputError: an invalid direction, or one is missing and there is no terminal to ask on.
-    """
-    form = "JOINT=+ or JOINT=-"
-    given = by_name(_COMMAND, "--direction", direction, form, list(config.joints))
-    for text in given.values():
-        if text not in _SIGNS:
-            raise InputError(_COMMAND, "--direction", text, form)
-    blind = [name for name in config.joints if name not in given]
-    if blind and not sys.stdin.isatty():
-        allowed = f"+ or - of {', '.join(blind)}; or a terminal to ask on"
-        raise InputError(_COMMAND, "--direction", "missing", allowed)
-    return {name: _SIGNS[text] for name, text in given.items()}
-
-
-def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
-    on_bus = {servo.servo_id: servo for servo in found.servos}
-    joints = {}
-    for name, joint in config.joints.items():
-        servo = on_bus.get(joint.servo_id)
-        if servo is None:
-            raise JobError(
-                f"servo {joint.servo_id} of {name} is not on the bus: longarm servo set-id, or "
-                "correct servo_id",
-                found=list(on_bus),
-            )
-        if not servo.model:
-            raise JobError(f"{name}: {_describe_unknown(servo, found.protocol)}")
-        if servo.model != joint.model:
-            note(f"{name}: servo {servo.servo_id} is a {servo.model}, and the file will say so")
-        joints[name] = joint.with_values(model=servo.model)
-    return joints
-
-
-def _ask_direction(setup: ServoSetup, name: str) -> int:
-    """Move a joint a little, ask the user which way it went, and return its direction, +1 or -1."""
-    text = "which way did it go, by arm.yaml? (another joint moved: Ctrl-C, correct servo_id)"
-    kind, said = click.Choice([*_SIGNS, "again"]), "again"
-    while said == "again":
-        with setup.nudge(name) as grew:
-            allowed = ", ".join(kind.choices)
-            said = ask(
-                _COMMAND, "--direction", f"{name}: {text}", allowed, default="again", type=kind
-            )
-    return grew * _SIGNS[said]

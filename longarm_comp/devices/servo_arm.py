@@ -77,6 +77,8 @@ class ServoArm:
     Args:
         stopped: whether an emergency stop is in force. Torque off is then sent as soon as the port
             is open, whichever servos answer.
+        journal: what a setup of this arm left; it is ended, because the servos are set as
+            configured.
 
     Attributes:
         said: messages for the user about changes of the servos' settings.
@@ -88,7 +90,9 @@ class ServoArm:
         follower: TrajectoryFollower | None = None,
         *,
         stopped: bool = False,
+        journal: SetupJournal | None = None,
     ) -> None:
+        self._journal = journal
         self.config, self.follower = config, follower or TrajectoryFollower(config)
         self._ids = list(config.ids.values())
         self._speeds: dict[int, float] = {}
@@ -190,13 +194,8 @@ class ServoArm:
 
         many = {j.servo_id: j.multi_turn for j in self.config.joints.values()}
         self.said += bus.set_turns(many, refuse_driven)
-        journal = SetupJournal(bus.port, bus.protocol)
-        left = journal.read().keys() & many.keys()
-        if left:
-            journal.end(left)
-            self.said.append(
-                f"a setup of servos {sorted(left)} was broken off; they are set as configured"
-            )
+        if self._journal is not None:
+            self.said += self._journal.end(many) + self._journal.describe_others()
 
     def power(self, on: bool) -> None:
         """Switch the torque on or off.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -44,7 +45,8 @@ class JointConfig(ServoSettings):
     multi_turn: bool = Field(
         False,
         description="the servo turns more than once over the range. It loses its turn count "
-        "without power, so the joint must be within the turn of its zero at power-on",
+        "without power, so the joint must be within the turn of its zero at power-on (where 0 is "
+        "out of its limits: of the limit nearest to 0)",
     )
     lower: float = Field(description="limit, rad or m")
     upper: float = Field(description="limit, rad or m")
@@ -116,6 +118,42 @@ class JointConfig(ServoSettings):
                 allowed = f"of a {self.model}: {', '.join(known) or 'none'}"
                 raise Misdeclared(f"stored.{name}", value, allowed)
         return self
+
+    @model_validator(mode="after")
+    def _check_zero(self) -> JointConfig:
+        low, high = self.zero_range(self.direction, self.stored)
+        if not low <= self.zero_ticks <= high:
+            turn = self.servo.ticks_per_turn
+            same = self.zero_ticks - turn * math.floor((self.zero_ticks - low) / turn)
+            allowed = (
+                f"{math.ceil(low)} to {math.floor(high)}, in the turn from which the servo counts "
+                f"after power-on: for instance {same:g}, the same place of its horn, if the joint "
+                f"is near {self.home:.4g} {self.unit} at every power-on"
+            )
+            raise Misdeclared("zero_ticks", self.zero_ticks, allowed)
+        return self
+
+    def zero_range(self, direction: int, stored: Mapping[str, int]) -> tuple[float, float]:
+        """Return the lowest and highest `zero_ticks` that can be true, half a tick of slack added.
+
+        With many turns, the servo counts from one turn after power-on, and it stands in that turn
+        while the joint is at `home`.
+
+        Args:
+            direction: +1 or -1, of the joint.
+            stored: registers of the servo that decide what a position means.
+        """
+        if not self.multi_turn:
+            return -math.inf, math.inf
+        dialect = protocols()[self.servo.protocol]()
+        low, high = dialect.turn_at_power_on(self.servo, stored)
+        above = direction * self.home / self.si_per_tick
+        return low - above - 0.5, high - above + 0.5
+
+    @property
+    def home(self) -> float:
+        """The joint value 0, or the limit nearest to it, rad or m."""
+        return min(max(0.0, self.lower), self.upper)
 
     @property
     def servo(self) -> ServoModel:

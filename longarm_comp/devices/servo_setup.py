@@ -20,8 +20,9 @@ _PERIOD_S = 0.02
 """Time between two readings, s."""
 _LOOKS, _STILL_TICKS = 15, 8
 """Number of readings of a held pose, and their largest difference, because a hand trembles."""
-_NEAR_TICKS, _SETTLED_S = 6, 0.3
-"""A move is over when the servo has rested this near its goal for this time, s."""
+_NEAR_TICKS, _SETTLED_S, _PATIENCE_S = 6, 0.3, 5.0
+"""A move is over when the servo has rested this near its goal for this time, s; or so long, s,
+after it was led to its goal."""
 _LONGEST_STEP_S, _ASIDE_TICKS = 0.1, 24
 """Longest time by which a goal moves on at once, and how far a servo may be off the way on which it
 is led: 2 degrees of its horn, for a gear that gives way."""
@@ -38,9 +39,22 @@ def hand_unit(joint: JointConfig) -> tuple[float, str]:
     return (1e-3, "mm") if joint.type == "prismatic" else (math.radians(1.0), "deg")
 
 
-def zero_from_pose(joint: JointConfig, ticks: float, value: float) -> float:
+def zero_from_pose(joint: JointConfig, direction: int, ticks: float, value: float) -> float:
     """Return whole ticks at joint value 0, for a reading of ``ticks`` at ``value`` (rad, m)."""
-    return float(round(ticks - joint.direction * value / joint.si_per_tick))
+    return float(round(ticks - direction * value / joint.si_per_tick))
+
+
+def describe_power_on(joints: Mapping[str, JointConfig]) -> str:
+    """Say what to do about servos that count from another turn than that of their zero."""
+    at = [
+        f"{name} at {show_value(joint, joint.home)}, less than "
+        f"{show_value(joint, joint.servo.ticks_per_turn / 2 * joint.si_per_tick)} off"
+        for name, joint in joints.items()
+    ]
+    return (
+        "the turns that servos have counted contradict the pose: cut the servos' power and give it "
+        f"back with {'; '.join(at)} (if they do so again, --pose, --direction or gearing is wrong)"
+    )
 
 
 class ServoSetup:
@@ -48,6 +62,7 @@ class ServoSetup:
 
     Args:
         joints: configuration of each joint, by name.
+        journal: of the arm; changes of the servos' settings are entered there.
         check: called before anything is held or moved; raises an error if it must not be.
 
     Attributes:
@@ -59,11 +74,11 @@ class ServoSetup:
         self,
         bus: SerialServoBus,
         joints: Mapping[str, JointConfig],
+        journal: SetupJournal,
         check: Callable[[], object] = lambda: None,
     ) -> None:
-        self._bus, self._joints, self._check = bus, joints, check
+        self._bus, self._joints, self._journal, self._check = bus, joints, journal, check
         self._ids = [joint.servo_id for joint in joints.values()]
-        self._journal = SetupJournal(bus.port, bus.protocol)
         self.memory: dict[str, ServoMemory] = {}
         self.said: list[str] = []
 
@@ -94,8 +109,8 @@ class ServoSetup:
             left = set(self._journal.write_back(self._bus)) & set(self._ids)
             if left:
                 raise JobError(
-                    "servos have not stored again what they had: the next `longarm servo setup` on "
-                    "this port sees to it",
+                    "servos have not stored again what they had: the next `longarm servo setup` of "
+                    "this arm sees to it",
                     ids=sorted(left),
                     file=self._journal.path,
                 )
@@ -111,7 +126,8 @@ class ServoSetup:
 
     def _set_turns(self) -> None:
         many = {j.servo_id: j.multi_turn for j in self._joints.values()}
-        self.said = self._bus.set_turns(many, self._journal.begin)
+        self.said = self._journal.describe_others()
+        self.said += self._bus.set_turns(many, self._journal.begin)
         kept = self._bus.memory(self._ids)
         self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 
@@ -156,7 +172,7 @@ class ServoSetup:
             +1 if the ticks grew, else -1. The move is upwards unless it would leave the range.
 
         Raises:
-            JobError: there is no room for the move, or the joint does not follow.
+            JobError: there is no room for the move, or the joint does not follow or come back.
         """
         joint, kept = self._joints[name], self.memory[name]
         start = self._read_ticks(joint)
@@ -175,6 +191,12 @@ class ServoSetup:
             raise JobError(what, ticks=moved)
         yield 1 if moved > 0 else -1
         self._go_to(name, start)
+        left = self._read_ticks(joint) - start
+        if abs(left) > _ASIDE_TICKS:
+            raise JobError(
+                f"{name} did not come back from its small move: servo {joint.servo_id} stands "
+                f"{left} ticks from where it began, with {kept.notable}"
+            )
 
     def _go_to(self, name: str, goal: int) -> None:
         """Lead one servo slowly to a goal, ticks, until it rests there or the time is over.
@@ -191,9 +213,9 @@ class ServoSetup:
         start = last = self._read_ticks(joint)
         far, led = abs(goal - start), 0.0
         before = rested = time.monotonic()
-        # Time for the move: three times one second and its duration
-        limit = before + 3.0 * (1.0 + far / speed)
+        limit = before + _PATIENCE_S
         while (now := time.monotonic()) < limit:
+            limit = now + _PATIENCE_S if led < far else limit
             led = min(far, led + speed * min(now - before, _LONGEST_STEP_S))
             before = now
             sent = start + round(math.copysign(led, goal - start))

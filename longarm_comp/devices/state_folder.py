@@ -8,8 +8,14 @@ from pathlib import Path
 from longarm_comp.core.errors import InputError
 
 
-def state_folder() -> Path:
-    """Return this package's folder for state files. Raises InputError if there is no home."""
+def state_folder(own: str = "") -> Path:
+    """Return an arm's own folder for state files; if it has none, this package's for the user.
+
+    Raises:
+        InputError: there is no home.
+    """
+    if own:
+        return Path(own)
     given = os.environ.get("XDG_STATE_HOME", "")
     if os.path.isabs(given):
         return Path(given) / "longarm_comp"

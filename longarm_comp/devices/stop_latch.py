@@ -61,7 +61,7 @@ class StopLatch:
         ports = (port, os.path.realpath(port))
         known_by = [f"port {name}" for name in ports if name == port or "/pts/" not in name]
         known_by += [_of_arm(namespace, arm)] if arm else []
-        self._folder, self.names = folder, {_file_name(text): text for text in known_by}
+        self._folder, self.names = folder, {file_name(text): text for text in known_by}
         self.standing: dict[Stop, str] = {}
         self.trouble, self._owing = "", False
         try:
@@ -190,7 +190,7 @@ def _read(file: Path, stop: Stop) -> KeptStop:
     since, said = file.lstat().st_mtime, [""]
     with suppress(OSError):
         said = file.read_bytes()[:4096].decode("utf-8", "replace").splitlines()
-    if len(said) == 2 and _file_name(said[1]) == file.stem:
+    if len(said) == 2 and file_name(said[1]) == file.stem:
         return KeptStop(file, said[1], said[0])
     return KeptStop(file, file.stem, _describe_stop(stop, since))
 
@@ -224,7 +224,7 @@ def _of_arm(namespace: str, arm: str) -> str:
     return f"{namespace} {os.path.realpath(arm)}"
 
 
-def _file_name(text: str) -> str:
+def file_name(text: str) -> str:
     """Return a file name for any text: its last 60 legible characters, and a hash."""
     legible = re.sub(r"[^A-Za-z0-9]+", "_", text)[-60:].strip("_")
     return f"{legible}-{hashlib.blake2s(text.encode(), digest_size=6).hexdigest()}"

@@ -272,7 +272,8 @@ class BringUp:
             state = state_folder() / "simulated" / os.environ.get("ROS_DOMAIN_ID", "0")
             # Emulated servos have nothing stored: they are as from the factory
             stored = {name: 0 for name in driver if ".stored." in name}
-            emulated = stored | _PATIENT | {"state": str(state)}
+            zeros = {f"joints.{j.name}.zero_ticks": j.zero_ticks for j in read_arm(file).joints}
+            emulated = stored | (zeros if stored else {}) | _PATIENT | {"state": str(state)}
             learned = {"learned_file": str(state / "model.at_work.json")}
         values: dict[str, Any] = {
             "kinematics": arm | servos | model | trimmed | shaped | learned,

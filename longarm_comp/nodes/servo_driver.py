@@ -32,6 +32,7 @@ from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
 from longarm_comp.devices.servo_follower import KeepsOut, Shapes, TrajectoryFollower
 from longarm_comp.devices.servo_joint import JointConfig
+from longarm_comp.devices.setup_journal import SetupJournal
 from longarm_comp.devices.stop_latch import Stop
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders, stops
@@ -119,7 +120,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         p, given = self.p, declare_sections(self, SECTIONS)
         self._config = ServoConfig.parse(given, "parameters of servo_driver")
         self._config.check_rate(p["rate_hz"], "parameters of servo_driver")
-        self._keeps_out, self._shapes = self._rules_of(p)
+        self._rules = (*self._rules_of(p), p["trim"])
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self.arm: ServoArm | None = None
         self.active = self._ended = False
@@ -180,20 +181,18 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None
 
     def _start_up(self) -> None:
-        if not self._autostart:
-            return
-        if self.arm is None:
+        if self._autostart and self.arm is None:
             self.trigger_configure()
-        if self.arm is not None and not self.active:
+        if self._autostart and self.arm is not None and not self.active:
             self.trigger_activate()
 
     @reporting_faults
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            rules = self._keeps_out, self._shapes, self.p["trim"]
-            follower = TrajectoryFollower(self._config, *rules)
+            follower = TrajectoryFollower(self._config, *self._rules)
             stopped = self._stops.estop or bool(self._stops.owed)
-            self.arm = ServoArm(self._config, follower, stopped=stopped)
+            journal = SetupJournal(self.p["state"], self.p["arm"], self._config.bus)
+            self.arm = ServoArm(self._config, follower, stopped=stopped, journal=journal)
         except LongarmError as error:
             return self._note_failure(error)
         for said in self.arm.said:

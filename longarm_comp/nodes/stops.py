@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from typing import Protocol
 
 from rclpy.node import Node
@@ -72,7 +71,7 @@ class Stops:
         servos: ServoConfig,
         fresh: Freshness,
     ) -> None:
-        kept = Path(folder) if folder else state_folder()
+        kept = state_folder(folder)
         if not kept.is_absolute():  # from another working folder a stop would not be found
             raise InputError(where(node), "state", folder, "an absolute path")
         self._site, self._servos = site, servos

@@ -309,6 +309,18 @@ def test_a_printed_arm_has_horns_small_paper_and_cameras_on_the_table(shell: She
                      said[0])  # fmt: skip
 
 
+@pytest.mark.parametrize("limits", ["60..120", "-120..-60", "18..80", "-80..-18", "-30..50"])
+def test_a_servo_counts_from_its_first_turn_where_its_joint_is_nearest_to_0(
+    shell: Shell, limits: str
+) -> None:
+    assert shell("init", "away", "--joint", f"d=0.1 limits={limits}", "--tip-at", 0.1, 0, 0) == 0
+    (joint,) = ServoConfig.load(shell.folder / "away" / "servo_driver.yaml").joints.values()
+    assert (joint.gear_ratio, joint.zero_ticks % 4096) == (10.0, 2048)
+    nearest = max(joint.lower, min(joint.upper, 0.0))
+    assert -0.5 < joint.zero_ticks + nearest / joint.si_per_tick < 4095.5
+    assert "servo_driver.yaml: zero_ticks" in levels(shell.folder / "away", "unmeasured")
+
+
 SLOW = """<robot name="slow"><link name="base"/><link name="l1"/><link name="l2"/>
 <joint name="lift" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
 <limit lower="0.2" upper="1.5" effort="1" velocity="0.0123"/>

@@ -33,6 +33,7 @@ SCREW = REVOLUTE | {
     "upper": 0.05,
     "max_velocity": 0.005,
 }
+GEARED = REVOLUTE | {"gear_ratio": 10.0, "multi_turn": True, "max_velocity": 0.5}
 RACK = REVOLUTE | {
     "servo_id": 3,
     "type": "prismatic",
@@ -140,6 +141,53 @@ def test_limits_within_one_turn_keep_away_from_where_the_encoder_jumps(
     wide = REVOLUTE | {"lower": -3.1, "upper": 3.0}
     assert "mount" not in _refused(_document(a=wide | {"upper": 3.1}))
     assert "not 2015" in _refused(_document(a=wide))
+
+
+HALF = math.pi / 10  # of a turn of the servo, at the joint, rad
+DXL = {"model": "xl430-w250"}
+
+
+@pytest.mark.parametrize(
+    ("change", "low", "high"),
+    [
+        ({}, 0, 4095),
+        # Below 0 alone: at its upper limit, half a turn of the servo off, it stands in that turn
+        ({"lower": -1.0, "upper": -HALF}, 2048, 6143),
+        ({"lower": -1.0, "upper": -HALF, "direction": -1}, -2048, 2047),
+        ({"lower": HALF}, -2048, 2047),
+        (DXL, 0, 4095),
+        (DXL | {"stored": {"homing_offset": 300}}, 300, 4395),
+        (DXL | {"stored": {"homing_offset": -5000}}, -5000, -905),
+        (DXL | {"stored": {"drive_mode_reverse": 1}}, -4095, 4095),
+        # A Feetech servo may or may not shift that turn
+        ({"stored": {"homing_offset": 300}}, -300, 4095),
+        ({"stored": {"homing_offset": -300}}, 0, 4395),
+        ({"stored": {"phase_position_reversed": 1}}, -4095, 4095),
+    ],
+)
+def test_a_zero_of_many_turns_is_in_the_turn_that_is_read_after_power_on(
+    change: dict[str, Any], low: int, high: int
+) -> None:
+    document = _document(a=GEARED | change)
+    if "model" in change:
+        document["bus"]["protocol"] = "dynamixel"
+
+    def at(zero: float) -> dict[str, Any]:
+        return document | {"joints": {"a": document["joints"]["a"] | {"zero_ticks": zero}}}
+
+    for zero in (low, high):
+        ServoConfig.parse(at(zero), "servo.yaml")
+    for zero in (low - 1, high + 1):
+        said = _refused(at(zero))
+        assert said.startswith("joints.a.zero_ticks |") and f"allowed: {low} to {high}, " in said
+        same = float(said.split("for instance ")[1].split(",")[0])
+        assert (same - zero) % 4096 == 0
+        ServoConfig.parse(at(same), "servo.yaml")
+    if "stored" in change:  # with one turn, only the limits decide
+        one = {"multi_turn": False, "gear_ratio": 1.0, "lower": 0.0, "upper": 0.1}
+        for zero in (60, 3900):
+            shifted = document["joints"]["a"] | one | {"zero_ticks": zero}
+            ServoConfig.parse(document | {"joints": {"a": shifted}}, "servo.yaml")
 
 
 @pytest.mark.parametrize("geared", [{}, {"gear_ratio": 2.0}])
@@ -261,9 +309,6 @@ def test_plain_and_ros_parameter_files_are_read(tmp_path: Path) -> None:
 
 
 TICK = 2 * math.pi / 4096
-
-
-GEARED = REVOLUTE | {"gear_ratio": 10.0, "multi_turn": True, "max_velocity": 0.5}
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from servo_bench import (
     OFFSETS,
     configured,
     direct,
+    folder,
     limit,
     refuses,
     store,
@@ -31,6 +32,7 @@ from longarm_comp.devices.servo_bus.state import ServoFault
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.joints import read_arm
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 
 YES = ("--direction", "joint1=+", "--direction", "joint2=-", "--yes", "--ids", "1-2")
@@ -292,6 +294,22 @@ def test_zeros_hold_with_an_offset_and_the_driver_knows_it(
     real = BringUp(arm=mine / "arm.yaml").parameters("servo_driver", "")
     assert not any("stored" in name for name in real)
     assert shell("check", mine) in (0, 3), shell.err
+
+
+def test_a_simulated_servo_has_no_offset_and_counts_from_its_first_turn(shell: Shell) -> None:
+    mine = folder(shell, "xl430-w250")
+    file = mine / "servo_driver.yaml"
+    real = "zero_ticks: 7048.0, stored: {homing_offset: 5000}, "
+    file.write_text(re.sub(r"(joint2: .*)zero_ticks: 2048.0, ", rf"\g<1>{real}", file.read_text()))
+    driver = BringUp(arm=mine / "arm.yaml", sim=True).parameters("servo_driver", "bus")
+    zero = driver["joints.joint2.zero_ticks"]
+    config, arm = ServoConfig.load(file), read_arm(file)
+    joint = config.joints["joint2"].with_values(zero_ticks=zero, stored={})
+    with ServoEmulator("dynamixel", arm.start_ticks()) as emulator:
+        bus = open_bus("dynamixel", emulator.port, 1_000_000, config.models, 0.2)
+        with closing(bus):
+            reads = bus.read([2])[2].position_ticks
+    assert 0 <= reads < 4096 and joint.to_si(reads) == 0.0
 
 
 def test_a_servo_that_is_reversed_after_the_setup_is_refused(shell: Shell) -> None:

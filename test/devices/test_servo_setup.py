@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import sys
 from collections.abc import Iterator
@@ -43,7 +44,8 @@ def emulator(request: pytest.FixtureRequest) -> Iterator[FaultyBus]:
 def test_scan_finds_protocol_ids_models_and_two_servos_with_one_id(
     shell: Shell, emulator: FaultyBus
 ) -> None:
-    found = shell.json("servo", "scan", "--port", emulator.port, "--ids", "1-4")
+    patient = ("--timeout", 0.05)  # also on a busy machine
+    found = shell.json("servo", "scan", "--port", emulator.port, "--ids", "1-4", *patient)
     assert (found["protocol"], [s["servo_id"] for s in found["servos"]]) == (
         emulator.protocol, [1, 2, 3],
     )  # fmt: skip
@@ -52,7 +54,7 @@ def test_scan_finds_protocol_ids_models_and_two_servos_with_one_id(
     assert not any(s["clash"] for s in found["servos"])
     emulator.add_twin(2, 700.0)
     words = ("--port", emulator.port, "--protocol", emulator.protocol, "--baud", 1000000)
-    said = shell.refused("servo", "scan", *words, "--ids", "1-3", code=3)
+    said = shell.refused("servo", "scan", *words, "--ids", "1-3", *patient, code=3)
     assert "id" in said and "[2]" in said
     assert "two servos with this id" in shell.out
 
@@ -140,7 +142,8 @@ def test_a_turn_that_ends_within_the_limits_is_refused(
     line = line.replace("MODEL", MODELS[emulator.protocol]) + "upper: 0.8, max_velocity: 1.0}"
     file.write_text(re.sub(r"joint2: {.*}", line, file.read_text()))
     emulator.push(2, 4000.0)  # directly driven: 0.8 rad are 522 ticks, over the end of the turn
-    said = untouched(mine, shell, "--port", emulator.port, *RIGHT, code=2)
+    pose = ("--pose", "joint1=-60", "--pose", "joint3=20")
+    said = untouched(mine, shell, "--port", emulator.port, *RIGHT, *pose, code=2)
     assert "joint2.upper" in said and "multi_turn" in said
     assert not any(emulator.torques_on().values())
 
@@ -193,7 +196,8 @@ def test_what_nobody_is_there_to_answer_names_its_flag(shell: Shell) -> None:
         file.write_text(text)
         assert shell("servo", "setup", mine, *words) == 0
         assert "now" in shell.out
-    assert "servo file" in shell.refused("servo", "setup", shell.folder)
+    for words in (("setup", shell.folder), ("set-id", 5, "--arm", shell.folder)):
+        assert "servo file" in shell.refused("servo", *words)
 
 
 @pytest.mark.parametrize("by", ["port", "file", "folder"])
@@ -212,14 +216,14 @@ def test_nothing_moves_under_a_stop(shell: Shell, by: str, tmp_path: Path) -> No
         latch.ask(Stop.HOLD)
         latch.keep()
         servos = dict.fromkeys((1, 2, 3), models()["sts3215"])
-        with closing(open_bus("feetech", emulator.port, 1000000, servos)) as line:
+        with closing(open_bus("feetech", emulator.port, 1000000, servos, 0.2)) as line:
             line.torque([1, 2, 3], on=True)
-        words = ("--port", emulator.port, *RIGHT, *POSE_FLAGS)
+        bus_there = ("--port", emulator.port, "--timeout", 0.2)  # also on a busy machine
+        words = (*bus_there, *RIGHT, *POSE_FLAGS)
         assert "held since" in untouched(mine, shell, *words)
-        if by == "port":
-            only = ("--port", emulator.port, "--ids", "1")
-            assert "held since" in shell.refused("servo", "set-id", 5, *only, code=3)
-            assert 5 not in emulator.torques_on()
+        only = (*bus_there, "--ids", "1", *(("--arm", mine) if by != "port" else ()))
+        assert "held since" in shell.refused("servo", "set-id", 5, *only, code=3)
+        assert 5 not in emulator.torques_on()
         assert all(emulator.torques_on().values())
         with latch.lift_stops(Stop.HOLD):
             pass
@@ -242,7 +246,59 @@ def test_stops_without_a_driver_are_shown_and_ended_one_by_one(
     assert shell("reset", "--kept") == 0 and "nothing to reset" in shell.err
 
 
+@pytest.mark.parametrize("protocol", MODELS)
+@pytest.mark.parametrize("turns", [-1, 1])
+def test_turns_counted_from_another_turn_are_refused_where_nobody_can_cut_the_power(
+    shell: Shell, protocol: str, turns: int
+) -> None:
+    mine = folder(shell, MODELS[protocol])
+    with bus(protocol) as emulator:
+        emulator.push(2, emulator.positions()[2] + 4096 * turns)
+        said = untouched(mine, shell, "--port", emulator.port, *RIGHT, *POSE_FLAGS)
+        assert "give it back with joint2 at 0.0 deg, less than 18.0 deg off (" in said
+        assert "cut the servos' power" in said and "without --yes" in said
+        assert not any(emulator.torques_on().values())
+
+
 # ---- setup in a dialogue ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", MODELS)
+def test_a_zero_measured_in_a_held_pose_is_true_after_every_power_on(
+    shell: Shell, protocol: str
+) -> None:
+    """Powered at 30 degrees, which is more than a turn of a geared servo from 0."""
+    mine, true = folder(shell, MODELS[protocol]), TRUE["joint2"]
+
+    def turn_on(emulator: FaultyBus, degrees: float) -> None:
+        """Give the power back with the joint there: the servo counts from one turn."""
+        emulator.power_cycle(2)
+        emulator.push(2, true.ticks(math.radians(degrees)) % 4096)
+
+    with bus(protocol) as emulator:
+        turn_on(emulator, 30.0)
+        pose = ("--pose", "joint1=-60", "--pose", "joint2=30", "--pose", "joint3=20")
+        signs = ("--direction", "joint1=-", "--direction", "joint2=+", "--direction", "joint3=-")
+        talk = Terminal("servo", "setup", mine, "--ids", "1-3", *pose, *signs,
+                        "--port", emulator.port)  # fmt: skip
+        talk.until("hold or support")
+        talk.say("y")
+        for again in (True, False):
+            talk.until("joint2 30.0 deg")
+            talk.say("y")
+            if again:
+                talk.until("joint2 at 0.0 deg, less than 18.0 deg off")
+                turn_on(emulator, 0.0)
+                emulator.push(2, true.ticks(math.radians(30.0)))
+                talk.say("y")
+        talk.until("will be written")
+        talk.say("y")
+        assert talk.end() == 0
+        joint = ServoConfig.load(mine / "servo_driver.yaml").joints["joint2"]
+        for degrees in (-15.0, 0.0, 15.0):
+            turn_on(emulator, degrees)
+            reads = math.degrees(joint.to_si(emulator.positions()[2]))
+            assert reads == pytest.approx(degrees, abs=0.02)  # two ticks
 
 
 def test_a_dialogue_finds_directions_and_a_broken_off_one_leaves_nothing(shell: Shell) -> None:

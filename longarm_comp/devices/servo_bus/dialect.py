@@ -153,6 +153,17 @@ class Dialect(ABC):
     def turns_bytes(self, many: bool) -> bytes:
         """Return the bytes of the block ``turns`` for many turns, or for one."""
 
+    def turn_at_power_on(self, model: ServoModel, stored: Mapping[str, int]) -> tuple[int, int]:
+        """Return the lowest and highest position that a servo for many turns reads at power-on.
+
+        Where it is not known which of two turns it reads, the range has both.
+
+        Args:
+            stored: registers that decide positions, by name; all others are as from the factory.
+        """
+        low = model.single_turn[0]
+        return low, low + model.ticks_per_turn - 1
+
     def model_name(self, number: int) -> str:
         """Return the name of the model with this number; empty if unknown."""
         return next((model.name for model in self.models if model.model_number == number), "")

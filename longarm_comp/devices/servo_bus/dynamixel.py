@@ -136,6 +136,13 @@ class DynamixelX(Dialect):
     def turns_bytes(self, many: bool) -> bytes:
         return b"\x04" if many else b"\x03"
 
+    def turn_at_power_on(self, model: ServoModel, stored: Mapping[str, int]) -> tuple[int, int]:
+        low, high = super().turn_at_power_on(model, stored)
+        shift = stored.get("homing_offset", 0)
+        if stored.get("drive_mode_reverse"):  # not documented: it may count down from 0
+            low -= model.ticks_per_turn - 1
+        return low + shift, high + shift
+
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         return ServoState(
             position_ticks=self.ticks_of(data[10:14]),

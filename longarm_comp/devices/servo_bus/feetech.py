@@ -107,6 +107,13 @@ class FeetechSts(Dialect):
     def turns_of(self, data: bytes) -> bool:
         return data == self.turns_bytes(True)  # otherwise the bytes are the limits of one turn
 
+    def turn_at_power_on(self, model: ServoModel, stored: Mapping[str, int]) -> tuple[int, int]:
+        low, high = super().turn_at_power_on(model, stored)
+        shift = -stored.get("homing_offset", 0)  # not documented: it may shift the turn or not
+        if stored.get("phase_position_reversed"):  # nor is where a reversed servo begins
+            low -= model.ticks_per_turn - 1
+        return min(low, low + shift), max(high, high + shift)
+
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         return ServoState(
             position_ticks=self.ticks_of(data[0:2]),

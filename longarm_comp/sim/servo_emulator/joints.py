@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,11 @@ class EmulatedJoint:
     told: bool = False
     sheet: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def home(self) -> float:
+        """The value 0, or the limit nearest to it, rad or m."""
+        return min(max(0.0, self.lower), self.upper)
+
     def value(self, ticks: float) -> float:
         """Return the joint value at encoder ticks, rad or m."""
         return self.travel * (ticks - self.zero_ticks)
@@ -62,7 +67,7 @@ class EmulatedArm:
 
     def start_ticks(self) -> dict[int, float]:
         """Return the ticks, by servo id, at which each joint is at 0 or the limit nearest to it."""
-        return {j.servo_id: j.ticks(min(max(0.0, j.lower), j.upper)) for j in self.joints}
+        return {j.servo_id: j.ticks(j.home) for j in self.joints}
 
     def values(self, ticks: Mapping[int, float]) -> dict[str, float]:
         """Return joint values (rad, m) by name, in the order of the file."""
@@ -96,7 +101,7 @@ def _make_joint(name: str, fields: Mapping[str, Any], ticks_per_turn: float) -> 
         turn *= float(fields["pinion_radius_m"])
     gearing = float(fields.get("gear_ratio", 1.0)) * ticks_per_turn
     stall = _STALL_NM * 2.0 * math.pi * gearing / (turn * ticks_per_turn)
-    return EmulatedJoint(
+    joint = EmulatedJoint(
         name=str(name),
         servo_id=int(fields["servo_id"]),
         zero_ticks=float(fields["zero_ticks"]),
@@ -107,3 +112,8 @@ def _make_joint(name: str, fields: Mapping[str, Any], ticks_per_turn: float) -> 
         told="full_effort" in fields,
         sheet=DATA_SHEETS.get(str(fields.get("model")), {}),
     )
+    if not fields.get("multi_turn"):
+        return joint
+    # It has no homing offset, and counts from its first turn
+    turns = math.floor(round(joint.ticks(joint.home)) / ticks_per_turn)
+    return replace(joint, zero_ticks=joint.zero_ticks - turns * ticks_per_turn)
