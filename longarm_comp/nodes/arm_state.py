@@ -277,6 +277,14 @@ class DriverLink:
         self._asked, self._answer = name, None
 
     @property
+    def rests_at(self) -> np.ndarray | None:
+        """(n,) where the arm was sent and rests, rad and m: servos that yield stand below it.
+
+        None while it moves, or if it is not known.
+        """
+        return self._end if self._arrived and not self._left else None
+
+    @property
     def has_answered(self) -> bool:
         """True once the driver has accepted or refused the trajectory that `expect` names.
 
@@ -303,6 +311,8 @@ class DriverLink:
                 self.forget_history()
             else:
                 self.note_motion(path, start)
+        elif message.event == Motion.REACHED:
+            self._arrived = True
         elif message.event in (Motion.REPLACED, Motion.BROKEN_OFF):
             self.forget_history()
         if message.id == self._asked and message.event in (Motion.ACCEPTED, Motion.REFUSED):
