@@ -58,7 +58,7 @@ PARAMS = (
         0.0,
         1e6,
     ),
-    Param("max_correction_m", 0.05, "largest correction of a way-point", 1e-6, 1.0),
+    arm_state.MAX_CORRECTION,
     Param("max_start", 0.2, "a joint may stand so far from where a plan begins, rad, m", 0.0, 10.0),
     Param("position_only", False, "plans leave the orientation free"),
     Param(
@@ -260,7 +260,9 @@ class _TrajectoryCompensator(ArmNode):
                 history=history,
                 limits=replace(self._limits, max_longer=self._longest_share(request)),
                 context_at=partial(self._state.context, model=physics),
-                options=CompensationOptions(self._method),
+                options=CompensationOptions(
+                    self._method, max_correction_m=self.p["max_correction_m"] or None
+                ),
             )
             with ik.compile_at_once():
                 found, *_ = self._state.predictor.compensate_with(self._method, compensate)
