@@ -93,12 +93,12 @@ class Compensator:
 
     def refuse(self, target: TargetRequest, status: Status, reason: str) -> Answer:
         """Make the answer to a target that is refused before any computation."""
-        method = str(self._node.get_parameter("method").value)
+        method = self._read_options(target.method).method.value
         return Answer(target, status, reason, method, self._files.loaded.file_hash)
 
     def _compensate_target(self, target: TargetRequest) -> Answer:
         given, place = self._in_base(target)
-        options = self._read_options()
+        options = self._read_options(target.method)
         start, seed = self._find_start(target)
         if target.execute and (why := self._twins.refusal or self._state.driver.refusal):
             raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
@@ -157,10 +157,10 @@ class Compensator:
         moved = Header(stamp=header.stamp, frame_id=self._base_frame)
         return PoseStamped(header=moved, pose=pose_message(place)), place
 
-    def _read_options(self) -> CompensationOptions:
+    def _read_options(self, method: str = "") -> CompensationOptions:
         value, p = lambda name: self._node.get_parameter(name).value, self._state.p
         return CompensationOptions(
-            Method(value("method")),
+            Method(method or value("method")),
             run_up=bool(value("run_up")),
             realisable=bool(value("realisable")),
             single_pass=bool(value("single_pass")),
