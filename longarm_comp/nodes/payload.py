@@ -47,7 +47,7 @@ class Weigher:
         self._max_age_s, self._sigma = p["context_max_age_s"], p["payload.wrench_sigma_n"]
         self._weighing = self._before = Weighing(p["monitor.run_length"])  # before this rest
         self._due = math.inf
-        self._wrist: Wrist | None = None
+        self._wrist: tuple[Wrist, float] | None = None  # and when it was heard
         self._told: float | None = None
         self._last_s = self._felt_s = -math.inf
         self._entered: tuple[dict[str, float], float] = {}, self._felt_s
@@ -71,7 +71,7 @@ class Weigher:
         if context is not None:
             self._due = now + self._again_s
             self._state.worker.submit(
-                partial(self._weigh_rest, q, context, self._state.effort, self._wrist, now)
+                partial(self._weigh_rest, q, context, self._state.effort, now)
             )
         if self._tells and now - self._last_s >= 1.0:  # as often as a payload is published
             self._last_s = now
@@ -83,7 +83,7 @@ class Weigher:
         except InputError as error:
             self._state.node.tally.count_dropped("wrench", str(error))
             return
-        self._wrist = Wrist(row, force, self._sigma)
+        self._wrist = Wrist(row, force, self._sigma), time.monotonic()
 
     @property
     def _again_s(self) -> float:
@@ -101,19 +101,20 @@ class Weigher:
         except StaleContext:
             return None
 
-    def _weigh_rest(
-        self, q: np.ndarray, context: Context, effort: np.ndarray, wrist: Wrist | None, at_s: float
-    ) -> None:
+    def _weigh_rest(self, q: np.ndarray, context: Context, effort: np.ndarray, at_s: float) -> None:
         told = self._state.readings.fresh("payload", at_s, self._max_age_s)
         kg = told.get("payload_kg")
         if kg != self._told:
             self._before, self._told = self._weighing.change_payload(), kg
-        model = self._state.files.loaded.model
+        model, wrist = self._state.files.loaded.model, None
+        if self._wrist is not None and self._wrist[1] > self._felt_s:  # felt since
+            wrist, _ = self._wrist
         rest = feel_rest(model, q, context, effort, self._drives, wrist)
         if not rest.finite:
             self._state.node.tally.count_dropped("rest", "what was felt at a rest is not finite")
             return
-        self._weighing, self._felt_s = self._before.with_rest(rest), at_s
+        if rest.measured:
+            self._weighing, self._felt_s = self._before.with_rest(rest), at_s
 
     def _tell_payload(self, now: float) -> None:
         """Enter the payload of the last rest in the circumstances, unless one is published.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -37,7 +38,8 @@ class Scale:
     def feel(self, kg: float) -> None:
         at = self.model.posture(tuple(self.q), Context(columns={"payload_kg": kg}))
         row = len(self.arm.joints)
-        self.weigher._wrist = Wrist(row, np.array(at.force(at.frame(row)), float), 0.05)
+        force = np.array(at.force(at.frame(row)), float)
+        self.weigher._wrist = Wrist(row, force, 0.05), time.monotonic()
 
     def weigh(self) -> float:
         """Tell the joints until the rest is weighed; the time before."""
@@ -101,10 +103,18 @@ def test_a_weighed_payload_grows_old_from_the_last_rest_that_supports_it(scale: 
     assert scale.state.readings.readings["load"].at_s >= again and scale.rests == 4
     assert scale.context().columns["payload_kg"] < 0.9
 
+    # Not by what was felt before
+    scale.weigher._due, felt_s, done = 0.0, scale.weigher._felt_s, threading.Event()
+    scale.weigher.on_joints(scale.q, 0.0)
+    scale.state.worker.submit(done.set)
+    done.wait()
+    assert scale.weigher._felt_s == felt_s and scale.rests == 4
+
     # Even after it has become too old, and where it comes to rest after a break
     scale.state.take_in("load", {"payload_kg": 0.8}, -2.0 * AGE_S)
     scale.weigher.on_motion(Motion(event=Motion.BROKEN_OFF))
     assert scale.weigher._due > time.monotonic()
+    scale.feel(0.8)
     scale.weigher._due = 0.0
     scale.weigh()
     assert scale.context().columns["payload_kg"] < 0.9
