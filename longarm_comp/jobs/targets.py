@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -102,7 +101,7 @@ class TargetRunner:
 
     def __init__(self, client: ArmClient, pace: Pace, witness: Witness | None = None) -> None:
         self._client, self._pace, self._witness = client, pace, witness
-        self._compensate = graph.COMPENSATE.client(client.node)
+        self._compensate = {m: graph.compensate_by(m.value).client(client.node) for m in Method}
         self._frame = "base"
         self.placed_in = ""
 
@@ -113,7 +112,7 @@ class TargetRunner:
         said = partial(reports.last_message, "kinematics", "targets")
 
         def knows() -> bool:
-            answer = self.ask(target, execute=False)
+            answer = self.ask(target, Method.NONE, execute=False)
             return bool(answer.status != Compensate.Response.NOT_READY)
 
         deaf = "kinematics hears no joint_states"
@@ -122,17 +121,6 @@ class TargetRunner:
         (self._frame,) = client.parameters("kinematics", "base_frame")
         client.until(knows, within_s, "kinematics has no joint_states")
 
-    @contextmanager
-    def method(self, method: Method) -> Iterator[None]:
-        """Set the method of kinematics within the block, and restore the earlier one after it."""
-        (before,) = self._client.parameters("kinematics", "method")
-        self._client.set_parameter("kinematics", "method", method.value)
-        try:
-            yield
-        finally:
-            with self._client.putting_back():
-                self._client.set_parameter("kinematics", "method", before)
-
     def refusals(self, targets: np.ndarray, methods: Sequence[Method]) -> list[str]:
         """Say for each target (N, 3), m, why the graph refuses it with one of these methods.
 
@@ -140,11 +128,10 @@ class TargetRunner:
         """
         why = [""] * len(targets)
         for method in methods:
-            with self.method(method):
-                for k, target in enumerate(targets):
-                    answer = self.ask(target, execute=False)
-                    if not answer.success:
-                        why[k] = why[k] or f"{method.value}: {answer.message}"
+            for k, target in enumerate(targets):
+                answer = self.ask(target, method, execute=False)
+                if not answer.success:
+                    why[k] = why[k] or f"{method.value}: {answer.message}"
         return why
 
     def run(self, name: str, targets: np.ndarray, method: Method, progress: Say) -> Trial:
@@ -153,10 +140,9 @@ class TargetRunner:
         The tip is NaN where a target is refused or the marker is not seen.
         """
         rows = []
-        with self.method(method):
-            for k, target in enumerate(targets):
-                progress(f"{name}: {k} of {len(targets)} targets driven", k / len(targets))
-                rows.append(self._drive_target(target))
+        for k, target in enumerate(targets):
+            progress(f"{name}: {k} of {len(targets)} targets driven", k / len(targets))
+            rows.append(self._drive_target(target, method))
         seen, true, status = (np.array(column) for column in zip(*rows, strict=True))
         return Trial(name, targets, self._in_base(seen, targets), true, status)
 
@@ -179,19 +165,22 @@ class TargetRunner:
         self.placed_in = frame
         return np.asarray(seen @ rotation.T + offset)
 
-    def ask(self, target: np.ndarray, *, execute: bool) -> Compensate.Response:
-        """Return the service's answer for a target (3,), m; ask again if the request came late."""
+    def ask(self, target: np.ndarray, method: Method, *, execute: bool) -> Compensate.Response:
+        """Return the answer for a target (3,), m, with a method; ask again if it came late."""
         pose = PoseStamped()
         pose.header.frame_id = self._frame
         pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = target.tolist()
         request = Compensate.Request(target=pose, position_only=True, execute=execute)
-        ask = partial(self._client.call, self._compensate, request, again=not execute)
+        service = self._compensate[method]
+        ask = partial(self._client.call, service, request, again=not execute)
         answer = ask()
         stale = answer.status == Compensate.Response.STALE_TARGET  # nothing was moved
         return ask() if stale else answer
 
-    def _drive_target(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """Drive to one target (3,), m.
+    def _drive_target(
+        self, target: np.ndarray, method: Method
+    ) -> tuple[np.ndarray, np.ndarray, int]:
+        """Drive to one target (3,), m, with a method.
 
         Returns:
             The tip (3,), m, as the cameras and as another instrument see it, NaN if not seen; and
@@ -199,7 +188,7 @@ class TargetRunner:
         """
         client = self._client
         start = client.joints
-        answer = self.ask(target, execute=True)
+        answer = self.ask(target, method, execute=True)
         seen = true = np.full(3, np.nan)
         if not answer.success:
             return seen, true, int(answer.status)

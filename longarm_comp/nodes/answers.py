@@ -65,6 +65,7 @@ class TargetRequest:
         execute: whether the computed joints are sent to the driver.
         sent_s: when the target was sent (monotonic s).
         seed: joints at which the search begins; a message without names means the present joints.
+        method: what is compensated; empty: the node's parameter.
     """
 
     name: str
@@ -73,6 +74,7 @@ class TargetRequest:
     execute: bool
     sent_s: float
     seed: JointState = field(default_factory=JointState)
+    method: str = ""
 
 
 @dataclass(frozen=True)

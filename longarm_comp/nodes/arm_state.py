@@ -48,7 +48,10 @@ PARAMS = (
     WATCH,
 )
 """Parameters of every node that computes with the arm's state."""
-
+MAX_CORRECTION = Param(
+    "max_correction_m", 0.0, "largest correction by a command; 0: a tenth of the reach", 0.0, 100.0
+)
+"""Parameter of every node that corrects commands."""
 
 UNACKNOWLEDGED = "no acknowledgement is expected: what is sent counts as accepted"
 """The report about a driver whose acknowledgements `kinematics` does not expect."""
@@ -95,10 +98,10 @@ class ArmState:
         self.effort = np.full(self.arm.n, np.nan)
         graph.JOINT_STATES.subscription(node, self._on_joints)
         graph.TEMPERATURE.subscription(
-            node, lambda said: self._take_in("temperature", {"temperature_c": said.temperature})
+            node, lambda said: self.take_in("temperature", {"temperature_c": said.temperature})
         )
         graph.PAYLOAD.subscription(
-            node, lambda said: self._take_in("payload", {"payload_kg": said.data})
+            node, lambda said: self.take_in("payload", {"payload_kg": said.data})
         )
         graph.INCLINATION.subscription(node, self._on_inclination)
 
@@ -155,10 +158,10 @@ class ArmState:
         except InputError as error:
             self.node.tally.count_dropped("inclination", str(error))
             return
-        self._take_in(f"inclination {row}", columns)
+        self.take_in(f"inclination {row}", columns)
 
-    def _take_in(self, source: str, columns: dict[str, float]) -> None:
-        """Keep received circumstances.
+    def take_in(self, source: str, columns: dict[str, float], at_s: float | None = None) -> None:
+        """Keep circumstances that were received or estimated.
 
         Values that are not finite are dropped. An impossible value is noted with its fault, and
         replaces the earlier reading: the message shows that this reading is out of date.
@@ -166,6 +169,7 @@ class ArmState:
         Args:
             source: where the values come from, such as ``temperature``.
             columns: values by name of a session's column.
+            at_s: time of the reading, s, monotonic clock; None: now.
         """
         if not all(math.isfinite(value) for value in columns.values()):
             self.node.tally.count_dropped(source, f"{source}: {columns} is not finite")
@@ -177,8 +181,8 @@ class ArmState:
         except InputError as error:
             wrong = str(error)
             self.node.tally.count_dropped(source, wrong)
-        now = time.monotonic()
-        self.readings = self.readings.with_reading(source, columns, now, wrong=wrong)
+        at_s = time.monotonic() if at_s is None else at_s
+        self.readings = self.readings.with_reading(source, columns, at_s, wrong=wrong)
 
     @property
     def joints(self) -> np.ndarray | None:
@@ -277,6 +281,14 @@ class DriverLink:
         self._asked, self._answer = name, None
 
     @property
+    def rests_at(self) -> np.ndarray | None:
+        """(n,) where the arm was sent and rests, rad and m: servos that yield stand below it.
+
+        None while it moves, or if it is not known.
+        """
+        return self._end if self._arrived and not self._left else None
+
+    @property
     def has_answered(self) -> bool:
         """True once the driver has accepted or refused the trajectory that `expect` names.
 
@@ -303,6 +315,8 @@ class DriverLink:
                 self.forget_history()
             else:
                 self.note_motion(path, start)
+        elif message.event == Motion.REACHED:
+            self._arrived = True
         elif message.event in (Motion.REPLACED, Motion.BROKEN_OFF):
             self.forget_history()
         if message.id == self._asked and message.event in (Motion.ACCEPTED, Motion.REFUSED):

@@ -23,7 +23,7 @@ from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import describe_entry
 from longarm_comp.nodes.answers import Answer, Refusal, TargetRequest, target_of
-from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.arm_state import MAX_CORRECTION, ArmState
 from longarm_comp.nodes.clock import stamp_ns, steady_timer
 from longarm_comp.nodes.frames import FrameListener, prefix_of
 from longarm_comp.nodes.health import OK, WARN, Report, Twins
@@ -37,7 +37,7 @@ PARAMS = (
     Param("single_pass", False, "correct once, as in the paper", live=True),
     Param("tolerance_m", 1e-5, "the passes end at a smaller change of the error", 1e-9, 0.01),
     Param("max_passes", 10, "pseudo-target passes permitted", 1, 100),
-    Param("max_correction_m", 0.05, "largest expected error that is still corrected", 1e-6, 1.0),
+    MAX_CORRECTION,
     Param("run_up", True, "joints make a run-up if the model needs their side", live=True),
     Param("realisable", True, "choose joints among the servo steps of arm.yaml", live=True),
 )
@@ -93,12 +93,12 @@ class Compensator:
 
     def refuse(self, target: TargetRequest, status: Status, reason: str) -> Answer:
         """Make the answer to a target that is refused before any computation."""
-        method = str(self._node.get_parameter("method").value)
+        method = self._read_options(target.method).method.value
         return Answer(target, status, reason, method, self._files.loaded.file_hash)
 
     def _compensate_target(self, target: TargetRequest) -> Answer:
         given, place = self._in_base(target)
-        options = self._read_options()
+        options = self._read_options(target.method)
         start, seed = self._find_start(target)
         if target.execute and (why := self._twins.refusal or self._state.driver.refusal):
             raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
@@ -157,16 +157,16 @@ class Compensator:
         moved = Header(stamp=header.stamp, frame_id=self._base_frame)
         return PoseStamped(header=moved, pose=pose_message(place)), place
 
-    def _read_options(self) -> CompensationOptions:
+    def _read_options(self, method: str = "") -> CompensationOptions:
         value, p = lambda name: self._node.get_parameter(name).value, self._state.p
         return CompensationOptions(
-            Method(value("method")),
+            Method(method or value("method")),
             run_up=bool(value("run_up")),
             realisable=bool(value("realisable")),
             single_pass=bool(value("single_pass")),
             tol_m=p["tolerance_m"],
             max_passes=p["max_passes"],
-            max_correction_m=p["max_correction_m"],
+            max_correction_m=p["max_correction_m"] or None,
         )
 
     def _find_start(self, target: TargetRequest) -> tuple[np.ndarray, np.ndarray | None]:

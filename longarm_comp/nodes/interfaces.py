@@ -217,6 +217,12 @@ FOLLOW_PLANNED = Action("follow_joint_trajectory", FollowJointTrajectory)
 
 HAS_FOLLOW = FollowJointTrajectory is not None
 
+
+def compensate_by(method: str) -> Service:
+    """Return the service that answers as `COMPENSATE`, but with a method of the caller's choice."""
+    return Service(f"{COMPENSATE.name}/{method}", COMPENSATE.type)
+
+
 TOPICS = tuple(held for held in list(vars().values()) if isinstance(held, Topic) and held.type)
 SERVICES = tuple(held for held in list(vars().values()) if isinstance(held, Service))
 """TOPICS and SERVICES: all of the graph; the transforms only if their message is installed."""

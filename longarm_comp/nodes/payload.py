@@ -10,11 +10,12 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.circumstances import allowed_range
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.compensation.weighing import SD, Drives, Weighing, Wrist, feel_rest
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.model import Model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
@@ -33,35 +34,44 @@ PARAMS = (
 
 
 class Weigher:
-    """Weighs the payload once per move, after the driver has reported the move's end."""
+    """Weighs the payload after the driver has reported the end of a move.
+
+    While the arm rests there, it is weighed again before the estimate is too old. All of this
+    counts as one rest.
+    """
 
     def __init__(self, state: ArmState) -> None:
         self._arm, self._state, p = state.arm, state, state.p
         self._drives = drives(p["servos"], state.arm)
         self._tells, self._settle_s = p["payload.by_load"], p["monitor.settle_s"]
         self._max_age_s, self._sigma = p["context_max_age_s"], p["payload.wrench_sigma_n"]
-        self._weighing = Weighing(p["monitor.run_length"])
+        self._weighing = self._before = Weighing(p["monitor.run_length"])  # before this rest
         self._due = math.inf
-        self._wrist: Wrist | None = None
+        self._wrist: tuple[Wrist, float] | None = None  # and when it was heard
         self._told: float | None = None
-        self._last_s = -math.inf
+        self._last_s = self._felt_s = -math.inf
+        self._entered: tuple[dict[str, float], float] = {}, self._felt_s
         graph.WRENCH.subscription(state.node, self._on_wrench)
 
     def on_command(self, q: np.ndarray, history: History) -> None:
-        self._due = math.inf
+        self._due, self._before = math.inf, self._weighing
 
     def on_motion(self, motion: Motion) -> None:
         if motion.event == Motion.REACHED:
             self._due = time.monotonic() + self._settle_s
+        elif motion.event == Motion.BROKEN_OFF:  # it comes to rest somewhere
+            self._due = time.monotonic() + self._again_s
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
         """Queue the weighing if it is due; once a second, enter the result in the circumstances."""
         now = time.monotonic()
-        standing = self._state.standing if now >= self._due else None
-        if standing is not None:
-            self._due = math.inf
+        context = None
+        if now >= self._due and not self._state.driver.refusal:
+            context = self._circumstances(now)
+        if context is not None:
+            self._due = now + self._again_s
             self._state.worker.submit(
-                partial(self._weigh_rest, *standing, self._state.effort, self._wrist)
+                partial(self._weigh_rest, q, context, self._state.effort, now)
             )
         if self._tells and now - self._last_s >= 1.0:  # as often as a payload is published
             self._last_s = now
@@ -73,29 +83,57 @@ class Weigher:
         except InputError as error:
             self._state.node.tally.count_dropped("wrench", str(error))
             return
-        self._wrist = Wrist(row, force, self._sigma)
+        self._wrist = Wrist(row, force, self._sigma), time.monotonic()
 
-    def _weigh_rest(
-        self, model: Model, q: np.ndarray, context: Context, effort: np.ndarray, wrist: Wrist | None
-    ) -> None:
-        told = self._state.readings.fresh("payload", time.monotonic(), self._max_age_s)
+    @property
+    def _again_s(self) -> float:
+        """Time, s, after which a rest that lasts is weighed again."""
+        return 0.5 * self._max_age_s
+
+    def _circumstances(self, now: float) -> Context | None:
+        """Return the circumstances, whatever the payload is; None while one is unknown or old."""
+        readings = self._state.readings
+        for source in ("payload", "load"):
+            readings = readings.with_reading(source, {}, now)
+        model, history = self._state.files.loaded.model, self._state.driver.history
+        try:
+            return readings.context(model, now, self._max_age_s, history)
+        except StaleContext:
+            return None
+
+    def _weigh_rest(self, q: np.ndarray, context: Context, effort: np.ndarray, at_s: float) -> None:
+        told = self._state.readings.fresh("payload", at_s, self._max_age_s)
         kg = told.get("payload_kg")
         if kg != self._told:
-            self._weighing, self._told = self._weighing.change_payload(), kg
+            self._before, self._told = self._weighing.change_payload(), kg
+        model, wrist = self._state.files.loaded.model, None
+        if self._wrist is not None and self._wrist[1] > self._felt_s:  # felt since
+            wrist, _ = self._wrist
         rest = feel_rest(model, q, context, effort, self._drives, wrist)
         if not rest.finite:
             self._state.node.tally.count_dropped("rest", "what was felt at a rest is not finite")
             return
-        self._weighing = self._weighing.with_rest(rest)
+        if rest.measured:
+            self._weighing, self._felt_s = self._before.with_rest(rest), at_s
 
     def _tell_payload(self, now: float) -> None:
-        """Enter the weighed payload in the circumstances, unless a payload is published."""
-        found, readings = self._weighing.payload, self._state.readings
+        """Enter the payload of the last rest in the circumstances, unless one is published.
+
+        An estimate outside the allowed range counts as its nearest allowed value, if it may be by
+        chance. Otherwise it is refused, as a published one is.
+        """
+        found = self._weighing.payload
         if found is None or not found.tells(self._assumed_kg):
             return
-        told = readings.fresh("payload", now, self._max_age_s)
-        columns = {} if told else {"payload_kg": found.kg, SD: found.sigma_kg}
-        self._state.readings = readings.with_reading("load", columns, now)
+        columns: dict[str, float] = {}
+        if not self._state.readings.fresh("payload", now, self._max_age_s):
+            low, high = allowed_range(self._arm, "payload_kg")
+            nearest = min(max(found.kg, low), high)
+            kg = found.kg if self._weighing.contradicts(nearest) else nearest
+            columns = {"payload_kg": kg, SD: found.sigma_kg}
+        if self._entered != (columns, self._felt_s):
+            self._entered = columns, self._felt_s
+            self._state.take_in("load", *self._entered)
 
     @property
     def _assumed_kg(self) -> float:

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.core.compensation.result import Status
+from longarm_comp.core.compensation.result import Method, Status
 from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduced_speed
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.answers import Answer, TargetRequest, compensation_message, response_of
@@ -75,6 +75,9 @@ class TargetInlet:
         self._withdrawals = graph.WITHDRAWN.publisher(node)
         worker.hear(graph.TARGET_POSE, self._on_target)
         worker.serve(graph.COMPENSATE, self._on_compensate)
+        for method in Method:
+            answer = partial(self._on_compensate, method=method.value)
+            worker.serve(graph.compensate_by(method.value), answer)
 
     def new_target(
         self,
@@ -131,10 +134,13 @@ class TargetInlet:
             self._publish_answer(self._compensator.refuse(target, Status.SUPERSEDED, why))
         return True
 
-    def _on_compensate(self, message: Compensate.Request, reply: Reply, sent: float) -> None:
+    def _on_compensate(
+        self, message: Compensate.Request, reply: Reply, sent: float, method: str = ""
+    ) -> None:
         target = self.new_target(
             message.target, message.position_only, message.execute, message.seed, sent
         )
+        target = replace(target, method=method)
 
         def respond(answer: Answer) -> None:
             reply(response_of(answer, self._arm, self._base_frame))

@@ -32,6 +32,7 @@ from longarm_comp.core.compensation.planned_path import (
     as_planned,
 )
 from longarm_comp.core.compensation.result import CompensationOptions, Method
+from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.nodes import arm_state
@@ -57,7 +58,7 @@ PARAMS = (
         0.0,
         1e6,
     ),
-    Param("max_correction_m", 0.05, "largest correction of a way-point", 1e-6, 1.0),
+    arm_state.MAX_CORRECTION,
     Param("max_start", 0.2, "a joint may stand so far from where a plan begins, rad, m", 0.0, 10.0),
     Param("position_only", False, "plans leave the orientation free"),
     Param(
@@ -85,6 +86,9 @@ PARAMS = (
     Param("planned_period_s", 0.1, "time between two joint states for the planner", 0.01, 60.0),
     PERIOD,
 )
+
+_TRIES = 3
+"""How often a path is computed before its goal is refused, because the arm moved meanwhile."""
 
 
 class _TrajectoryCompensator(ArmNode):
@@ -138,11 +142,7 @@ class _TrajectoryCompensator(ArmNode):
         strange = set(asked.joint_names) - set(self._arm.joint_names)
         allowed = ", ".join(self._arm.joint_names)
         why = f"joints {sorted(strange)}; allowed: {allowed}" if strange else self._not_now(asked)
-        made: CompensatedPath | None = None
-        if not why:
-            future = self._worker.ask(partial(self._compensate_request, goal.request))
-            made, why = (None, "too many goals wait") if future is None else await future
-        why = why or self._fresh.too_old(asked.header.stamp)
+        made, why = (None, why) if why else await self._compute_path(goal.request)
         if goal.is_cancel_requested:
             goal.canceled()
             return result(error_string="cancelled before anything was sent")
@@ -165,15 +165,52 @@ class _TrajectoryCompensator(ArmNode):
         why = why or self._worker.failing
         return self._fresh.too_old(asked.header.stamp) or why
 
+    async def _compute_path(self, request: Any) -> tuple[CompensatedPath | None, str]:
+        """Compute the path to send from where the arm stands; again if it moved meanwhile.
+
+        Return it and "", or None and the reason why nothing may be sent now.
+        """
+        moved = ""
+        for _ in range(_TRIES):
+            stood = self._state.joints
+            assert stood is not None
+            future = self._worker.ask(partial(self._compensate_request, request, stood))
+            made, why = (None, "too many goals wait") if future is None else await future
+            if why := why or self._not_now(request.trajectory):
+                return None, why
+            if not (moved := self._describe_motion(stood)):
+                return made, ""
+        return None, moved
+
+    def _describe_motion(self, stood: np.ndarray) -> str:
+        """Say which joint has moved from joints (n,), rad and m; empty if they rest there."""
+        stands = self._state.joints
+        assert stands is not None
+        off = np.abs(stands - stood)
+        k = int(off.argmax())
+        if off[k] <= JOINT_REST:
+            return ""
+        moved = f"{self._arm.joint_names[k]} moved by {off[k]:.3g} while the path was computed"
+        return f"{moved}, allowed {JOINT_REST:g}: plan from where the arm rests"
+
     async def _forward_path(self, goal: Any, made: CompensatedPath) -> Any:
-        """Send a path to the controller, and return the result of the controller's action."""
-        timed = made.timed
-        message = trajectory_message(
-            self._arm, timed.joints, timed.times, self._stamps.next(), timed.velocities
-        )
+        """Send a path to the controller, and return the result of the controller's action.
+
+        The way-point where the arm stands is left out: a controller begins at its own set-point,
+        and servos that yield stand below it.
+        """
+        path = made.timed.joints[1:]
+        if not len(path):
+            goal.succeed()
+            return graph.FOLLOW.type.Result(error_string="the arm stands there: nothing was sent")
         out = copy(goal.request)  # its other fields are left to the controller
-        out.trajectory = message
-        start = self._state.joints
+        out.trajectory = trajectory_message(
+            self._arm,
+            path,
+            made.timed.times[1:],
+            self._stamps.next(),
+            made.timed.velocities[1:],
+        )
         sent = await self._out.send_goal_async(
             out, lambda said: goal.publish_feedback(said.feedback)
         )
@@ -182,7 +219,7 @@ class _TrajectoryCompensator(ArmNode):
             self.tally.count("refused", why)
             return abort_goal(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
         if not self._driver.acknowledged:
-            self._driver.note_motion(timed.joints[1:], start)
+            self._driver.note_motion(path, made.timed.joints[0])
         ended, asked = sent.get_result_async(), False
         while not ended.done():
             if goal.is_cancel_requested and not asked:
@@ -202,10 +239,15 @@ class _TrajectoryCompensator(ArmNode):
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
 
-    def _compensate_request(self, request: Any) -> tuple[CompensatedPath | None, str]:
-        """Compute the path to send. Return it and "", or None and the reason why there is none."""
-        start = self._state.joints
-        assert start is not None
+    def _compensate_request(
+        self, request: Any, stood: np.ndarray
+    ) -> tuple[CompensatedPath | None, str]:
+        """Compute a path. Return it and "", or None and the reason why there is none.
+
+        ``stood``: (n,) the joints' readings, rad and m.
+        """
+        rests = self._driver.rests_at
+        start = stood if rests is None else rests
         loaded = self._files.loaded
         physics = physics_of(loaded.model, self._method)
         history = History.unknown(self._arm.n) if self._following else self._driver.history
@@ -218,7 +260,9 @@ class _TrajectoryCompensator(ArmNode):
                 history=history,
                 limits=replace(self._limits, max_longer=self._longest_share(request)),
                 context_at=partial(self._state.context, model=physics),
-                options=CompensationOptions(self._method),
+                options=CompensationOptions(
+                    self._method, max_correction_m=self.p["max_correction_m"] or None
+                ),
             )
             with ik.compile_at_once():
                 found, *_ = self._state.predictor.compensate_with(self._method, compensate)
@@ -267,7 +311,8 @@ class _TrajectoryCompensator(ArmNode):
 
         This also compiles the programs that the next path needs.
         """
-        q, loaded = self._state.joints, self._files.loaded
+        rests, loaded = self._driver.rests_at, self._files.loaded
+        q = self._state.joints if rests is None else rests
         model = physics_of(loaded.model, self._method)
         if q is None or self._state.doubt:
             return

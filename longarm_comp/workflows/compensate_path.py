@@ -36,7 +36,7 @@ class PathCommands(points.Commands):
 
     Attributes:
         timed: times (s), joints (rad, m) and velocities (rad/s, m/s) at the way-points.
-        correction_m: (N,) by how much the declared arm's tip is moved, m.
+        correction_m: (N,) by how much the declared arm's tip is moved, m: `measure_correction`.
         notes: warnings about way-points, without repetition.
     """
 
@@ -67,7 +67,6 @@ def compensate_path(
     history: SessionLike | None = None,
     max_velocity: ArrayLike | None = None,
     max_acceleration: ArrayLike | None = None,
-    max_correction_m: float = np.inf,
     max_turn_rad: float = PathLimits.max_turn_rad,
     max_longer: float = PathLimits.max_longer,
     seed: ArrayLike | None = None,
@@ -85,7 +84,6 @@ def compensate_path(
             fast as both limits allow; without limits, one second for each way-point.
         max_velocity, max_acceleration: one for every joint, or (n,); rad/s and m/s, or rad/s^2 and
             m/s^2.
-        max_correction_m: largest correction of a way-point, m.
         max_turn_rad: largest error of the orientation where the joints cannot hold it.
         max_longer: largest fraction of time that may be added to take up play smoothly where joints
             reverse; 0: the times are kept.
@@ -111,9 +109,7 @@ def compensate_path(
         _per_joint(max_velocity, n, "max_velocity"),
         _per_joint(max_acceleration, n, "max_acceleration"),
     )
-    limits = PathLimits(
-        motion, max_correction_m, max_turn_rad, max_longer=max_longer, position_only=position_only
-    )
+    limits = PathLimits(motion, max_turn_rad, max_longer=max_longer, position_only=position_only)
     start, came = (
         (None, History.unknown(n)) if history is None else points.find_last_rest(history, model)
     )
@@ -122,9 +118,7 @@ def compensate_path(
     found = solve_path(
         model,
         predictor,
-        PlannedPath(
-            carried, None if times is None else np.asarray(times, float), base=placements[0].moved
-        ),
+        PlannedPath(carried, None if times is None else np.asarray(times, float)),
         start=start,
         history=came,
         seed=first,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from nodes_bench import PATIENCE_S, bench
 from own_graph import own_graph
 from quick_arm import QuickArm, quick_arm
 from small_arm import ARM
+from target_requests import pose
 
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.effects.drive_errors import JointGain
@@ -32,8 +34,10 @@ from longarm_comp.core.model.model_file import load_model, read_stored, save_mod
 from longarm_comp.jobs.apply import apply_on_graph, files_at_work, reload
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.targets import TargetRunner, choose_targets
+from longarm_comp.nodes import interfaces as graph
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import JointGain as TrueGain
+from longarm_interfaces.srv import Compensate
 
 QUICK = ("--sightings", "1", "--dwell", "0.08", "--move", "0.05")
 PACE = Pace(sightings=1, dwell_s=0.08, move_s=0.05)
@@ -123,6 +127,34 @@ def test_verify_says_whether_compensation_helps(
     assert "[9.0, 0.0, 0.0] was left out: none: " in shell.err
     with pytest.raises(JobError, match="fewer than two targets"):
         choose_targets(runner, lambda n: np.array([[9.0, 0.0, 0.0]]), 1, (Method.NONE,))
+
+
+def test_a_method_belongs_to_the_request_and_outlasts_no_client(
+    client: ArmClient, runner: TargetRunner
+) -> None:
+    """A program that is killed while it drives without compensation leaves nothing behind."""
+    client.set_parameter("kinematics", "method", "deflection")
+    told: dict[str, str] = {}
+    graph.COMPENSATION.subscription(client.node, lambda m: told.__setitem__(m.id, m.method))
+    near, nowhere = Model(ARM).tip(ARM.mid), np.full(3, np.nan)
+    for method, target in itertools.product(Method, (near, nowhere)):
+        answer = runner.ask(target, method, execute=False)
+        assert answer.success == (target is near)
+        client.until(lambda a=answer: a.id in told, PATIENCE_S, "the record of a target")
+        assert told[answer.id] == method.value
+
+    def watch(text: str, share: float) -> None:
+        assert client.parameters("kinematics", "method") == ["deflection"]
+
+    told.clear()
+    runner.run("rigid", near[None], Method.NONE, watch)
+    client.until(lambda: told, PATIENCE_S, "the record of a target")
+    assert set(told.values()) == {"none"}
+    plain = graph.COMPENSATE.client(client.node)
+    asked = Compensate.Request(target=pose(near), position_only=True)
+    answer = client.call(plain, asked, PATIENCE_S, again=True)
+    client.until(lambda: answer.id in told, PATIENCE_S, "the record of a target")
+    assert told[answer.id] == "deflection"
 
 
 def test_a_move_that_is_over_before_the_wait_has_arrived(files: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,17 +21,16 @@ from control_msgs.msg import JointComponentTolerance
 from geometry_msgs.msg import PointStamped
 from nodes_bench import Bench
 from places import DEMO_ARM as ARM
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
+from planning import THEIRS, Controller, Planner, ramp
 from simulated_graph import forked_graph
 from small_arm import ARM as SMALL
 from small_arm import AWAY
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.planned_path import PathLimits
+from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -38,92 +38,11 @@ from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import trajectory_compensator
 from longarm_comp.nodes.bringup import BringUp
-from longarm_comp.nodes.clock import Ticks, stamp_ns
-from longarm_comp.nodes.messages import duration, joints_message
+from longarm_comp.nodes.clock import stamp_ns
+from longarm_comp.nodes.messages import duration
 
 pytestmark = pytest.mark.skipif(not graph.HAS_FOLLOW, reason="control_msgs is not installed")
 TYPE = graph.FOLLOW_PLANNED.type
-THEIRS = "arm_controller/follow_joint_trajectory"
-
-
-class Controller:
-    """A joint trajectory controller that goes where it is sent to, and ends as it is told to."""
-
-    def __init__(self, stage: Bench, arm: Arm) -> None:
-        self.arm, self.got, self.walk = arm, [], Walk(arm)
-        self.ends, self.waits = GoalStatus.STATUS_SUCCEEDED, False
-        self.node, self.ticks = stage.node, Ticks(stage.node, 0.02)
-        self.joints = graph.JOINT_STATES.publisher(stage.node)
-        self.timer = stage.node.create_timer(0.05, self.tell)
-        self.server = ActionServer(
-            stage.node, TYPE, THEIRS, self.serve, callback_group=ReentrantCallbackGroup(),
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
-        )  # fmt: skip
-
-    def tell(self) -> None:
-        self.walk.step()
-        now = self.node.get_clock().now().to_msg()
-        self.joints.publish(joints_message(self.arm, self.walk.q, now))
-
-    async def serve(self, goal: Any) -> Any:
-        self.got.append(goal.request)
-        goal.publish_feedback(TYPE.Feedback(joint_names=["fed back"]))
-        self.walk.go(point.positions for point in goal.request.trajectory.points)
-        while (self.waits or self.walk.ahead) and not goal.is_cancel_requested:
-            await self.ticks.next()
-        if goal.is_cancel_requested:
-            self.walk.ahead.clear()
-            goal.canceled()
-            return TYPE.Result(error_string="halted by the controller")
-        if self.ends == GoalStatus.STATUS_SUCCEEDED:
-            goal.succeed()
-            return TYPE.Result()
-        goal.abort()
-        return TYPE.Result(error_code=TYPE.Result.PATH_TOLERANCE_VIOLATED, error_string="off")
-
-
-class Planner:
-    """Plans in joints of the declared arm and sends it to `follow_joint_trajectory`."""
-
-    def __init__(self, stage: Bench) -> None:
-        self.stage, self.fed, self.health = stage, [], stage.collect(graph.DIAGNOSTICS)
-        self.client = stage.action(TYPE, graph.FOLLOW_PLANNED.name)
-        stage.spin(self.ready)
-
-    def ready(self) -> bool:
-        """Whether the node says so: everything is compiled."""
-        parts = [s for array in self.health for s in array.status if s.name.endswith(": paths")]
-        return bool(parts) and parts[-1].message == "ready"
-
-    def send(
-        self, names: list[str], path: np.ndarray, seconds: float = 1.0, *,
-        stamp: Time | None = None, **more: Any,
-    ) -> Any:  # fmt: skip
-        times = np.linspace(0.0, seconds, len(path))
-        points = [
-            JointTrajectoryPoint(positions=q, time_from_start=duration(t))
-            for t, q in zip(times.tolist(), path.tolist(), strict=True)
-        ]
-        trajectory = JointTrajectory(joint_names=names, points=points)
-        trajectory.header.stamp = stamp or Time()
-        sent = self.client.send_goal_async(
-            TYPE.Goal(trajectory=trajectory, **more), lambda m: self.fed.append(m.feedback)
-        )
-        self.stage.spin(sent.done)
-        assert sent.result().accepted
-        return sent.result()
-
-    def ends(self, goal: Any, status: int) -> Any:
-        """Wait for a goal's end, and check it; its result."""
-        result = goal.get_result_async()
-        self.stage.spin(result.done)
-        assert result.result().status == status, result.result().result.error_string
-        return result.result().result
-
-
-def ramp(start: np.ndarray, end: np.ndarray, count: int = 11) -> np.ndarray:
-    share = np.linspace(0.0, 1.0, count)[:, None]
-    return start + (3 * share**2 - 2 * share**3) * (end - start)
 
 
 def test_a_goal_is_no_later_than_its_time_tolerance_and_the_parameter_allow() -> None:
@@ -169,11 +88,10 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     assert sent.header.frame_id == ""
     went = np.array([point.positions for point in sent.points])
     model, rigid = declared_model(arm), Model(arm)
-    np.testing.assert_allclose(went[0], arm.mid, atol=1e-9)
-    np.testing.assert_allclose(model.tip(went[1:]), rigid.tip(plan[1:]), atol=2e-6)
+    np.testing.assert_allclose(model.tip(went), rigid.tip(plan[1:]), atol=2e-6)
     assert np.linalg.norm(model.tip(plan) - rigid.tip(plan), axis=1).min() > 5e-3
     speeds = np.array([point.velocities for point in sent.points])
-    assert 0.1 < np.abs(speeds).max() <= 0.5 + 1e-6 and not speeds[[0, -1]].any()
+    assert 0.1 < np.abs(speeds).max() <= 0.5 + 1e-6 and not speeds[-1].any()
 
     def seen() -> bool:  # the planner sees its own end, not the servos'
         found = np.array(planned[-1].position)
@@ -220,6 +138,78 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     assert "halted" in planner.ends(goal, GoalStatus.STATUS_CANCELED).error_string
 
 
+def test_an_arm_that_droops_does_not_dip_where_a_path_begins(stage: Bench, arm: Arm) -> None:
+    """Its servos yield below their set-points: what the encoders read is sent nowhere."""
+    controller = Controller(stage, arm)
+    stage.start("trajectory_compensator", {
+        "arm": ARM, "controller": THEIRS, "acknowledged": False, "method": "deflection",
+        "max_velocity": [1.0], "max_acceleration": [5.0], "planned_period_s": 0.05,
+        "diagnostics_period_s": 0.1,
+    })  # fmt: skip
+    planned, seen = stage.collect(graph.PLANNED_JOINTS), stage.collect(graph.JOINT_STATES)
+    planner, names, done = Planner(stage), list(arm.joint_names), GoalStatus.STATUS_SUCCEEDED
+    up = np.where(arm.slides, 0.0, 0.1)
+    ends = [arm.mid + up, arm.mid + 2.0 * up]
+    planner.ends(planner.send(names, ramp(arm.mid, ends[0])), done)
+    controller.droop = 0.15 * up  # more than a step of the next plan
+    stage.spin(
+        lambda: seen and np.allclose(seen[-1].position, controller.walk.q - controller.droop)
+    )
+    del planned[:]
+    stage.spin(lambda: len(planned) > 2)
+    np.testing.assert_allclose(
+        Model(arm).tip(np.array(planned[-1].position)), Model(arm).tip(ends[0]), atol=2e-6
+    )
+    first = controller.walk.q
+    planner.ends(planner.send(names, ramp(np.array(planned[-1].position), ends[1])), done)
+    points = controller.got[-1].trajectory.points
+    sent = np.array([point.positions for point in points])
+    assert np.diff(sent, axis=0, prepend=first[None]).min() > -1e-6
+    assert len(sent) == 10 and points[-1].time_from_start == duration(1.0)  # no step to take up
+    said = planner.ends(planner.send(names, np.array(planned[-1].position)[None]), done)
+    assert "nothing was sent" in said.error_string and len(controller.got) == 2
+
+
+@pytest.mark.parametrize(
+    ("steps", "tries", "words"),
+    [
+        ([0.5 * JOINT_REST], 1, ""),
+        ([1.5 * JOINT_REST, 0.0], 2, ""),
+        (np.tile(1.5 * JOINT_REST, 9), trajectory_compensator._TRIES, "elbow moved by 0.003"),
+    ],
+)
+def test_a_path_is_sent_only_from_where_the_arm_still_stands(
+    steps: list[float], tries: int, words: str
+) -> None:
+    """``steps``: by how much the arm moves while the path is computed each time, rad."""
+    kind, left = trajectory_compensator._TrajectoryCompensator, list(steps)
+    state, begun = SimpleNamespace(joints=np.zeros(2)), list[np.ndarray]()
+    node: Any = SimpleNamespace(
+        _state=state, _arm=SimpleNamespace(joint_names=("base", "elbow")), _not_now=lambda said: "",
+        _compensate_request=lambda request, stood: (stood, ""),
+    )  # fmt: skip
+    node._describe_motion = partial(kind._describe_motion, node)
+
+    async def compute(job: Any) -> Any:
+        begun.append(state.joints)
+        state.joints = state.joints + np.array([0.0, left.pop(0)])
+        return job()
+
+    node._worker = SimpleNamespace(ask=compute)
+
+    def told() -> Any:
+        with pytest.raises(StopIteration) as ended:
+            kind._compute_path(node, SimpleNamespace(trajectory=None)).send(None)
+        return ended.value.value
+
+    made, why = told()
+    assert len(begun) == tries and words in why and bool(words) == bool(why)
+    assert made is (None if words else begun[-1])
+    left[:] = [0.0]
+    node._not_now = lambda said: "the joints are doubtful"
+    assert told() == (None, "the joints are doubtful")
+
+
 @pytest.mark.parametrize("endless", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_plan_through_pi_goes_on_live_or_is_refused(
     stage: Bench, tmp_path: Path, endless: bool
@@ -239,7 +229,7 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(
     planner, names = Planner(stage), list(made.joint_names)
     planner.ends(planner.send(names, said, 2.0), GoalStatus.STATUS_SUCCEEDED)
     sent = controller.got[-1].trajectory.points
-    np.testing.assert_allclose([p.positions for p in sent], goes, atol=1e-6)
+    np.testing.assert_allclose([p.positions for p in sent], goes[1:], atol=1e-6)
     assert np.abs([p.velocities for p in sent]).max() < 0.5
     assert sent[-1].time_from_start == duration(2.0)
     far = goes[-1] + np.outer(np.linspace(0.0, 1.0, 21), [4.0, 0, 0, 0, 0, 0])
@@ -248,7 +238,7 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(
     if endless:
         planner.ends(goal, GoalStatus.STATUS_SUCCEEDED)
         sent = controller.got[-1].trajectory.points
-        np.testing.assert_allclose([p.positions for p in sent], far, atol=1e-6)
+        np.testing.assert_allclose([p.positions for p in sent], far[1:], atol=1e-6)
         return
     result = planner.ends(goal, GoalStatus.STATUS_ABORTED)
     assert "way-point 16: bad_target: joint1 from" in result.error_string
@@ -288,7 +278,7 @@ def test_an_arm_that_cannot_hold_the_orientation_follows_a_plan_and_says_so(
     assert ("the joints cannot hold the orientation: it is off by up to" in said) is not free
     went = np.array([point.positions for point in controller.got[-1].trajectory.points])
     rigid = Model(made)
-    np.testing.assert_allclose(bent.tip(went[1:]), rigid.tip(plan[1:]), atol=2e-6)
+    np.testing.assert_allclose(bent.tip(went), rigid.tip(plan[1:]), atol=2e-6)
 
     def seen() -> bool:  # the planner sees its own end
         found = rigid.tip(np.array(planned[-1].position))
@@ -329,3 +319,8 @@ def test_through_our_driver_the_true_tip_ends_where_the_plan_meant_it(
         missed = np.linalg.norm(np.array([at.x, at.y, at.z]) - wanted)
         assert np.linalg.norm(declared_model(arm).tip(end) - wanted) > 5e-3
         assert missed < 5e-4  # steps of the servos, and what the rods differ by
+
+        def seen() -> bool:  # the planner sees where the arm was sent, finer than a servo's step
+            return np.allclose(Model(arm).tip(np.array(planned[-1].position)), wanted, atol=2e-6)
+
+        stage.spin(seen)

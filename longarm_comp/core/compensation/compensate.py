@@ -18,6 +18,11 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.beyond import outside_data
+from longarm_comp.core.compensation.correction import (
+    describe_too_large,
+    measure_correction,
+    permitted_correction,
+)
 from longarm_comp.core.compensation.expected import ExpectedMiss, expected_miss
 from longarm_comp.core.compensation.realisable import Lattice, Realisable, Search, choose
 from longarm_comp.core.compensation.result import (
@@ -31,10 +36,7 @@ from longarm_comp.core.compensation.result import (
     guess_unit,
     pseudo_targets,
 )
-from longarm_comp.core.compensation.unknown import (
-    missing_column,
-    unknown_circumstances,
-)
+from longarm_comp.core.compensation.unknown import missing_column, unknown_circumstances
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
@@ -91,6 +93,7 @@ def compensate(
         options=settings,
     )
     batch.correct(batch.solve_ideal())
+    batch.refuse_too_large()
     lattice = lattice_of(model, settings.realisable)
     if lattice is not None and not settings.single_pass:
         batch.choose_steps(lattice)
@@ -184,6 +187,7 @@ class _Batch:
         self.error, self.sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
         self.in_domain, self.passes = np.zeros(count, bool), np.zeros(count, int)
         self.status, self.reason = [Status.SUCCESS] * count, [""] * count
+        self.most_m = permitted_correction(self.model, self.options.max_correction_m)
 
     def solve_ideal(self) -> list[int]:
         """Find the joints by physics alone; return the numbers of the targets that were reached."""
@@ -227,9 +231,9 @@ class _Batch:
             for k, size_m, change_m, is_inside, why in each:
                 if not is_inside:
                     self.status[k], self.reason[k] = Status.OUT_OF_DOMAIN, describe_outside(why)
-                elif size_m > options.max_correction_m:
+                elif size_m > self.most_m:
                     self.status[k] = Status.CORRECTION_TOO_LARGE
-                    self.reason[k] = options.describe_too_large(size_m)
+                    self.reason[k] = describe_too_large(size_m, self.most_m)
                 elif passes and change_m <= options.tol_m:
                     continue
                 elif passes == options.max_passes:
@@ -249,6 +253,19 @@ class _Batch:
             going = [k for k in unsettled if k not in failed]
             if options.single_pass or not going:
                 return
+
+    def refuse_too_large(self) -> None:
+        """Give up the targets whose whole correction is larger than permitted."""
+        each = (Status.SUCCESS,), _PHYSICS_ONLY
+        for status, q in zip(each, (self.q, self.ideal), strict=True):
+            if not (rows := self._list_rows(*status)):
+                continue
+            here, context = _index_of(rows), self._context_of(rows)
+            sizes = measure_correction(self.model, q[here], self.target[here], context)
+            for k, size_m in zip(rows, sizes.tolist(), strict=True):
+                if size_m > self.most_m:
+                    self.status[k] = Status.CORRECTION_TOO_LARGE
+                    self.reason[k] = describe_too_large(size_m, self.most_m)
 
     def choose_steps(self, lattice: Lattice) -> None:
         """Choose the joints to send among those at which the servos can stand."""

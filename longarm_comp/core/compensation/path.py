@@ -14,11 +14,15 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.beyond import outside_data
 from longarm_comp.core.compensation.circle import check_no_turn, unwrap
 from longarm_comp.core.compensation.compensate import judge, physics_of
+from longarm_comp.core.compensation.correction import (
+    describe_too_large,
+    measure_correction,
+    permitted_correction,
+)
 from longarm_comp.core.compensation.planned_path import (
     PathLimits,
     PlannedPath,
@@ -39,10 +43,7 @@ from longarm_comp.core.compensation.result import (
     pseudo_targets,
 )
 from longarm_comp.core.compensation.take_up import PathLag, Reversal, slow_down, take_up_play
-from longarm_comp.core.compensation.unknown import (
-    missing_column,
-    unknown_circumstances,
-)
+from longarm_comp.core.compensation.unknown import missing_column, unknown_circumstances
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.newton import REACHED
@@ -67,7 +68,7 @@ class CompensatedPath:
         sigma: (k, 3) m, its standard deviation; NaN where the predictor was not used.
         context: circumstances at the way-points.
         passes: number of passes of the pseudo-targets.
-        correction_m: (k,) m, distance of the declared arm's tip at these joints from the target.
+        correction_m: (k,) m, of `measure_correction`.
         turn_rad: (k,) rad, by how much the orientation is off because the joints cannot hold it.
         history: of the joints at the end.
         notes: doubts, in words.
@@ -243,7 +244,8 @@ class _PathProblem:
         reversals = play.find_reversals(way, lag, came.approach)
         timed = self._give_times(way, q - lag - way, lag, reversals)
         command = timed.joints
-        moved = self._measure_corrections(command)
+        sizes = measure_correction(self.model, command, self.plan.targets, context)
+        self._refuse_too_large(int(np.argmax(sizes)), float(sizes.max()))
         if self.model.arm.keep_out:
             declared = declared_model(self.model.arm)
             times = timed.chords(STRAIGHT)
@@ -269,27 +271,21 @@ class _PathProblem:
             sigma=sigma,
             context=context,
             passes=passes,
-            correction_m=moved,
+            correction_m=sizes,
             turn_rad=turn,
             history=History(came.approach[-1], came.legs[-1], came.last_way[-1]),
             notes=tuple(dict.fromkeys(filter(None, notes))),
         )
 
-    def _measure_corrections(self, joints: np.ndarray) -> np.ndarray:
-        """Return the (k,) distance, m, of the declared arm's tip at joints (k, n) from the targets.
-
-        Raises:
-            PathRefused: a distance is more than `max_correction_m`.
-        """
-        wanted = ik.position_of(self.plan.targets)
-        rigid = Model(self.model.arm, elements_per_beam=1)
-        meant = carry_place(self.plan.base, rigid.tip(joints))
-        moved = np.linalg.norm(meant - wanted, axis=1)
-        row = int(np.argmax(moved))
-        if moved[row] > self.limits.max_correction_m:
-            why = f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * self.limits.max_correction_m:g} mm"
+    def _refuse_too_large(self, row: int, size_m: float) -> None:
+        """Raise PathRefused if a correction is larger than permitted."""
+        if size_m > self._most_m:
+            why = describe_too_large(size_m, self._most_m)
             raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
-        return moved
+
+    @cached_property
+    def _most_m(self) -> float:
+        return permitted_correction(self.model, self.options.max_correction_m)
 
     def _give_times(
         self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, reversals: list[Reversal]
@@ -412,7 +408,5 @@ class _PathProblem:
             if not found.in_domain[0] or not np.isfinite(size):
                 why = describe_outside(*found.reason[:1])
                 raise _Unanswered(f"physics only, as way-point {row} is {why}")
-            if size > self.options.max_correction_m:
-                why = self.options.describe_too_large(size)
-                raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
+            self._refuse_too_large(row, size)
         return error, sigma

@@ -7,7 +7,7 @@ faster than the plan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,6 @@ class PlannedPath:
         joints: (k, n) planned joints, rad and m, from which each search starts; None: not planned.
         velocities: (k, n) planned joint velocities, rad/s and m/s; None: not planned.
         begun: whether the first way-point is where the planner believes the arm to stand.
-        base: (4, 4) pose of the declared arm's base in the frame of the targets.
     """
 
     targets: np.ndarray
@@ -44,7 +43,6 @@ class PlannedPath:
     joints: np.ndarray | None = None
     velocities: np.ndarray | None = None
     begun: bool = False
-    base: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     @classmethod
     def of_joints(
@@ -67,7 +65,7 @@ class PlannedPath:
         Args:
             base: (4, 4) pose of the present frame in the new one.
         """
-        return replace(self, targets=carry_place(base, self.targets), base=base @ self.base)
+        return replace(self, targets=carry_place(base, self.targets))
 
     def check(self, n: int) -> None:
         """Raise InputError if shapes or times are not allowed for an arm of n joints."""
@@ -130,8 +128,6 @@ class PathLimits:
 
     Attributes:
         motion: limits of velocity and acceleration; None: the controller keeps them itself.
-        max_correction_m: largest distance, at the commands, of the declared arm's tip from its
-            target, m.
         max_turn_rad: largest error of the orientation where the joints cannot hold it.
         max_start: largest distance of a joint from where the plan begins, rad or m.
         turn_m: how far the tip may leave the path where a joint reverses, so that its play is
@@ -142,7 +138,6 @@ class PathLimits:
     """
 
     motion: MotionLimits | None = None
-    max_correction_m: float = np.inf
     max_turn_rad: float = 0.1
     max_start: float = np.inf
     turn_m: float = VISIBLE_M

@@ -89,7 +89,8 @@ class CompensationOptions:
         single_pass: whether to correct only once, as in the paper.
         tol_m: change of the expected error, m, at or below which the passes end.
         max_passes: largest number of passes of the pseudo-target.
-        max_correction_m: largest expected error that is corrected, m.
+        max_correction_m: largest correction, physics and learned error together, m. None: see
+            `permitted_correction`.
     """
 
     method: Method = Method.BOTH
@@ -100,20 +101,15 @@ class CompensationOptions:
     single_pass: bool = False
     tol_m: float = 1e-5
     max_passes: int = 10
-    max_correction_m: float = 0.1
+    max_correction_m: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("tol_m", "max_correction_m"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if value is not None and not value > 0:
                 raise InputError("compensate", name, value, "a length above 0 m")
         if self.max_passes < 1:
             raise InputError("compensate", "max_passes", self.max_passes, "1 or more")
-
-    def describe_too_large(self, size_m: float) -> str:
-        """Say why an expected error is not corrected."""
-        most = f"the permitted correction of {1e3 * self.max_correction_m:g} mm"
-        return f"expected error {1e3 * size_m:.2f} mm is above {most}"
 
     def describe_unsettled(self) -> str:
         """Say why a target is given up after the last pass."""

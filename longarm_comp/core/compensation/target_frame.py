@@ -34,8 +34,6 @@ class Placement:
         frame: frame of the target, ``base`` or ``measured``.
         motion: (4, 4) transform from the frame of the target to that of the model.
         base: (4, 4) pose of the base in the frame of the measurements.
-        moved: (4, 4) motion from the base that arm.yaml declares to `base`; identity where both
-            frames count as one.
         seen: (4, 4) transform from the frame of the measurements to that of the model.
         solved: whether `base` comes from a calibration.
     """
@@ -43,7 +41,6 @@ class Placement:
     frame: str
     motion: np.ndarray
     base: np.ndarray
-    moved: np.ndarray
     seen: np.ndarray
     solved: bool
 
@@ -131,9 +128,9 @@ def find_placement(
         if not found and model.arm.tolerance.base is None:
             allowed = f"{BASE}, or a calibrated model, which says where the base stands"
             raise InputError(where, "frame", frame, allowed)
-        return Placement(MEASURED, seen, base, motion, seen, bool(found))
+        return Placement(MEASURED, seen, base, seen, bool(found))
     if frame == BASE:
-        return Placement(BASE, motion, base, motion, seen, bool(found))
+        return Placement(BASE, motion, base, seen, bool(found))
     away, usual = _farthest_apart(motion, model.arm)
     if away > usual:
         allowed = (
@@ -143,7 +140,7 @@ def find_placement(
             "would count as an error of setup"
         )
         raise InputError(where, "frame", "not said", allowed)
-    return Placement(MEASURED if found else BASE, seen, base, np.eye(4), seen, bool(found))
+    return Placement(MEASURED if found else BASE, seen, base, seen, bool(found))
 
 
 def base_of_graph(model: Model) -> Placement:
@@ -158,8 +155,8 @@ def base_of_graph(model: Model) -> Placement:
     motion = base @ np.linalg.inv(declared)
     away, usual = _farthest_apart(motion, arm)
     if away > usual:
-        return Placement(BASE, motion, base, motion, seen, True)
-    return Placement(MEASURED, seen, base, np.eye(4), seen, base is not declared)
+        return Placement(BASE, motion, base, seen, True)
+    return Placement(MEASURED, seen, base, seen, base is not declared)
 
 
 def _motion_of_all_rows(model: Model) -> np.ndarray:

@@ -71,6 +71,11 @@ class Felt(NamedTuple):
     step: np.ndarray
 
     @property
+    def measured(self) -> bool:
+        """True if a load was measured on a channel whose friction is known."""
+        return bool((np.isfinite(self.value - self.without) & (self.friction > 0)).any())
+
+    @property
     def finite(self) -> bool:
         """True if the computed load and load per kg are finite on every channel that has one."""
         here = ~np.isnan(self.without)

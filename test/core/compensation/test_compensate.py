@@ -135,16 +135,26 @@ def test_no_predictor_and_out_of_domain_fall_back_and_say_so(plant):
 
 
 def test_correction_is_bounded(plant):
+    """One bound for the sag and the learned error together; each alone stays below it."""
     model, targets, _ = plant
     made = compensate_arrays(model, Known(), targets, max_correction_m=1e-3)
     assert (made.status == Status.CORRECTION_TOO_LARGE).all()
     assert not made.success.any()
-    assert "permitted" in made.reason[0]
+    assert "permitted 1 mm" in made.reason[0]
     one = compensate(model, Known(), targets[0], max_correction_m=1e-3)[0]
     assert one.status is Status.CORRECTION_TOO_LARGE
     np.testing.assert_array_equal(one.command, one.ideal)
-    size = np.linalg.norm(smooth_error(made.ideal), axis=1).max()
-    assert compensate_arrays(model, Known(), targets, max_correction_m=1.5 * size).success.all()
+    free, rigid = compensate_arrays(model, Known(), targets), Model(model.arm)
+    learned = np.linalg.norm(smooth_error(free.command), axis=1)
+    sag = np.linalg.norm(rigid.tip(free.ideal) - targets, axis=1)
+    both = np.linalg.norm(rigid.tip(free.command) - targets, axis=1)
+    most = 0.5 * (both.max() + max(learned.max(), sag.max()))
+    assert both.max() > max(learned.max(), sag.max()) + 1e-3
+    bounded = compensate_arrays(model, Known(), targets, max_correction_m=most)
+    np.testing.assert_array_equal(bounded.status == Status.CORRECTION_TOO_LARGE, both > most)
+    np.testing.assert_array_equal(bounded.success, both <= most)
+    refused = compensate_arrays(model, None, targets, max_correction_m=0.9 * sag.max())
+    np.testing.assert_array_equal(refused.success, sag <= 0.9 * sag.max())  # without a predictor
 
 
 def test_what_does_not_settle_is_said(plant):

@@ -25,7 +25,12 @@ from longarm_comp.core.compensation.planned_path import (
     find_fastest_way,
     retime,
 )
-from longarm_comp.core.compensation.result import Method, Prediction, Status
+from longarm_comp.core.compensation.result import (
+    CompensationOptions,
+    Method,
+    Prediction,
+    Status,
+)
 from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
@@ -199,14 +204,14 @@ def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model:
 
 def test_a_way_that_cannot_be_gone_is_refused_whole_and_in_words(arm: Arm, model: Model) -> None:
     plan = plan_of(arm)
-    with pytest.raises(PathRefused, match=r"way-point \d+: correction_too_large: .* allowed 4 mm"):
-        follow(model, plan, max_correction_m=4e-3)
-    for off, limits, words in (
-        (0.1, {"max_start": 0.09}, "stands 0.1 from where the plan begins, allowed 0.09"),
-        (0.1, {"max_correction_m": 0.05}, "mm, allowed 50 mm"),
+    off = plan.joints[0] + 0.1 * np.eye(arm.n)[0]
+    for row, given, words in (
+        (r"\d+", {"options": CompensationOptions(max_correction_m=4e-3)}, "permitted 4 mm"),
+        (0, {"start": off, "options": CompensationOptions(max_correction_m=0.05)}, "permitted 50"),
+        (0, {"start": off, "max_start": 0.09}, "stands 0.1 from where the plan begins, allowed"),
     ):
-        with pytest.raises(PathRefused, match=f"way-point 0: correction_too_large: .*{words}"):
-            follow(model, plan, start=plan.joints[0] + off * np.eye(arm.n)[0], **limits)
+        with pytest.raises(PathRefused, match=f"way-point {row}: correction_too_large: .*{words}"):
+            follow(model, plan, **given)
     follow(model, plan, start=plan.joints[0] + 0.08 * np.eye(arm.n)[-1], max_start=0.09)
     edge = PlannedPath.of_joints(
         arm, plan.times, plan.joints + (arm.upper - plan.joints.max(axis=0))
