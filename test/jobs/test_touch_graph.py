@@ -162,6 +162,12 @@ def test_the_simulated_ball_slides_into_a_socket_where_servos_let_go(tmp_path: P
     config = PlantConfig(arm, servos, cameras, tag_plate(0.06, 0.012, 2, 2), np.eye(4))
     tip = Plant(config, tmp_path / "bus", np.random.default_rng(0)).tip_pose(0.0)[:3, 3]
     near = tip + np.array([0.003, -0.004, 0.005])
+    plant = Plant(config, tmp_path / "bus", np.random.default_rng(0))
+    plant.carry(0.5)
+    assert plant.payload_kg == 0.5
+    assert 1e-4 < tip[2] - plant.tip_pose(0.0)[2, 3] < 0.1  # it hangs lower at once
+    plant.carry(0.0)
+    np.testing.assert_array_equal(plant.tip_pose(0.0)[:3, 3], tip)
     sockets = {"far": tip + np.array([0.0, 0.0, 0.02]), "near": near}
     config = dataclasses.replace(config, sockets=sockets)
     plant = Plant(config, tmp_path / "bus", np.random.default_rng(0))
