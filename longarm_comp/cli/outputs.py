@@ -76,6 +76,15 @@ def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
     return ours
 
 
+def begun_folder(told_by: str) -> Kind:
+    """Return a test for folders that are empty, or in which an earlier call left this file."""
+
+    def ours(path: Path) -> bool:
+        return path.is_dir() and ((path / told_by).is_file() or not any(path.iterdir()))
+
+    return ours
+
+
 def left_to_the_command(path: Path) -> bool:
     """Return True: the command itself refuses an existing folder or bag, or resumes it."""
     return True

@@ -327,6 +327,29 @@ def test_bad_targets(lines: tuple[str, ...], words: str, tmp_path: Path) -> None
         read_targets(written(tmp_path / "t.csv", *lines))
 
 
+@pytest.mark.parametrize(
+    ("column", "cell"),
+    [
+        *(("frame", "measured"), ("approach", "1"), ("payload_kg", "0.5"), ("t_s", "3")),
+        *(("qx,qy,qz,qw", "0,0,0,1"), ("operator", "anna"), ("wind", "2.5")),
+    ],
+)
+def test_points_are_targets_that_ask_for_nothing_more(
+    column: str, cell: str, tmp_path: Path
+) -> None:
+    first = "0.0" if column in ("payload_kg", "t_s", "wind") else "," * column.count(",")
+    path = written(tmp_path / "t.csv", f"x,y,z,{column}", f"1,2,3,{first}", f"4,5,6,{cell}")
+    name = column.partition(",")[0]
+    row = 1 if first == "0.0" else 2
+    with pytest.raises(InputError, match=rf"row {row}, {name}: .*x, y, z alone, in the frame base"):
+        _ = read_targets(path).points
+
+
+def test_points_may_have_a_number_and_the_frame_base(tmp_path: Path) -> None:
+    path = written(tmp_path / "t.csv", "index,x,y,z,frame,approach,wind", "7,1,2,3,base,0,")
+    assert read_targets(path).points.tolist() == [[1.0, 2.0, 3.0]]
+
+
 @pytest.mark.parametrize("numbers", [[1, 2], [1, 2, np.nan], [1, 2, 3, 0, 0, 0, 0.2]])
 def test_bad_target_on_the_command_line(numbers: list[float]) -> None:
     with pytest.raises(InputError, match="target"):
