@@ -198,6 +198,13 @@ def test_a_bag_that_collect_did_not_begin_is_not_resumed(tmp_path: Path) -> None
         bag.write("/session_row", TEXT, 10**18, word('{"number": 3}'))
     with pytest.raises(InputError, match=r"/session_row: .*index.*longarm collect"):
         visits_in_bag(tmp_path / "bag", [], 7)
+    with SegmentedBag(tmp_path / "recorded") as bag:
+        bag.write("/payload", TEXT, 10**18, word("2"))
+    with pytest.raises(InputError, match=r"session_row: 'none'.*longarm collect"):
+        visits_in_bag(tmp_path / "recorded", [], 7)
+    with SegmentedBag(tmp_path / "empty"):  # killed before its first visit
+        pass
+    assert visits_in_bag(tmp_path / "empty", [], 7) == set()
 
 
 def test_a_recording_that_fails_before_its_first_message_leaves_nothing(tmp_path: Path) -> None:

@@ -72,6 +72,9 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
                 allowed = "the plan, seed and options with which it began"
                 raise InputError(path, f"visit {index}", command.tolist(), allowed)
             done.add(index)
+        if reader.message_count and not done:
+            allowed = "a bag that `longarm collect` began"
+            raise InputError(path, ROW_TOPIC, "none", allowed)
     return done
 
 
