@@ -241,15 +241,17 @@ def touch(
       longarm touch arm.yaml -o touches.csv --resume --by-hand
     """
     from longarm_comp.jobs.touch import TouchLog, release_servos
+    from longarm_comp.sessions.csv import merge_distances, read_touches
     from longarm_comp.sessions.read import read_session
 
-    touches = TouchLog(arm, tuple((*known, 1e-3 * tolerance_mm) for known in distances))
+    given = [(*known, 1e-3 * tolerance_mm) for known in distances]
+    touches = TouchLog(arm, merge_distances(read_touches(output), given, str(output)))
     if output.exists() and not resume:
         raise InputError(str(output), "session", "exists", "a new file, or --resume")
     if output.exists():
         touches.begin_with(read_session(output, arm))
 
-    written = len(touches.rows)
+    written = len(touches)
 
     def say_kept() -> str:
         return f"{output} keeps {written} touches; --resume adds to them" if written else ""
@@ -270,14 +272,14 @@ def touch(
                         raise
                     note(str(error))
             elif line == "undo":
-                del touches.rows[-1:]
+                touches.undo()
             elif line.startswith("plane "):
                 column, name = "plane", line.removeprefix("plane ")
             else:
                 column, name = "touch", line
             if line in ("", "undo"):
                 _keep_touches(touches, output)
-                written = len(touches.rows)
+                written = len(touches)
             line = _ask_line(f"{column} {name}", client.stop)
     print_json({"output": output, "rows": written})
     file = click.get_current_context().params["arm"]
@@ -304,14 +306,15 @@ def _ask_line(prompt: str, stop: Event) -> str:
 def _keep_touches(touches: TouchLog, output: Path) -> None:
     from longarm_comp.sessions.csv import write_csv
 
-    if not touches.rows:
+    if not len(touches):
         output.unlink(missing_ok=True)
         return
-    write_csv(touches.session(), output)
+    session = touches.session()
+    write_csv(session, output)
     spread = touches.spread_m()
-    said = f"{len(touches.rows)} rows"
+    said = f"{len(touches)} rows"
     if spread is not None:
         said += f"; {1e3 * spread.mean():.2f} mm from their points in the mean"
-        if touches.rows[-1][1] == "touch":
+        if session.labels["touch"][-1]:
             said += f", the last one {1e3 * spread[-1]:.2f} mm"
     note(said)
