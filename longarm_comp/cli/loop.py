@@ -255,6 +255,8 @@ def loop(
     rows = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
     print_rows(f"tip - target over {targets} targets, measured by the cameras", rows)
     for r in printed["rounds"]:
+        for why, count in r["not_driven"].items():
+            note(f"round {r['number']}: {count} poses were not driven: {why}")
         for change in r["changes"]:
             say(f"round {r['number']}: {change['text']}")
     say(printed["summary"])

@@ -28,11 +28,15 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.plan import sobol
+from longarm_comp.core.arm.parts import Box
+from longarm_comp.core.data.plan import outside_boxes, sobol
 from longarm_comp.core.errors import JobError
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.collect.run import Collected, collect
 from longarm_comp.jobs.collect.visits import list_visits
+from longarm_comp.jobs.loop import Loop, LoopSettings
+from longarm_comp.jobs.loop_plan import plan_round
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
@@ -175,3 +179,43 @@ def test_without_a_terminal_it_ends_and_says_how_to_go_on(
     assert loads_of(tmp_path / "bag") == [2.0] * 3
     assert shell(*words, "--payload", 0, "--resume") == 0
     assert sorted(loads_of(tmp_path / "bag")) == [0.0] * 3 + [2.0] * 3
+
+
+def test_a_round_takes_what_the_arm_can_do_as_it_is(
+    stage: QuickArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    masses = np.tile([0.0, 0.5], 10)
+    wanted = replace(sobol(ARM, 20, 5), payload_kg=masses)
+    side = float(np.quantile(declared_model(ARM).tip(wanted.q)[:, 1], 0.75))
+    assert side > 0.01
+    wall = Box(min_m=(-9.0, side, -9.0), max_m=(9.0, 9.0, 9.0))
+    boxed = ARM.model_copy(update={"keep_out": {"wall": wall}})
+    write_poses(wanted, tmp_path / "next.csv")
+    before = outside_boxes(declared_model(boxed), wanted)
+    assert 4 < before.sum() < 16
+    with ArmClient(boxed, name="loop") as client:
+
+        def check(kg: float) -> None:
+            plan, left_out = plan_round(client, 30, 1, tmp_path / "next.csv")
+            mine = before & (masses == kg)
+            assert len(plan) == 30 and plan.payload_kg is None
+            np.testing.assert_allclose(plan.q[: mine.sum()], wanted.q[mine])
+            np.testing.assert_array_equal(plan.approach[: mine.sum()], wanted.approach[mine])
+            assert outside_boxes(declared_model(boxed), plan).all()
+            assert left_out == {
+                "asked for in a keep-out box": (~before).sum(),
+                "asked for with another payload": (before & (masses != kg)).sum(),
+            }
+
+        check(0.5)  # as arm.yaml declares
+        with scales(stage, lambda: 0.0):
+            client.until(lambda: client.node.count_publishers("payload") > 1, 180.0, "scales")
+            check(0.0)
+        assert plan_round(client, 30, 1, tmp_path / "none.csv")[1] == {}
+        first, _ = plan_round(client, 30, 1, None)
+        assert outside_boxes(declared_model(boxed), first).all() and len(first) == 30
+        blocked = {k: f"wall: the arm would enter it near {k} m" for k in range(4)}
+        done = Collected(50, 10, 70, {}, blocked)
+        monkeypatch.setattr("longarm_comp.jobs.loop.collect", lambda *_, **how: done)
+        loop = Loop(client, LoopSettings(tmp_path / "loop"), lambda report: True)
+        assert loop._collect_rows(1) == {"made": 60, "not_driven": {"no way there: wall": 4}}

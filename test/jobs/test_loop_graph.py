@@ -179,6 +179,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     assert [file.stat().st_mtime_ns for file in session] == made  # not collected again
     names = [row["run"] for row in report["rows"]]
     (turn,) = report["rounds"]
+    assert (turn["collected"], turn["not_driven"]) == (60 + 2 * 5, {})
     refused = turn["applied"]["network_refused"]
     learned = [] if refused else ["round 1: effects found + network"]
     assert names == ["not compensated", "before", "round 1: effects found", *learned]

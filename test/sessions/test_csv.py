@@ -142,8 +142,10 @@ def test_points_touched_once_each_are_tied_by_the_distance_beside(tmp_path: Path
 def test_a_session_is_its_first_rows_followed_by_the_others(rng: np.random.Generator) -> None:
     n, runs = 7, (ARM.upper - ARM.lower) / 20
     q = ARM.mid + runs * rng.uniform(-1, 1, (n, ARM.n))
-    told = rng.choice(np.array([-1, 1]), (n, ARM.n))
-    run_up = np.where(rng.random((n, ARM.n)) < 0.5, q - told * runs, np.nan)
+    told = rng.choice(np.array([-1, 0, 1]), (n, ARM.n))
+    told[4] = 1  # the first of the others came from no row of the session
+    begun = (told != 0) & (rng.random((n, ARM.n)) < 0.5)
+    run_up = np.where(begun, q - told * runs, np.nan)
     whole = Session.record(
         q,
         rng.normal(size=(n, 3)),
@@ -159,7 +161,9 @@ def test_a_session_is_its_first_rows_followed_by_the_others(rng: np.random.Gener
         touch_distances=(("a", "b", 0.05, 1e-4),),
     )
     parts = whole.take(slice(4)), whole.take(slice(4, None))
-    assert parts[0].followed_by(parts[1]).hash == whole.hash
+    again = parts[0].followed_by(parts[1])
+    assert again.hash == whole.hash
+    np.testing.assert_array_equal(again.legs, whole.legs)
     bare = Session.record(q[:2], np.full((2, 3), np.nan))
     joined = bare.followed_by(replace(parts[1], columns={}))
     assert joined.index.tolist() == [0, 1, 2, 3, 4]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 from std_msgs.msg import Float64
 
+from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes.interfaces import PAYLOAD
 
@@ -23,10 +25,11 @@ class Load:
 
     Args:
         attach: called before every change of the mass, while the arm stands.
+        assumed: mass that counts while nobody says one; it is not published.
     """
 
-    def __init__(self, client: GraphClient, attach: Attach) -> None:
-        self._client, self._attach = client, attach
+    def __init__(self, client: GraphClient, attach: Attach, assumed: float | None = None) -> None:
+        self._client, self._attach, self._assumed = client, attach, assumed
         self._told: float | None = None
         self._answered: float | None = None
         self._missing: set[float] = set()
@@ -48,7 +51,8 @@ class Load:
     @property
     def kg(self) -> float | None:
         """The mass at the tool; None if neither another node nor an answer says it."""
-        return self._told if self._others_tell() else self._answered
+        answered = self._assumed if self._answered is None else self._answered
+        return self._told if self._others_tell() else answered
 
     def is_carried(self, kg: float | None) -> bool:
         """Tell whether the arm carries a mass, within 5 % or 20 g; None stands for any mass."""
@@ -88,3 +92,15 @@ class Load:
         """Publish the mass that was answered, unless another node publishes one."""
         if self._answered is not None and not self._others_tell():
             self._publisher.publish(Float64(data=self._answered))
+
+
+def find_carried(client: ArmClient, loads_kg: np.ndarray) -> np.ndarray:
+    """Tell for each of N masses whether the arm carries it now.
+
+    If no other node publishes `payload`, the arm carries what arm.yaml declares.
+    """
+    declared = client.arm.payload
+    assumed = 0.0 if declared is None else declared.mass_kg
+    load = Load(client, lambda kg, visits: False, assumed)
+    client.wait(lambda: not load.waits(), PATIENCE_S)
+    return np.array([load.is_carried(kg) for kg in loads_kg.tolist()])
