@@ -17,7 +17,7 @@ import yaml
 from longarm_comp.arm_folder.parameter_file import edit_text, parameters_of
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_text, write_texts
+from longarm_comp.core.files import write_bytes, write_text, write_texts
 from longarm_comp.core.strict_yaml import read_text, read_yaml
 
 if TYPE_CHECKING:
@@ -81,8 +81,12 @@ def camera_path(folder: Path, side: str) -> Path:
 
 
 def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
-    """Write the files of both cameras and the entry in the record; return the files' paths."""
-    from longarm_comp.devices.stereo.camera_file import calibration_of, write_camera
+    """Write the files of both cameras and the entry in the record; return the files' paths.
+
+    All are replaced, or none. The files of before are kept as ``left.previous.yaml`` and
+    ``right.previous.yaml``.
+    """
+    from longarm_comp.devices.stereo.camera_file import calibration_of, camera_text
 
     cameras = dict(zip(SIDES, calibration_of(found.fit.rig), strict=True))
     head = (
@@ -90,15 +94,20 @@ def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
         f"were left out:\n{found.held_out_mm:.3f} mm rms at {found.distances_m[0]:.2f} to "
         f"{found.distances_m[1]:.2f} m. Both files belong together."
     )
-    for side, camera in cameras.items():
-        write_camera(camera_path(folder, side), side, camera, head)
     facts = {
         "views": len(found.fit.used),
         "rms_px": round(found.fit.rms_px, 4),
         "held_out_mm": round(found.held_out_mm, 4),
     }
-    note_measured(folder, CAMERAS, "stereo calibrate", facts)
-    return [camera_path(folder, side) for side in SIDES]
+    files = {camera_path(folder, side): side for side in SIDES}
+    # The record first: `write_texts` replaces its first file last
+    made = {folder / FILE: _with_entry(folder, CAMERAS, "stereo calibrate", facts)}
+    made |= {file: camera_text(side, cameras[side], head) for file, side in files.items()}
+    for file, side in files.items():
+        if file.is_file():
+            write_bytes(camera_path(folder, f"{side}.previous"), file.read_bytes())
+    write_texts(made)
+    return list(files)
 
 
 def head_at(folder: Path, session: str) -> np.ndarray:

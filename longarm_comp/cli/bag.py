@@ -76,7 +76,7 @@ def info(bag: Path) -> None:
 @click.command()
 @options.arm
 @options.bag
-@options.output("samples.csv", "Session to write.", outputs.session)
+@options.output("samples.csv", "Session to write.", outputs.never)
 @options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
 @options.as_json
 def to_csv(arm: options.Arm, bag: Path, output: Path, namespace: str | None) -> None:

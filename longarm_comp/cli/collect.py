@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -11,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_table, progress
+from longarm_comp.cli.output import (
+    kept_if_broken_off,
+    note,
+    print_json,
+    print_table,
+    progress,
+    progress_hidden,
+)
 from longarm_comp.cli.signals import handle_signals, on_graph
 from longarm_comp.core.errors import InputError, JobError
 
@@ -40,6 +48,12 @@ _HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; 
 @options.pace
 @options.flag("--resume", "Continue an interrupted recording.")
 @click.option(
+    "--payload",
+    "payload_kg",
+    type=click.FloatRange(min=0),
+    help="Mass at the tool now, kg; default: as another node publishes it, else it asks.",
+)
+@click.option(
     "--give-up",
     type=click.IntRange(min=0),
     default=6,
@@ -67,6 +81,9 @@ def collect(
     At each pose every joint makes a run-up from its side and rests; then several sightings are
     averaged. Ctrl-C ends the recording: the bag then holds all completed poses, and --resume adds
     the others. The command waits while the driver is held (longarm hold).
+
+    If POSES states payloads, the poses of one payload are driven together, and the command asks
+    before it goes on with another one. Where nobody answers, it leaves those poses for --resume.
 
     \b
     Examples:
@@ -110,8 +127,10 @@ def collect(
     if done.unseen:
         note(f"the marker was not seen at visits {', '.join(map(str, done.unseen))}")
     if done.blocked:
-        why = next(iter(done.blocked.values()))
-        note(f"{len(done.blocked)} poses were not driven, because no way there is free: {why}")
+        kinds = {text.partition(": ")[0]: text for text in done.blocked.values()}
+        left = f"{len(done.blocked)} of {done.planned} poses were not driven"
+        why = "; ".join(kinds.values())
+        raise JobError(f"{left} ({why}); --resume adds them, with --payload after a change of it")
 
 
 def _drive_visits(
@@ -133,12 +152,16 @@ def _drive_visits(
         last[:] = [now]
         show(str(now), now.share)
 
+    def attach(kg: float, visits: int) -> bool:
+        question = f"{visits} poses need {kg:g} kg at the tool. Does the arm carry it now? (y/N)"
+        return _ask_line(question, client.stop).lower() in ("y", "yes")
+
     with (
         kept_if_broken_off(say_kept),
         on_graph("collect", namespace, arm) as client,
         progress("collect", lines=True) as show,
     ):
-        return run.collect(client, todo, output, progress=follow, **how)
+        return run.collect(client, todo, output, attach=attach, progress=follow, **how)
 
 
 def _show_plan(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None:
@@ -159,6 +182,9 @@ def _show_plan(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) ->
             ],
         }
     )
+    for kg, of_it in Counter(visit.payload_kg for visit in todo).items():
+        if kg is not None:
+            note(f"{of_it} visits with {kg:g} kg at the tool")
     rows = [(c.question, f"{c.passed_count} of {count}", c.common_faults) for c in checks]
     print_table(f"{name}: {count} visits", ("visits", "yes", "where not"), rows)
     if stopped := blocked_visits(checks, todo):
@@ -215,15 +241,17 @@ def touch(
       longarm touch arm.yaml -o touches.csv --resume --by-hand
     """
     from longarm_comp.jobs.touch import TouchLog, release_servos
+    from longarm_comp.sessions.csv import merge_distances, read_touches
     from longarm_comp.sessions.read import read_session
 
-    touches = TouchLog(arm, tuple((*known, 1e-3 * tolerance_mm) for known in distances))
+    given = [(*known, 1e-3 * tolerance_mm) for known in distances]
+    touches = TouchLog(arm, merge_distances(read_touches(output), given, str(output)))
     if output.exists() and not resume:
         raise InputError(str(output), "session", "exists", "a new file, or --resume")
     if output.exists():
         touches.begin_with(read_session(output, arm))
 
-    written = len(touches.rows)
+    written = len(touches)
 
     def say_kept() -> str:
         return f"{output} keeps {written} touches; --resume adds to them" if written else ""
@@ -244,14 +272,14 @@ def touch(
                         raise
                     note(str(error))
             elif line == "undo":
-                del touches.rows[-1:]
+                touches.undo()
             elif line.startswith("plane "):
                 column, name = "plane", line.removeprefix("plane ")
             else:
                 column, name = "touch", line
             if line in ("", "undo"):
                 _keep_touches(touches, output)
-                written = len(touches.rows)
+                written = len(touches)
             line = _ask_line(f"{column} {name}", client.stop)
     print_json({"output": output, "rows": written})
     file = click.get_current_context().params["arm"]
@@ -267,7 +295,7 @@ def _ask_line(prompt: str, stop: Event) -> str:
         raise KeyboardInterrupt
 
     try:
-        with handle_signals(now):
+        with handle_signals(now), progress_hidden():
             return str(click.prompt(prompt, default="", show_default=False, err=True)).strip()
     except click.Abort:
         if stop.is_set():
@@ -278,14 +306,15 @@ def _ask_line(prompt: str, stop: Event) -> str:
 def _keep_touches(touches: TouchLog, output: Path) -> None:
     from longarm_comp.sessions.csv import write_csv
 
-    if not touches.rows:
+    if not len(touches):
         output.unlink(missing_ok=True)
         return
-    write_csv(touches.session(), output)
+    session = touches.session()
+    write_csv(session, output)
     spread = touches.spread_m()
-    said = f"{len(touches.rows)} rows"
+    said = f"{len(touches)} rows"
     if spread is not None:
         said += f"; {1e3 * spread.mean():.2f} mm from their points in the mean"
-        if touches.rows[-1][1] == "touch":
+        if session.labels["touch"][-1]:
             said += f", the last one {1e3 * spread[-1]:.2f} mm"
     note(said)

@@ -96,7 +96,9 @@ def undo(model: Path) -> None:
 
 @click.command()
 @options.arm
-@options.path_option("--targets", "CSV with x, y, z (m); default: random targets.")
+@options.path_option(
+    "--targets", "CSV with x, y, z alone (m, frame base); default: random targets."
+)
 @click.option("-n", "count", type=click.IntRange(min=2), default=40, help="Random targets.")
 @options.path_option("--model", "Model whose tip gives random targets; default: ARM.")
 @options.choice(
@@ -152,7 +154,7 @@ def verify(
     drawn_from, rng = choose_physics(arm, model), np.random.default_rng(seed)
     draw = job.at_random(drawn_from, rng)
     if targets is not None:
-        given = read_targets(targets).xyz
+        given = read_targets(targets).points
         draw, count = job.one_by_one(given), len(given)
     paced = pace(drawn_from, sobol(arm, 16, seed).q)
     tips = graph.TIP_BY_READINGS if by == "readings" else graph.TIP_SEEN
@@ -186,7 +188,11 @@ def verify(
 
 @click.command()
 @options.arm
-@options.output(None, "Folder for sessions, diagnoses and the page.", outputs.left_to_the_command)
+@options.output(
+    None,
+    "New folder for sessions, diagnoses and the page.",
+    outputs.begun_folder("steps.json"),
+)
 @options.flag("--yes", "Apply every diagnosis without asking.")
 @click.option("--rounds", default=3, help="Rounds at most.")
 @click.option("--poses", default=180, help="Poses to measure in a round.")
@@ -249,6 +255,8 @@ def loop(
     rows = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
     print_rows(f"tip - target over {targets} targets, measured by the cameras", rows)
     for r in printed["rounds"]:
+        for why, count in r["not_driven"].items():
+            note(f"round {r['number']}: {count} poses were not driven: {why}")
         for change in r["changes"]:
             say(f"round {r['number']}: {change['text']}")
     say(printed["summary"])

@@ -26,6 +26,10 @@ JSON = "longarm.json"
 """Key of a click context: whether ``--json`` was given."""
 
 
+_BAR = "longarm.bar"
+"""Key of a click context: the progress bar that is on the terminal."""
+
+
 def _as_json() -> bool:
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.meta.get(JSON))
@@ -128,7 +132,10 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with (
+        Progress(*columns, console=Console(stderr=True), transient=True) as bar,
+        _kept_in_context(bar),
+    ):
         task = bar.add_task(label, total=1.0)
 
         def update(text: str, share: float | None = None) -> None:
@@ -137,6 +144,32 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
             bar.update(task, description=described, total=total, completed=share)
 
         yield update
+
+
+@contextmanager
+def _kept_in_context(bar: Any) -> Iterator[None]:
+    context = click.get_current_context(silent=True)
+    meta = {} if context is None else context.meta
+    meta[_BAR] = bar
+    try:
+        yield
+    finally:
+        del meta[_BAR]
+
+
+@contextmanager
+def progress_hidden() -> Iterator[None]:
+    """Take the progress bar off the terminal in the block: it hides a question and its answer."""
+    context = click.get_current_context(silent=True)
+    bar = None if context is None else context.meta.get(_BAR)
+    if bar is None:
+        yield
+        return
+    bar.stop()
+    try:
+        yield
+    finally:
+        bar.start()
 
 
 def _format_cell(value: object) -> str:

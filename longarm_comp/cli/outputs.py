@@ -76,6 +76,15 @@ def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
     return ours
 
 
+def begun_folder(told_by: str) -> Kind:
+    """Return a test for folders that are empty, or in which an earlier call left this file."""
+
+    def ours(path: Path) -> bool:
+        return path.is_dir() and ((path / told_by).is_file() or not any(path.iterdir()))
+
+    return ours
+
+
 def left_to_the_command(path: Path) -> bool:
     """Return True: the command itself refuses an existing folder or bag, or resumes it."""
     return True
@@ -94,14 +103,11 @@ URDF = with_marks(b"<robot", b"written by longarm export-urdf")
 
 
 def session(path: Path) -> bool:
-    """Tell whether a file is a session that a command wrote.
-
-    An imported session is recognised by its hash in the mapping beside it.
-    """
+    """Tell whether a file is an imported session, unchanged since: by its hash in the mapping."""
     mapping = path.with_suffix(".mapping.yaml")
-    if mapping.is_file() and path.is_file():
-        return f"session_sha256: {file_hash(path)}".encode() in mapping.read_bytes()
-    return table("q1", "repeat_id")(path)
+    if not (mapping.is_file() and path.is_file()):
+        return False
+    return f"session_sha256: {file_hash(path)}".encode() in mapping.read_bytes()
 
 
 POSES = table("q1", without="repeat_id")

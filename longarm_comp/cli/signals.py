@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from longarm_comp.cli.output import progress_hidden
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def user_agrees(question: str, yes: bool) -> bool:
     if yes:
         return True
     try:
-        with handle_signals(signal.default_int_handler, [signal.SIGINT]):
+        with handle_signals(signal.default_int_handler, [signal.SIGINT]), progress_hidden():
             return click.confirm(question, err=True)
     except click.Abort:
         raise JobError("there was no answer yes: answer the question, or use --yes") from None

@@ -191,6 +191,8 @@ def calibrate(
     print_json({"files": files, **facts})
     print_table("Stereo head", ("", "value"), list(facts.items()))
     note(f"{files[0]} and {files[1]}: give them to the camera driver as camera_info_url")
+    if any(file.with_suffix(".previous.yaml").is_file() for file in files):
+        note(f"the files of before are kept in {files[0].parent}: *.previous.yaml")
 
 
 def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:

@@ -17,6 +17,9 @@ FEWEST_POSES = 10
 rows out."""
 _SIGMA_M = 1e-4
 """Noise of a sighting if the session states none. The arm's own errors show in the residual."""
+_FOLLOWS = 0.2
+"""Largest error of rows held out, as a share of how far the tips lie apart (both rms). Sightings of
+another arm or of other poses lie as far off as the tips lie apart."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadP
 
     Raises:
         InputError: fewer than `FEWEST_POSES` rows have a position.
-        JobError: the tip stayed on a line or at a point.
+        JobError: the tip stayed on a line or at a point, or the sightings do not follow it.
     """
     rows = session.take(session.has_position)
     if len(rows) < FEWEST_POSES:
@@ -88,6 +91,12 @@ def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadP
         camera = fit_rows(np.setdiff1d(good, out)).camera_in_base
         off = seen[out] @ camera[:3, :3].T + camera[:3, 3] - tips[out]
         squares[out] = np.sum(off**2, axis=1)
+    held_out_m = float(np.sqrt(np.mean(squares[good])))
+    if held_out_m > _FOLLOWS * float(np.linalg.norm(spread)) / np.sqrt(len(rows)):
+        raise JobError(
+            "the sightings do not follow the arm: is it a session of this arm, joints and marker?",
+            held_out_mm=round(1e3 * held_out_m, 1),
+        )
     sd = np.sqrt(np.diag(fit.covariance))
     moved = np.linalg.inv(assumed) @ fit.camera_in_base
     angle = np.arccos(np.clip((np.trace(moved[:3, :3]) - 1) / 2, -1.0, 1.0))
@@ -96,7 +105,7 @@ def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadP
         position_sd_mm=1e3 * sd[:3],
         rotation_sd_deg=np.degrees(sd[3:6]),
         residual_mm=1e3 * fit.rms_m,
-        held_out_mm=1e3 * float(np.sqrt(np.mean(squares[good]))),
+        held_out_mm=1e3 * held_out_m,
         moved_mm=1e3 * float(np.linalg.norm(moved[:3, 3])),
         turned_deg=float(np.degrees(angle)),
         rows=len(good),

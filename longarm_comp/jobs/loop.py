@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -14,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.compensation.result import Method
-from longarm_comp.core.data.plan import Plan, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.model.declared_model import declared_model
@@ -22,6 +22,7 @@ from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.collect.run import collect
 from longarm_comp.jobs.collect.visits import list_visits
+from longarm_comp.jobs.loop_plan import plan_round
 from longarm_comp.jobs.targets import (
     Say,
     TargetRunner,
@@ -34,7 +35,7 @@ from longarm_comp.jobs.targets import (
 from longarm_comp.report.pages import loop_page
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.sessions.poses import FILE as NEXT_POSES
-from longarm_comp.sessions.poses import read_poses, write_poses
+from longarm_comp.sessions.poses import write_poses
 from longarm_comp.workflows.apply import nothing_to_apply, take_back
 from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.verification import error_row
@@ -238,7 +239,7 @@ class Loop:
     ) -> dict[str, Any]:
         """Run round k (from 1), add its runs to `trials`, and return its entry in loop.json."""
         names = self._settings.names
-        collected = self._journal.once(f"collected {k}", partial(self._collect_rows, k))
+        measured = self._journal.once(f"measured {k}", partial(self._collect_rows, k))
         self._time_step(f"collect_{k}")
         found = self._journal.once(f"diagnosed {k}", partial(self._diagnose_rows, k, files))
         self._time_step(f"diagnose_{k}")
@@ -247,7 +248,8 @@ class Loop:
 
         made = {
             "number": k,
-            "collected": collected,
+            "collected": measured["made"],
+            "not_driven": measured["not_driven"],
             "verdict": report.verdict,
             "found": report.summary,
             "effects_found": found,
@@ -276,31 +278,23 @@ class Loop:
         told = {"changes": applied["changes"], "applied": applied, "gain": gain.summary}
         return {**made, **told, "again": again, "why": why}
 
-    def _collect_rows(self, k: int) -> int:
-        settings, arm = self._settings, self._client.arm
-        # Poses that fill the joint box; first those that the last diagnosis asked for
-        plan = sobol(arm, settings.poses, settings.seed + k - 1)
-        asked = settings.path("diagnosis", k - 1) / NEXT_POSES
-        if k > 1 and asked.is_file():
-            wanted = read_poses(asked, arm)
-            left = max(0, settings.poses - len(wanted))
-            plan = Plan(
-                np.concatenate([wanted.q, plan.q[:left]]),
-                np.concatenate([wanted.approach, plan.approach[:left]]),
-            )
+    def _collect_rows(self, k: int) -> dict[str, Any]:
+        settings, seed = self._settings, self._settings.seed + k - 1
+        asked = settings.path("diagnosis", k - 1) / NEXT_POSES if k > 1 else None
+        plan, not_driven = plan_round(self._client, settings.poses, seed, asked)
         write_poses(plan, settings.path("poses.csv", k))
-        seed = settings.seed + k - 1
-        todo = list_visits(plan, arm, repeats=min(5, settings.poses // 10), seed=seed)
+        repeats = min(5, settings.poses // 10)
         bag = settings.path("session", k)
         done = collect(
             self._client,
-            todo,
+            list_visits(plan, self._client.arm, repeats=repeats, seed=seed),
             bag,
             pace=settings.pace,
             resume=(bag / "metadata.yaml").is_file(),
             progress=lambda now: self._say(str(now), now.share),
         )
-        return done.made + done.before
+        blocked = Counter(f"no way there: {why.partition(':')[0]}" for why in done.blocked.values())
+        return {"made": done.made + done.before, "not_driven": {**not_driven, **blocked}}
 
     def _diagnose_rows(self, k: int, files: FilesAtWork) -> list[list[str]]:
         model = files.model if files.model.is_file() else None

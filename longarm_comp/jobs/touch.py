@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.data.kinds import KINDS
@@ -20,6 +21,7 @@ from longarm_comp.jobs.attend import Attendant
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
+from longarm_comp.sessions.csv import merge_distances
 
 READINGS = 10
 """Number of joint readings that are averaged for a row."""
@@ -33,25 +35,43 @@ ENOUGH = 8
 class TouchLog:
     """The touches of one arm, in the order in which they were taken.
 
-    Each row holds the joints (n,), the column (``touch`` or ``plane``) and the name in it.
+    Attributes:
+        before: the session to which they are added, if there is one.
+        rows: the joints (n,), the column (``touch`` or ``plane``) and the name in it, for each.
     """
 
     arm: Arm
     distances: tuple[KnownDistance, ...] = ()
+    before: Session | None = None
     rows: list[tuple[np.ndarray, str, str]] = field(default_factory=list)
 
+    def __len__(self) -> int:
+        return len(self.rows) + (0 if self.before is None else len(self.before))
+
     def begin_with(self, before: Session) -> None:
-        """Start with the rows and known distances of an earlier session.
+        """Add to the rows and known distances of an earlier session.
 
         Raises:
-            InputError: a row is not one touch of a point or a plane.
+            InputError: a row is not one touch of a point or a plane, or every row has a number that
+                a touch does not record.
         """
         for k in range(len(before)):
             named = [c for c in ("touch", "plane") if before.labels.get(c, [""] * (k + 1))[k]]
             if len(named) != 1 or np.isfinite(before.xyz[k]).any():
                 raise InputError(before.source, f"row {k + 1}", "no touch", "rows of touches alone")
-            self.rows.append((before.q[k], named[0], str(before.labels[named[0]][k])))
-        self.distances = self.distances or before.touch_distances
+        for name in before.columns:
+            if not INCLINATION.match(name):
+                allowed = "a new file: a touch does not record it, and every row needs it"
+                raise InputError(before.source, f"column {name}", "given", allowed)
+        self.distances = merge_distances(before.touch_distances, self.distances, before.source)
+        self.before = replace(before, touch_distances=self.distances, blocks=())
+
+    def undo(self) -> None:
+        """Forget the last touch, if there is one."""
+        if self.rows:
+            del self.rows[-1]
+        elif self.before is not None:
+            self.before = self.before.take(slice(-1)) if len(self.before) > 1 else None
 
     def take(self, client: ArmClient, name: str, column: str = "touch") -> np.ndarray:
         """Add a row with the joints as they rest now, and return these (n,), rad and m.
@@ -68,20 +88,23 @@ class TouchLog:
 
     def session(self) -> Session:
         """Return the touches as a session. Raises InputError if there are none."""
-        if not self.rows:
+        if not len(self):
             raise InputError("touch", "rows", 0, "one touch at least")
+        if not self.rows and self.before is not None:
+            return self.before
         q, columns, names = zip(*self.rows, strict=True)
         labels = {
             column: np.where(np.array(columns) == column, np.array(names), "")
             for column in dict.fromkeys(columns)
         }
-        return Session.record(
+        made = Session.record(
             np.array(q),
             np.full((len(q), 3), np.nan),
             labels=labels,
             source="touch",
             touch_distances=self.distances,
         )
+        return made if self.before is None else self.before.followed_by(made)
 
     def spread_m(self) -> np.ndarray | None:
         """Fit the touches and return the distance (m) of each from its point.

@@ -7,8 +7,9 @@ payload.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
@@ -52,7 +53,7 @@ PARAMS = (
     Param("temperature_c", 22.0, "temperature at the start", -50.0, 100.0),
     Param("warming_k", 0.0, "temperature rise over hours", -50.0, 50.0),
     Param("damping", 0.0, "share of critical damping; 0: the arm does not ring", 0.0, 0.9),
-    Param("payload_kg", 0.25, "mass carried at the tool", 0.0, 1000.0),
+    Param("payload_kg", 0.25, "mass carried at the tool", 0.0, 1000.0, live=True),
     Param("sockets", "", "conical sockets in the base frame, 'name=x,y,z name=x,y,z', m"),
     Param("camera.position", [0.75, -1.7, 0.3], "left camera in the base frame, m"),
     Param("camera.axis", [0.0, 1.0, 0.0], "direction in which the cameras look"),
@@ -143,10 +144,11 @@ class _SimulatedArm(ArmNode):
         )
         self._plant = Plant(config, Path(p["port"]), rng)
         self._covered: list[str] = []
-        self._live = {
+        self._live: dict[str, Callable[[Any], None]] = {
             "more_play": self._set_play,
             "unplugged": self._unplug_servos,
             "covered": self._cover_cameras,
+            "payload_kg": self._plant.carry,
         }
         for name, take in self._live.items():
             take(p[name])
@@ -246,7 +248,7 @@ class _SimulatedArm(ArmNode):
         header = Header(stamp=self.get_clock().now().to_msg())
         warm = self._plant.temperature_c(self._t_s)
         self._temperature.publish(Temperature(header=header, temperature=warm))
-        self._payload.publish(Float64(data=self._plant.config.payload_kg))
+        self._payload.publish(Float64(data=self._plant.payload_kg))
 
     def _tell_contact(self) -> None:
         self._contact.publish(String(data=self._plant.contact(self._t_s)))

@@ -170,8 +170,8 @@ def write_csv(session: Session, path: str | Path) -> None:
         columns.update({name: session.sigma[:, j] for j, name in enumerate(SIGMA)})
     columns.update({k: v for k, v in session.columns.items() if k not in columns})
     columns.update(session.labels)
-    write_table(path, list(columns), zip(*columns.values(), strict=True))
     write_touches(session.touch_distances, Path(path).parent)
+    write_table(path, list(columns), zip(*columns.values(), strict=True))
 
 
 def joint_names(n: int) -> tuple[str, ...]:
@@ -274,16 +274,34 @@ def read_touches(session: Path) -> tuple[KnownDistance, ...]:
     return ()
 
 
+def merge_distances(
+    known: Sequence[KnownDistance], more: Sequence[KnownDistance], where: str
+) -> tuple[KnownDistance, ...]:
+    """Return all distances of both, each once.
+
+    Raises:
+        InputError: both state a distance of the same two points, and not the same one.
+    """
+    both = {frozenset(distance[:2]): distance for distance in known}
+    for distance in more:
+        old = both.setdefault(frozenset(distance[:2]), distance)
+        if old[2:] != distance[2:]:
+            one, other, length, sigma = old
+            allowed = f"{length:g} m, +-{1e3 * sigma:g} mm, as it is written already"
+            raise InputError(where, f"distance {one} {other}", distance[2:], allowed)
+    return tuple(both.values())
+
+
 def write_touches(distances: tuple[KnownDistance, ...], folder: Path) -> None:
     """Write the file of known distances, if there are any.
 
     Raises:
-        InputError: the folder has a file with other distances.
+        InputError: the folder has a file with a distance that is not among them.
     """
     path = folder / _TOUCHES
     if not distances:
         return
-    if path.is_file() and read_touches(path) != distances:
+    if path.is_file() and not set(read_touches(path)) <= set(distances):
         raise InputError(str(path), "touch_distances", "other ones", "another folder")
     known = {"touch_distances": [list(d) for d in distances]}
     write_text(path, yaml.safe_dump(known, sort_keys=False))

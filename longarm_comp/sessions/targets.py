@@ -11,7 +11,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.quaternion import LENGTH_TOLERANCE
-from longarm_comp.core.compensation.target_frame import FRAMES
+from longarm_comp.core.compensation.target_frame import BASE, FRAMES
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ, read_approach, read_further_columns
 from longarm_comp.sessions.table import FARTHEST, Table, check_header, check_unknown, read_table
@@ -43,6 +43,27 @@ class Targets:
             columns=self.columns,
             labels=self.labels,
         )
+
+    @property
+    def points(self) -> np.ndarray:
+        """The targets (N, 3), m, for a command that takes nothing but points in the base frame.
+
+        Raises:
+            InputError: a row asks for another frame, an orientation, a side or a circumstance.
+        """
+        asked = {
+            "frame": np.array([name not in ("", BASE) for name in self.frame], bool),
+            "qx": np.isfinite(self.quaternion[:, 0]),
+            "approach": self.approach != 0,
+            **{name: np.isfinite(values) for name, values in self.columns.items()},
+            **{name: values != "" for name, values in self.labels.items()},
+        }
+        for name, rows in asked.items():
+            if rows.any():
+                row = f"row {np.argmax(rows) + 1}, {name}"
+                allowed = f"x, y, z alone, in the frame {BASE}: nothing else is driven"
+                raise InputError(self.source, row, "given", allowed)
+        return self.xyz
 
     @classmethod
     def one(cls, numbers: Sequence[float]) -> Targets:

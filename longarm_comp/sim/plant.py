@@ -104,6 +104,7 @@ class Plant:
         self._rng = rng
         self._true = TrueArm(config.arm, self._behind, steps=QUICK_STEPS)
         self._last: tuple[Array, Array] | None = None
+        self.payload_kg = config.payload_kg
         self._lit: tuple[Array, tuple[Light, Light]] | None = None
         self._ringing = Ringing(self._true, config.damping) if config.damping else None
         self._swing, self._swings = np.zeros(3), threading.Lock()
@@ -138,6 +139,10 @@ class Plant:
         self._true = TrueArm(self.config.arm, worn, steps=QUICK_STEPS)
         self._last = None
 
+    def carry(self, kg: float) -> None:
+        """Carry another mass (kg) at the tool from now on."""
+        self.payload_kg, self._last = kg, None
+
     def start(self) -> None:
         """Power on: the bus answers from now on."""
         self.emulator.start()
@@ -169,7 +174,7 @@ class Plant:
         known = np.concatenate([q, side, wound, way, [self.temperature_c(t_s)]])
         if self._last is None or np.abs(known - self._last[0]).max() > _SAME:
             context = TrueContext(
-                side, self.temperature_c(t_s), self.config.payload_kg, t_s, wound=wound, way=way
+                side, self.temperature_c(t_s), self.payload_kg, t_s, wound=wound, way=way
             )
             found = self._true.settle(q, context)
             self._last = known, found.pose[0]

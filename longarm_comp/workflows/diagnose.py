@@ -185,7 +185,7 @@ class DiagnosisResult:
         side = np.concatenate([*(s.approach[:, 0] for s in splits), sides])
         loads = [s.payload_kg for s in splits if s.payload_kg is not None]
         if loads and len(more):
-            loads.append(np.full(len(more), float(np.median(np.concatenate(loads)))))
+            loads.append(np.full(len(more), np.max(np.concatenate(loads))))
         write_poses(Plan(q, side.astype(int), np.concatenate(loads) if loads else None), path)
         return True
 

@@ -91,6 +91,12 @@ def test_a_bag_does_where_a_csv_does(work: Path, shell: Shell) -> None:
     back, session = read_csv("back.csv", ARM), read_csv(test, ARM)
     assert (back.xyz == session.xyz).all()
     assert (back.approach == session.approach).all()
+    edited = Path("back.csv").read_text().replace("repeat_id", "repeat_id,role", 1)
+    Path("back.csv").write_text(edited)
+    assert "--force" in shell.refused("bag", "to-csv", arm, "bag", "-o", "back.csv")
+    assert Path("back.csv").read_text() == edited
+    assert shell("bag", "to-csv", arm, "bag", "-o", "back.csv", "--force") == 0
+    assert Path("back.csv").read_text() != edited
 
 
 def test_evaluate_points_out_the_session_that_was_fitted(work: Path, shell: Shell) -> None:

@@ -67,6 +67,8 @@ def test_no_input_is_overwritten(work: Path, shell: Shell) -> None:
     aim = ("compensate", "arm.yaml", "--targets", "targets.csv", "-o", "targets.csv")
     assert "is the input" in kept(shell, "targets.csv", *aim)
     shutil.copy(folder / "samples.csv", folder / "second.csv")
+    again = ("import-data", "second.csv", "-o", "samples.csv")  # a session, maybe edited by hand
+    assert "is not a file that import-data writes" in kept(shell, "samples.csv", *again)
     (folder / "samples.mapping.yaml").write_text("columns: {}")
     mapped = ("import-data", "second.csv", "--like", "samples.mapping.yaml")
     assert "samples.mapping.yaml" in kept(shell, "samples.mapping.yaml", *mapped)

@@ -130,6 +130,12 @@ def test_what_does_not_tell_it_is_refused(
     note_measured(spoiled, "stereo_bridge.yaml", "stereo hand-eye", told)
     with pytest.raises(InputError, match=r"measured\.yaml: stereo_bridge\.yaml: facts\.before"):
         head_at(spoiled, session.hash)
+    kept = (folder / "stereo_bridge.yaml").read_text()
+    other = dataclasses.replace(session, xyz=session.xyz[::-1])
+    write_csv(other, shell.folder / "other.csv")
+    said = shell.refused("stereo", "hand-eye", folder, "other.csv", code=3)
+    assert "do not follow the arm" in said
+    assert (folder / "stereo_bridge.yaml").read_text() == kept
     same = Session.record(np.tile(session.q[0], (12, 1)), np.tile(session.xyz[0], (12, 1)))
     with pytest.raises(JobError, match="over its whole range"):
         placed_cameras(declared_model(head.arm), same, head_at(folder, ""))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import io
 import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -18,7 +20,7 @@ from stereo_head import HEAD, marker_pose, rigid_rms
 
 from longarm_comp.arm_folder.check import check_record
 from longarm_comp.arm_folder.marker_sheet import lay_out_sheet
-from longarm_comp.arm_folder.measured import camera_path, read_measured
+from longarm_comp.arm_folder.measured import camera_path, read_measured, write_cameras
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.camera_file import read_camera
@@ -76,8 +78,12 @@ def some(pictures: Path, to: Path, numbers: list[int]) -> Path:
     return to
 
 
-def test_the_written_files_measure_the_tip_where_it_is(shell: Shell, pictures: Path) -> None:
-    (shell.folder / "mine").mkdir()
+def test_the_written_files_measure_the_tip_where_it_is(
+    shell: Shell, pictures: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (shell.folder / "mine" / "cameras").mkdir(parents=True)
+    for side in ("left", "right"):
+        camera_path(Path("mine"), side).write_bytes(f"the maker's {side}".encode())
     blurred = some(pictures, shell.folder / "all", list(range(len(PLACES))))
     picture = cv2.imread(str(blurred / "left4.png"), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(blurred / "left99.png"), cv2.GaussianBlur(picture, (0, 0), 6.0))
@@ -104,6 +110,23 @@ def test_the_written_files_measure_the_tip_where_it_is(shell: Shell, pictures: P
     assert [f.level for f in check_record(Path("mine"))] == ["measured"]
     measured = read_measured(Path("mine"))["cameras"]
     assert measured.facts["views"] == found["views_used"]
+    kept = [camera_path(Path("mine"), f"{side}.previous").read_text() for side in ("left", "right")]
+    assert kept == ["the maker's left", "the maker's right"]
+    assert "*.previous.yaml" in shell.err
+
+    def full(path: Path, *text: Any, **how: Any) -> int:
+        if "right" in path.name:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(path, *text, **how)
+
+    write = Path.write_text
+    monkeypatch.setattr(Path, "write_text", full)
+    fit = SimpleNamespace(rig=rig, used=(1, 2), rms_px=0.1)
+    other = SimpleNamespace(fit=fit, held_out_mm=0.1, distances_m=(0.5, 1.0))
+    with pytest.raises(JobError, match="No space"):
+        write_cameras(Path("mine"), other)  # type: ignore[arg-type]
+    assert [read_camera(camera_path(Path("mine"), side)) for side in ("left", "right")] == infos
+    assert read_measured(Path("mine"))["cameras"] == measured
 
 
 def test_views_that_do_not_cover_are_refused_in_words(shell: Shell, pictures: Path) -> None:

@@ -95,6 +95,19 @@ def test_both_sides_measure_every_pose_twice(arm: Arm) -> None:
     assert (drawn != drawn[:, :1]).any()
 
 
+def test_visits_with_one_payload_follow_one_another(arm: Arm) -> None:
+    plan = dataclasses.replace(sobol(arm, 16, 3), payload_kg=np.tile([2.0, 0.0], 8))
+    made = list_visits(plan, arm, repeats=2, seed=4)
+    loads = [visit.payload_kg for visit in made]
+    assert loads == sorted(loads) and set(loads) == {0.0, 2.0}
+    by_pose = {visit.q.tobytes(): visit.payload_kg for visit in made}
+    assert [by_pose[q.tobytes()] for q in plan.q] == plan.payload_kg.tolist()
+    drawn = [visit.q.tobytes() for visit in made if visit.payload_kg == 2.0]
+    in_order = list_visits(plan, arm, shuffle=False)
+    np.testing.assert_array_equal([v.q for v in in_order], np.vstack([plan.q[1::2], plan.q[::2]]))
+    assert list(dict.fromkeys(drawn)) != [v.q.tobytes() for v in in_order[8:]]
+
+
 def test_a_run_up_stays_in_the_box_and_comes_from_the_planned_side(arm: Arm) -> None:
     length = run_up_lengths(arm)
     plan = Plan(np.stack([arm.lower, arm.mid, arm.upper]), np.array([1, -1, 1]))
@@ -185,6 +198,13 @@ def test_a_bag_that_collect_did_not_begin_is_not_resumed(tmp_path: Path) -> None
         bag.write("/session_row", TEXT, 10**18, word('{"number": 3}'))
     with pytest.raises(InputError, match=r"/session_row: .*index.*longarm collect"):
         visits_in_bag(tmp_path / "bag", [], 7)
+    with SegmentedBag(tmp_path / "recorded") as bag:
+        bag.write("/payload", TEXT, 10**18, word("2"))
+    with pytest.raises(InputError, match=r"session_row: 'none'.*longarm collect"):
+        visits_in_bag(tmp_path / "recorded", [], 7)
+    with SegmentedBag(tmp_path / "empty"):  # killed before its first visit
+        pass
+    assert visits_in_bag(tmp_path / "empty", [], 7) == set()
 
 
 def test_a_recording_that_fails_before_its_first_message_leaves_nothing(tmp_path: Path) -> None:

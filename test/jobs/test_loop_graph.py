@@ -125,6 +125,9 @@ def test_verify_says_whether_compensation_helps(
     assert "does not help" in shell.out
     assert "1 targets refused" in shell.err
     assert "[9.0, 0.0, 0.0] was left out: none: " in shell.err
+    (shell.folder / "seen.csv").write_text("x,y,z,frame\n0.5,0,0.3,measured\n")
+    said = shell.refused("verify", files / "arm.yaml", "--targets", "seen.csv", *QUICK)
+    assert "row 1, frame" in said
     with pytest.raises(JobError, match="fewer than two targets"):
         choose_targets(runner, lambda n: np.array([[9.0, 0.0, 0.0]]), 1, (Method.NONE,))
 
@@ -180,6 +183,12 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     kept = (files / "model.yaml").read_bytes()
     words = ("loop", files / "arm.yaml", "-o", "loop", "--rounds", 1, "--poses", 60, "--targets", 3)
     out = shell.folder / "loop"
+    out.mkdir()
+    (out / "poses.csv").write_text("mine")
+    for how in ((), ("--resume",)):
+        assert "not a file that loop writes" in shell.refused(*words, *QUICK, *how)
+    assert [path.read_text() for path in out.iterdir()] == ["mine"]
+    (out / "poses.csv").unlink()
     assert shell(*words, *QUICK) == 3, shell.err
     assert "there was no answer yes" in shell.err
     assert "joint_gain" in shell.err
@@ -202,6 +211,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     assert [file.stat().st_mtime_ns for file in session] == made  # not collected again
     names = [row["run"] for row in report["rows"]]
     (turn,) = report["rounds"]
+    assert (turn["collected"], turn["not_driven"]) == (60 + 2 * 5, {})
     refused = turn["applied"]["network_refused"]
     learned = [] if refused else ["round 1: effects found + network"]
     assert names == ["not compensated", "before", "round 1: effects found", *learned]

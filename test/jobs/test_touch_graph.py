@@ -21,6 +21,7 @@ from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.touch import READINGS, TouchLog, wait_for_rest
 from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
 from longarm_comp.nodes.simulated_arm import numbers
+from longarm_comp.sessions.csv import write_csv
 from longarm_comp.share import folder
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig
@@ -74,6 +75,57 @@ def test_a_session_is_recorded_key_by_key(tmp_path: Path, monkeypatch: pytest.Mo
     assert found.touch_distances == tuple((*d[:3], 1e-4) for d in DISTANCES)
     held = yaml.safe_load((tmp_path / "touches.yaml").read_text(encoding="utf-8"))
     assert len(held["touch_distances"]) == 3
+
+
+def test_what_a_file_holds_stays_when_touches_are_added(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "touches.csv"
+    rows = touching(errors_of_the_drawing(), 3)
+    role, operator = np.array(["train", "", "test"]), np.array(["anna"] * 3)
+    written = dataclasses.replace(
+        rows,
+        index=np.array([10, 11, 14]),
+        repeat_id=np.array([7, -1, 7]),
+        labels={**rows.labels, "role": role, "operator": operator},
+        columns={"incl_2_x": np.array([0.1, np.nan, 0.2])},
+        touch_distances=DISTANCES[:1],
+    )
+    write_csv(written, out)
+    one, other, length, _ = DISTANCES[0]
+    with quick_arm(ARM, lambda q: False) as arm:
+        pressed(arm, monkeypatch, ["plane table", rows.q[0], "undo", "undo", "a", rows.q[1]])
+        run("-o", str(out), "--resume", "--distance", "a", "b", "0.07")
+    found = la.read_session(out, ARM)
+    assert found.index.tolist() == [10, 11, 12] and found.repeat_id.tolist() == [7, -1, -1]
+    np.testing.assert_allclose(found.q, rows.q[[0, 1, 1]], atol=1e-9)
+    assert found.labels["role"].tolist() == ["train", "", ""]
+    assert found.labels["operator"].tolist() == ["anna", "anna", ""]
+    assert found.labels["touch"].tolist() == [*rows.labels["touch"][:2], "a"]
+    np.testing.assert_array_equal(found.columns["incl_2_x"], [0.1, np.nan, np.nan])
+    assert found.touch_distances == (DISTANCES[0], ("a", "b", 0.07, 1e-4))
+    text = out.read_text()
+    monkeypatch.setattr(collect, "_ask_line", lambda *_: pytest.fail("it was asked"))
+    longer = ("--distance", other, one, str(length + 0.01))
+    for words in (("--resume", *longer), ("-o", str(tmp_path / "new.csv"), *longer)):
+        given = [str(EXAMPLE / "arm.yaml"), "-o", str(out), "--by-hand", *words]
+        refused = CliRunner().invoke(collect.touch, given)
+        assert "as it is written already" in str(refused.exception)
+    loaded = dataclasses.replace(found, columns={"temperature_c": np.full(3, 21.5)})
+    write_csv(loaded, out)
+    given = [str(EXAMPLE / "arm.yaml"), "-o", str(out), "--resume"]
+    refused = CliRunner().invoke(collect.touch, given)
+    assert "temperature_c: 'given'; allowed: a new file" in str(refused.exception)
+    write_csv(found, out)
+    assert out.read_text() == text
+
+
+def test_known_distances_are_refused_before_a_row_is_written(tmp_path: Path) -> None:
+    rows = touching(errors_of_the_drawing(), 3)
+    write_csv(dataclasses.replace(rows, touch_distances=DISTANCES[:2]), tmp_path / "one.csv")
+    with pytest.raises(InputError, match="other ones"):
+        write_csv(dataclasses.replace(rows, touch_distances=DISTANCES[:1]), tmp_path / "two.csv")
+    assert not (tmp_path / "two.csv").exists()
 
 
 def test_a_row_is_what_the_joints_read_after_they_came_to_rest() -> None:
@@ -162,6 +214,12 @@ def test_the_simulated_ball_slides_into_a_socket_where_servos_let_go(tmp_path: P
     config = PlantConfig(arm, servos, cameras, tag_plate(0.06, 0.012, 2, 2), np.eye(4))
     tip = Plant(config, tmp_path / "bus", np.random.default_rng(0)).tip_pose(0.0)[:3, 3]
     near = tip + np.array([0.003, -0.004, 0.005])
+    plant = Plant(config, tmp_path / "bus", np.random.default_rng(0))
+    plant.carry(0.5)
+    assert plant.payload_kg == 0.5
+    assert 1e-4 < tip[2] - plant.tip_pose(0.0)[2, 3] < 0.1  # it hangs lower at once
+    plant.carry(0.0)
+    np.testing.assert_array_equal(plant.tip_pose(0.0)[:3, 3], tip)
     sockets = {"far": tip + np.array([0.0, 0.0, 0.02]), "near": near}
     config = dataclasses.replace(config, sockets=sockets)
     plant = Plant(config, tmp_path / "bus", np.random.default_rng(0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +137,42 @@ def test_points_touched_once_each_are_tied_by_the_distance_beside(tmp_path: Path
     (tmp_path / "touches.yaml").write_text("touch_distances: [[a, b, 0.3, 0.001]]\n")
     lines = "q1,q2,q3,q4,touch", "0.1,0.5,0.05,0.2,a", "0.2,0.4,0.02,0.1,b"
     assert read_session(written(tmp_path / "s.csv", *lines), ARM).seen.all()
+
+
+def test_a_session_is_its_first_rows_followed_by_the_others(rng: np.random.Generator) -> None:
+    n, runs = 7, (ARM.upper - ARM.lower) / 20
+    q = ARM.mid + runs * rng.uniform(-1, 1, (n, ARM.n))
+    told = rng.choice(np.array([-1, 0, 1]), (n, ARM.n))
+    told[4] = 1  # the first of the others came from no row of the session
+    begun = (told != 0) & (rng.random((n, ARM.n)) < 0.5)
+    run_up = np.where(begun, q - told * runs, np.nan)
+    whole = Session.record(
+        q,
+        rng.normal(size=(n, 3)),
+        index=np.arange(3, 3 + n),
+        approach=told,
+        run_up=run_up,
+        repeat_id=np.array([0, -1, 0, -1, 1, 1, 1]),
+        sigma=rng.uniform(1e-4, 1e-3, (n, 3)),
+        columns={"payload_kg": rng.random(n)},
+        labels={"role": np.array(["test", "", "train", "train", "", "test", ""])},
+        readings={"orientation": np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))},
+        sigmas={"orientation": np.full(n, 1e-3)},
+        touch_distances=(("a", "b", 0.05, 1e-4),),
+    )
+    parts = whole.take(slice(4)), whole.take(slice(4, None))
+    again = parts[0].followed_by(parts[1])
+    assert again.hash == whole.hash
+    np.testing.assert_array_equal(again.legs, whole.legs)
+    bare = Session.record(q[:2], np.full((2, 3), np.nan))
+    joined = bare.followed_by(replace(parts[1], columns={}))
+    assert joined.index.tolist() == [0, 1, 2, 3, 4]
+    assert joined.labels["role"].tolist() == ["", "", "", "test", ""]
+    assert joined.sigma is not None and np.isnan(joined.sigma[:2]).all()
+    np.testing.assert_array_equal(joined.sigma[2:], parts[1].sigma)
+    assert np.isnan(joined.sigmas["orientation"]).tolist() == [True] * 2 + [False] * 3
+    with pytest.raises(InputError, match="payload_kg"):
+        bare.followed_by(parts[1])
 
 
 def test_bom_blank_lines_and_spaces_do_no_harm(tmp_path: Path) -> None:
@@ -325,6 +362,29 @@ def test_targets(tmp_path: Path) -> None:
 def test_bad_targets(lines: tuple[str, ...], words: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words):
         read_targets(written(tmp_path / "t.csv", *lines))
+
+
+@pytest.mark.parametrize(
+    ("column", "cell"),
+    [
+        *(("frame", "measured"), ("approach", "1"), ("payload_kg", "0.5"), ("t_s", "3")),
+        *(("qx,qy,qz,qw", "0,0,0,1"), ("operator", "anna"), ("wind", "2.5")),
+    ],
+)
+def test_points_are_targets_that_ask_for_nothing_more(
+    column: str, cell: str, tmp_path: Path
+) -> None:
+    first = "0.0" if column in ("payload_kg", "t_s", "wind") else "," * column.count(",")
+    path = written(tmp_path / "t.csv", f"x,y,z,{column}", f"1,2,3,{first}", f"4,5,6,{cell}")
+    name = column.partition(",")[0]
+    row = 1 if first == "0.0" else 2
+    with pytest.raises(InputError, match=rf"row {row}, {name}: .*x, y, z alone, in the frame base"):
+        _ = read_targets(path).points
+
+
+def test_points_may_have_a_number_and_the_frame_base(tmp_path: Path) -> None:
+    path = written(tmp_path / "t.csv", "index,x,y,z,frame,approach,wind", "7,1,2,3,base,0,")
+    assert read_targets(path).points.tolist() == [[1.0, 2.0, 3.0]]
 
 
 @pytest.mark.parametrize("numbers", [[1, 2], [1, 2, np.nan], [1, 2, 3, 0, 0, 0, 0.2]])

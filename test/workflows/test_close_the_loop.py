@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from hidden_arm import at, session, tip, white
+from loaded_arm import arm_data
 from small_arm import ARM
 
 from longarm_comp.cli.run import run
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.poses import read_poses
 from longarm_comp.sim.hidden import drives
+from longarm_comp.workflows.diagnose import DiagnosisResult
 
 
 def longarm(*words: object) -> int:
@@ -96,3 +102,17 @@ def test_nineteen_poses_are_too_few(
     assert longarm("diagnose", arm, tmp_path / "rows.csv", "-o", tmp_path / "out") != 0
     assert "at least 20 distinct poses" in capsys.readouterr().err
     assert report(tmp_path / "out")["verdict"] == "bad_data"
+
+
+def test_further_poses_are_asked_for_with_a_mass_that_others_are_measured_with(
+    tmp_path: Path,
+) -> None:
+    """A mean of the masses would be a third mass that nobody has."""
+    arm = Arm.parse({**arm_data(), "payload": {"frame": 4, "mass_kg": 0.5}}, "loaded")
+    some, more = sobol(arm, 4, 1), sobol(arm, 2, 2).q
+    split = replace(some, payload_kg=np.array([0.0, 2.0, 0.0, 2.0]))
+    found = SimpleNamespace(diagnosis=SimpleNamespace(splits=(split,), next_q=more))
+    assert DiagnosisResult._write_next(found, tmp_path / "next.csv")  # type: ignore[arg-type]
+    asked = read_poses(tmp_path / "next.csv", arm)
+    assert asked.payload_kg is not None
+    assert asked.payload_kg.tolist() == [0.0, 2.0, 0.0, 2.0, 2.0, 2.0]

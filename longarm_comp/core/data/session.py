@@ -316,6 +316,42 @@ class Session(MeasuredRows):
         sigma = None if self.sigma is None else self.sigma[rows]
         return dataclasses.replace(self, sigma=sigma, **taken)
 
+    def followed_by(self, more: Session) -> Session:
+        """Return the session with more rows after its own, numbered on from its last one.
+
+        What only one of both records is blank in the rows of the other.
+
+        Raises:
+            InputError: only one of both has a number that every row needs, such as `payload_kg`.
+        """
+        both = {}
+        for kind in ("columns", "labels", "readings", "sigmas"):
+            mine, theirs = getattr(self, kind), getattr(more, kind)
+            both[kind] = {
+                name: np.concatenate(
+                    [
+                        mine[name] if name in mine else _blank(theirs[name], len(self)),
+                        theirs[name] if name in theirs else _blank(mine[name], len(more)),
+                    ]
+                )
+                for name in {**mine, **theirs}
+            }
+        sigmas = [s.xyz * np.nan if s.sigma is None else s.sigma for s in (self, more)]
+        return Session.record(
+            np.concatenate([self.q, more.q]),
+            np.concatenate([self.xyz, more.xyz]),
+            index=np.concatenate([self.index, self.index[-1] + 1 + np.arange(len(more))]),
+            approach=np.concatenate([self.told, more.told]),
+            run_up=np.concatenate([self.run_up, more.run_up]),
+            repeat_id=np.concatenate([self.repeat_id, more.repeat_id]),
+            sigma=None if self.sigma is None and more.sigma is None else np.concatenate(sigmas),
+            source=self.source,
+            touch_distances=tuple(dict.fromkeys((*self.touch_distances, *more.touch_distances))),
+            begun_s=self.begun_s,
+            lost=self.lost,
+            **both,
+        )
+
     def on_clock_of(self, other: Session) -> Session:
         """Return the session with the start of the time (`begun_s`) of another session."""
         return dataclasses.replace(self, begun_s=other.begun_s)
@@ -339,3 +375,8 @@ def _joints(where: str, q: np.ndarray) -> np.ndarray:
     if not np.isfinite(q).all():
         raise InputError(where, "q", "not finite", "finite numbers in rad or m")
     return q
+
+
+def _blank(like: np.ndarray, rows: int) -> np.ndarray:
+    """Return so many rows of blanks: NaN, or "" where the values are text."""
+    return np.full((rows, *like.shape[1:]), "" if like.dtype.kind == "U" else np.nan)

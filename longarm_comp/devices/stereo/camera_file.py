@@ -82,6 +82,11 @@ def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
 
 def write_camera(path: Path, name: str, camera: CameraInfo, head: str) -> None:
     """Write a camera's calibration to a file; ``head``: comment at its top."""
+    write_text(path, camera_text(name, camera, head))
+
+
+def camera_text(name: str, camera: CameraInfo, head: str) -> str:
+    """Return the text of a camera's file."""
     data: dict[str, Any] = {
         "image_width": camera.width,
         "image_height": camera.height,
@@ -91,7 +96,7 @@ def write_camera(path: Path, name: str, camera: CameraInfo, head: str) -> None:
     for key, (field, rows, columns) in _MATRICES.items():
         data[key] = {"rows": rows, "cols": columns, "data": list(getattr(camera, field))}
     comment = "".join(f"# {line}\n" for line in head.splitlines())
-    write_text(path, comment + yaml.safe_dump(data, sort_keys=False, default_flow_style=None))
+    return comment + yaml.safe_dump(data, sort_keys=False, default_flow_style=None)
 
 
 def read_camera(path: Path) -> CameraInfo:

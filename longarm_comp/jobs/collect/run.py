@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Float64, String
+from std_msgs.msg import String
 
 from longarm_comp.arm_folder.head import View
 from longarm_comp.core.arm.history import SAME_POSE
@@ -28,6 +29,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import describe_entry
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
+from longarm_comp.jobs.collect.load import PATIENCE_S, Attach, Load
 from longarm_comp.jobs.collect.visits import Visit, in_words
 from longarm_comp.jobs.graph_client import Reports
 from longarm_comp.jobs.recorder import Recorder
@@ -70,11 +72,12 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
                 allowed = "the plan, seed and options with which it began"
                 raise InputError(path, f"visit {index}", command.tolist(), allowed)
             done.add(index)
+        if reader.message_count and not done:
+            allowed = "a bag that `longarm collect` began"
+            raise InputError(path, ROW_TOPIC, "none", allowed)
     return done
 
 
-_CIRCUMSTANCES_S = 5.0
-"""Longest wait (s) for the first temperature, payload and tilt, which come about once a second."""
 _HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early"
 
 
@@ -155,7 +158,8 @@ class Collected:
     Attributes:
         made, before, planned: numbers of visits made in this run, made before, and planned.
         unseen: why the marker was lost, by index of the visit.
-        blocked: which box the way there enters, by index of each visit that was not driven.
+        blocked: which box the way there enters, or which payload is missing, by index of each visit
+            that was not driven.
     """
 
     made: int
@@ -174,28 +178,33 @@ def collect(
     resume: bool = False,
     give_up: int = 6,
     view: View | None = None,
+    payload_kg: float | None = None,
+    attach: Attach = lambda kg, visits: False,
     progress: Callable[[Progress], None] = lambda now: None,
 ) -> Collected:
     """Visit every pose of a plan that the bag does not hold yet.
 
     If the way to a visit enters a keep-out box, the visit is postponed until the arm stands
-    elsewhere. While the driver is held, the collection waits; then the visit is made again.
+    elsewhere. While the driver is held, the collection waits; then the visit is made again. Visits
+    whose payload nobody attaches are not made.
 
     Args:
         give_up: end if the marker was lost at all of this many first visits of a new bag; 0: never.
         view: the cameras' view by their files, to say why a marker is lost.
+        payload_kg: mass that the arm carries at the start; None: as another node publishes it.
+        attach: asks for another payload, while the arm stands.
 
     Raises:
-        JobError: the marker is lost too often, or the driver stopped or refused a move.
+        JobError: the marker is lost too often, the driver stopped or refused a move, or another
+            node publishes another payload than the answered one.
     """
     begun = resume and (path / "metadata.yaml").is_file()
     done = visits_in_bag(path, todo, client.arm.n) if begun else set()
     with SegmentedBag(path, resume=resume) as bag:
-        run = _Run(
-            client, Recorder(client.node, bag), pace or Pace(), progress, view, len(done), len(todo)
-        )
+        recorder, before = Recorder(client.node, bag), len(done)
+        run = _Run(client, recorder, attach, pace or Pace(), progress, view, before, len(todo))
         try:
-            run.drive([visit for visit in todo if visit.index not in done], give_up)
+            run.drive([visit for visit in todo if visit.index not in done], give_up, payload_kg)
         except JobError as error:
             if run.now().lost_visits == run.made and not done:
                 bag.discard()  # nothing in it is worth going on with
@@ -212,6 +221,7 @@ class _Run:
         self,
         client: ArmClient,
         recorder: Recorder,
+        attach: Attach,
         pace: Pace,
         progress: Callable[[Progress], None],
         view: View | None,
@@ -221,7 +231,7 @@ class _Run:
         self._client, self._recorder, self._pace = client, recorder, pace
         self._show, self._before, self._total = progress, before, total
         self._view, self._reports = view, Reports(client)
-        self._payload = client.node.create_publisher(Float64, "payload", 5)
+        self._attach, self._load = attach, Load(client, self._ask_for_load)
         self._publisher = graph.COLLECT_PROGRESS.publisher(client.node)
         self._model = declared_model(client.arm)
         self._driving_s = 0.0
@@ -230,9 +240,12 @@ class _Run:
         """Why the marker was lost at each visit of this run in the bag, or ""; by index."""
         self.blocked: dict[int, str] = {}
 
-    def drive(self, left: list[Visit], give_up: int) -> None:
+    def drive(self, left: list[Visit], give_up: int, payload_kg: float | None) -> None:
         self._client.ready()
-        self._client.wait(lambda: not self._recorder.waits_for(), _CIRCUMSTANCES_S)
+        recorder, load = self._recorder, self._load
+        self._client.wait(lambda: not (recorder.waits_for() or load.waits()), PATIENCE_S)
+        if payload_kg is not None:
+            load.confirm(payload_kg)
         half = max(5, len(left) // 2)
         while left:
             visit = self._choose_next(left)
@@ -255,13 +268,17 @@ class _Run:
         self._tell_progress(state, why)
         self._client.spin(0.2)  # s for it to be heard before the node ends
 
+    def _ask_for_load(self, kg: float, visits: int) -> bool:
+        self._visit = None
+        self._tell_progress("waiting", f"{visits} poses need {kg:g} kg at the tool")
+        return self._attach(kg, visits)
+
     def _make_visit(self, visit: Visit) -> None:
         """Drive to one pose, measure it and keep the row; repeat it if the driver was held."""
         begun_s = time.monotonic()
         while True:
             self._recorder.drop()
-            if visit.payload_kg is not None:
-                self._payload.publish(Float64(data=visit.payload_kg))
+            self._load.publish()
             try:
                 row = self._visit_row(visit)
                 break
@@ -329,13 +346,19 @@ class _Run:
         return row
 
     def _choose_next(self, left: list[Visit]) -> Visit | None:
-        """Return the first visit to which the way is free; None if there is none (`blocked`)."""
-        here = self._client.joints
-        if not self._client.arm.keep_out or here is None:
-            return left[0]
-        why = {}
-        for visit in left:
-            found = describe_entry(self._model, np.vstack([here, visit.path]))
+        """Return a visit to which the way is free; None if there is none (`blocked`).
+
+        It is the first one with the payload at the tool; without one, another payload is attached.
+        """
+        here, why = self._client.joints, {}
+        loads = Counter(visit.payload_kg for visit in left)
+        carried = {kg for kg in loads if self._load.is_carried(kg)}
+        for visit in sorted(left, key=lambda visit: visit.payload_kg not in carried):
+            kg = visit.payload_kg
+            way = visit.path if here is None else np.vstack([here, visit.path])
+            found = describe_entry(self._model, way)
+            if not found and kg is not None and kg not in carried:
+                found = self._load.change(kg, loads[kg])
             if not found:
                 return visit
             why[visit.index] = found

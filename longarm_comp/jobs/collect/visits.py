@@ -46,7 +46,8 @@ def list_visits(
 ) -> list[Visit]:
     """Return the visits of a plan, always the same ones for the same arguments.
 
-    A joint that has no room for its run-up on the planned side arrives from the other side.
+    A joint that has no room for its run-up on the planned side arrives from the other side. The
+    visits with one payload follow one another, so that it is changed as rarely as possible.
 
     Args:
         repeats: number of poses, drawn at random, that are visited two more times.
@@ -61,6 +62,8 @@ def list_visits(
     again = rng.permutation(len(plan))[:repeats]
     rows = np.concatenate([np.arange(len(plan)), np.repeat(again, 2)])
     order = rng.permutation(len(rows)) if shuffle else np.arange(len(rows))
+    if plan.payload_kg is not None:
+        order = order[np.argsort(plan.payload_kg[rows[order]], kind="stable")]
     first, pose, count = np.unique(
         plan.q[rows], axis=0, return_index=True, return_inverse=True, return_counts=True
     )[1:]
