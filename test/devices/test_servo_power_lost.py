@@ -257,7 +257,7 @@ def test_a_joint_that_a_hand_moves_while_it_is_read_keeps_its_count(driven: Driv
     driven.arm.estop()
     for _ in range(9):
         driven.turn_by_hand(-280.0)
-        driven.cycles(2)
+        driven.until(lambda cycle: cycle.joints)
     driven.arm.release(time.monotonic())
     assert set(driven.emulator.torques_on().values()) == {True}
 
@@ -275,7 +275,7 @@ def test_a_geared_servo_that_passed_its_encoders_jump_without_torque_is_not_driv
         def turn(by: float) -> None:
             for _ in range(steps):
                 emulator.push(2, emulator.positions()[2] + by)
-                driven.cycles(2)
+                driven.until(lambda cycle: cycle.joints)
 
         turn(300.0)
         said = pytest.raises(JobError, match="boom may have lost count")
@@ -296,7 +296,7 @@ def test_a_geared_servo_pushed_past_its_encoders_jump_under_torque_is_not_driven
         with driven.emulator.motor(2) as motor:
             motor.turn(1400.0)
             motor.goal = motor.position
-        driven.cycles(3)
+        driven.until(lambda _: driven.arm.follower.is_fresh(time.monotonic()))
         with pytest.raises(JobError, match="boom may have lost count"):
             driven.send(boom=0.05)
         with pytest.raises(JobError, match="boom may have lost count"):
