@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
-import pty
-import select
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +16,9 @@ from loaded_arm import arm_data
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+from asked_terminal import at_terminal
 from cli_shell import Shell
-from nodes_bench import PATIENCE_S, facts_of
+from nodes_bench import facts_of
 from quick_arm import QuickArm, quick_arm
 from rclpy.node import Node
 from std_msgs.msg import Float64
@@ -151,20 +147,9 @@ def words(tmp_path: Path) -> list[object]:
 
 
 def test_on_a_terminal_it_asks(stage: QuickArm, words: list[object], tmp_path: Path) -> None:
-    screen, terminal = pty.openpty()
-    python = [sys.executable, "-m", "longarm_comp", *map(str, words)]
-    with subprocess.Popen(python, stdin=terminal, stdout=terminal, stderr=terminal) as command:
-        os.close(terminal)
-        shown, answered = b"", 0
-        with contextlib.suppress(OSError):  # the end of a terminal
-            while select.select([screen], [], [], PATIENCE_S)[0]:
-                shown += os.read(screen, 4096)
-                if shown.count(b"(y/N)") > answered:
-                    answered += 1
-                    os.write(screen, b"y\n")
-            command.kill()
-    os.close(screen)
-    assert (command.returncode, answered) == (0, 2), shown
+    question = b"Does the arm carry it now? (y/N): "
+    ended, answers, shown = at_terminal(["-m", "longarm_comp", *words], question, b"y")
+    assert (ended, answers) == (0, 2), shown
     assert b"3 poses need 2 kg at the tool" in shown
     assert loads_of(tmp_path / "bag") == [0.0] * 3 + [2.0] * 3
 

@@ -11,13 +11,15 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from nodes_bench import facts_of, last_status
+from nodes_bench import Bench, facts_of, last_status
 from simulated_graph import simulated_graph
 from std_msgs.msg import Float64
 from target_requests import pose
 
+from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient, Pace
+from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_interfaces.msg import Compensation
 from longarm_interfaces.srv import Compensate
@@ -76,3 +78,18 @@ def test_a_payload_that_is_told_wrong_is_felt_and_then_used(arm_at_work: ArmClie
     client.until(compensate.service_is_ready, 300.0, "compensate")
     client.until(asked, 300.0, "what is felt")
     assert "the payload is known to" in done[-1].message
+
+
+def test_the_simulated_arm_takes_another_mass_while_it_runs(
+    stage: Bench, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    servos = demo_arm_path.parent / "servo_driver.yaml"
+    given = {"arm": demo_arm_path, "servos": servos, "port": tmp_path / "bus"}
+    stage.start("simulated_arm", {**given, "payload_kg": 0.3})
+    told = stage.collect(graph.PAYLOAD)
+    stage.spin(lambda: told and told[-1].data == 0.3)
+    with GraphClient() as client:
+        client.set_parameter("simulated_arm", "payload_kg", 0.5)
+        with pytest.raises(JobError):
+            client.set_parameter("simulated_arm", "payload_kg", -1.0)
+    stage.spin(lambda: told[-1].data == 0.5)
