@@ -71,11 +71,13 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             for f in diagnosis.search.doubtful
         ],
         called=diagnosis.arm.names_for_people,
-        provenance=_provenance_of(diagnosis.seed, data_sha256, proof.folds),
+        provenance=_provenance_of(diagnosis.seed, data_sha256, proof.folds, diagnosis.model_given),
     )
 
 
-def refused_report(error: InputError, seed: int, data_sha256: str) -> record.DiagnosisReport:
+def refused_report(
+    error: InputError, seed: int, data_sha256: str, model_given: bool
+) -> record.DiagnosisReport:
     """Return the contents of report.json for data that were refused with an error."""
     return record.DiagnosisReport(
         schema="longarm/diagnosis/1",
@@ -88,16 +90,19 @@ def refused_report(error: InputError, seed: int, data_sha256: str) -> record.Dia
         held_out=record.HeldOut(n=0, rows=[]),
         next_poses=[],
         outliers=[],
-        provenance=_provenance_of(seed, data_sha256, 0),
+        provenance=_provenance_of(seed, data_sha256, 0, model_given),
     )
 
 
-def _provenance_of(seed: int, data_sha256: str, folds: int) -> record.ReportProvenance:
+def _provenance_of(
+    seed: int, data_sha256: str, folds: int, model_given: bool
+) -> record.ReportProvenance:
     return record.ReportProvenance(
         seed=seed,
         data_sha256=data_sha256,
         version=__version__,
         holdout_uses=[f"every row once, {folds} folds"] if folds else [],
+        model_given=model_given,
     )
 
 

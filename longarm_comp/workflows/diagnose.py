@@ -295,7 +295,8 @@ def diagnose_files(
             if _holds_diagnosis(folder):
                 note(f"{folder} keeps the diagnosis of before")
             else:
-                report = refused_report(error, how.get("seed", 0), inputs.file_hash(session))
+                of = inputs.file_hash(session)
+                report = refused_report(error, how.get("seed", 0), of, model is not None)
                 write_report(report, Detail(title=session.name), folder)
             raise
         inputs.make_teller(progress)("report")

@@ -210,6 +210,12 @@ def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]
         assert ("as seen and as a command would have it" in shown) == (not gain["seen"])
 
 
+def test_a_given_model_is_not_called_the_arm_as_declared() -> None:
+    for given, name in ((False, "the arm as declared"), (True, "the model before")):
+        report = build_report(dataclasses.replace(in_doubt(), model_given=given), "0" * 64)
+        assert f"from {name} to" in Page(rendered(report, Detail(), {})).words()
+
+
 def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:
     for report, page in told:
         if "Held-out mean error" not in report.summary:
