@@ -273,7 +273,8 @@ class BringUp:
             # Emulated servos have nothing stored: they are as from the factory
             stored = {name: 0 for name in driver if ".stored." in name}
             emulated = stored | _PATIENT | {"state": str(state)}
-            learned = {"learned_file": str(state / "model.at_work.json")}
+            name = self.namespace.strip("/").replace("/", ".") or "model"
+            learned = {"learned_file": str(state / f"{name}.at_work.json")}
         values: dict[str, Any] = {
             "kinematics": arm | servos | model | trimmed | shaped | learned,
             "error_predictor": arm | model | _path_parameter("predictor", self.predictor),
