@@ -238,18 +238,37 @@ def read_bag(
         namespace: namespace of the arm, if the bag holds several arms.
         touch_distances: known distances between the points that the session touches.
     """
+    rows, _ = _read_rows(path, arm, namespace)
+    return rows.session(touch_distances)
+
+
+def read_seen(path: str | Path, arm: Arm, namespace: str | None = None) -> tuple[Session, str]:
+    """Read a session as `read_bag`, but with the tip as `kinematics` placed it (`tip_seen`).
+
+    Returns:
+        The session, and the frame of its tips: that of the base, if the place of the tracker was
+        known.
+    """
+    rows, frame = _read_rows(path, arm, namespace, "tip_seen")
+    return rows.session(), frame
+
+
+def _read_rows(
+    path: str | Path, arm: Arm, namespace: str | None, tips: str = "tip_measured"
+) -> tuple[Rows, str]:
+    """Return the rows of a bag and the frame of its sightings; ``tips`` is their topic."""
     where = str(path)
     with open_bag(path) as reader:
-        chosen = _topics_of_one_arm(reader, namespace, where)
+        chosen = _topics_of_one_arm(reader, namespace, where, tips)
         has_rows = any(last_part(c.topic) == "session_row" and c.msgcount for c in chosen)
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
         rows = _rows(raw_messages(reader, chosen), buffer)
     if buffer.sent is None or not buffer.frames:
-        topic = "joint_trajectory" if buffer.sent is None else "tip_measured"
+        topic = "joint_trajectory" if buffer.sent is None else tips
         raise InputError(where, topic, "no message", "commands and the sightings they led to")
     if len(buffer.frames) > 1:
-        raise InputError(where, "tip_measured frame_id", sorted(buffer.frames), "one frame")
-    return rows.session(touch_distances)
+        raise InputError(where, f"{tips} frame_id", sorted(buffer.frames), "one frame")
+    return rows, next(iter(buffer.frames))
 
 
 @contextmanager
@@ -293,20 +312,26 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
     return buffer
 
 
-def _topics_of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Connection]:
+def _topics_of_one_arm(
+    reader: Reader, namespace: str | None, where: str, tips: str = "tip_measured"
+) -> list[Connection]:
     """Return the connections of the topics from which one arm's session is read.
+
+    Args:
+        tips: topic of the sightings.
 
     Raises:
         InputError: no topic is known, or known topics are in several namespaces.
     """
-    known = (c for c in reader.connections if TYPES.get(last_part(c.topic)) == c.msgtype)
+    types = {tips if name == "tip_measured" else name: kind for name, kind in TYPES.items()}
+    known = (c for c in reader.connections if types.get(last_part(c.topic)) == c.msgtype)
     chosen = [c for c in known if in_namespace(c.topic, namespace)]
     spaces = sorted({c.topic.rpartition("/")[0] or "/" for c in chosen})
     if len(spaces) > 1:
         raise InputError(where, "namespaces", ", ".join(spaces), "one arm, or say which")
     if not chosen:
         topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
-        raise InputError(where, "topics", topics, ", ".join(TYPES))
+        raise InputError(where, "topics", topics, ", ".join(types))
     return chosen
 
 
