@@ -39,8 +39,8 @@ def record(
     from longarm_comp.nodes.interfaces import DIAGNOSTICS, TIP_SEEN
     from longarm_comp.sessions.bag_segments import SegmentedBag
 
-    topics = (*recorder.SESSION_TOPICS, TIP_SEEN, DIAGNOSTICS)
-    topics += recorder.IMAGE_TOPICS if images else ()
+    pictures = recorder.IMAGE_TOPICS if images else ()
+    topics = (*recorder.SESSION_TOPICS, TIP_SEEN, DIAGNOSTICS, *pictures)
     begun, bagged = time.monotonic(), output / "metadata.yaml"
     kept = f"{output} keeps what was recorded; --resume adds to it"
     with (

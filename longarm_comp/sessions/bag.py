@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -95,6 +95,10 @@ class Rows:
             late = joints[times >= times[-1] - REST_S]
             self._restless[int(np.argmax(np.ptp(late, axis=0)))] += 1
         given = rows[0][1] if rows else SessionRow()
+        for t, other in rows:
+            if other != given:
+                where = f"session_row at {t:.3f} s"
+                raise InputError(buffer.where, where, "another of one command", "one a command")
         passed = sighting is None
         if sighting is None and rows:  # it was to be measured: a row says why it is blank
             sighting = blank_sighting(rows[0][0])
@@ -123,7 +127,7 @@ class Rows:
 
         Raises:
             InputError: there are no rows, two arms publish `joint_states` in turn, or a
-                `session_row` holds an unknown kind of reading.
+                `session_row` holds an unknown kind of reading, or lacks a number that others hold.
         """
         buffer, rows = self._buffer, self._rows
         if 2 * self._rivals > self._with_joints:
@@ -172,8 +176,11 @@ class Rows:
             told=np.array([row.sides for row in rows]),
             repeat_id=np.array([row.given.repeat_id for row in rows]),
             sigma=sigma,
-            columns=columns | _in_every_row([row.given.columns for row in rows]),
-            labels=_in_every_row([row.given.labels for row in rows]),
+            columns=columns | _columns_of(rows, buffer.where),
+            labels={
+                name: np.array([row.given.labels.get(name, "") for row in rows])
+                for name in dict.fromkeys(name for row in rows for name in row.given.labels)
+            },
             source=buffer.where,
             readings=readings,
             sigmas={name: values for name, values in sigmas.items() if np.isfinite(values).any()},
@@ -182,11 +189,16 @@ class Rows:
         )
 
 
-def _in_every_row(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Return the columns (N,) that every row has; inclinations may be missing in some (NaN)."""
-    every = dict.fromkeys(name for row in rows for name in row)
-    names = [n for n in every if INCLINATION.match(n) or all(n in row for row in rows)]
-    return {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}
+def _columns_of(rows: Sequence[_Row], where: str) -> dict[str, np.ndarray]:
+    """Return the numbers (N,) by name that rows were given; inclinations may be missing (NaN)."""
+    columns = {}
+    for name in dict.fromkeys(name for row in rows for name in row.given.columns):
+        lacking = [row.number for row in rows if name not in row.given.columns]
+        if lacking and not INCLINATION.match(name):
+            what = f"session_row columns {name}"
+            raise InputError(where, what, f"none at index {lacking[0]}", "a number in every row")
+        columns[name] = np.array([row.given.columns.get(name, math.nan) for row in rows])
+    return columns
 
 
 def bag_info(path: str | Path) -> dict[str, Any]:
