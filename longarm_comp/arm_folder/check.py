@@ -14,7 +14,14 @@ import numpy as np
 
 from longarm_comp.arm_folder.head import View, head_for
 from longarm_comp.arm_folder.make import ARM, NODES
-from longarm_comp.arm_folder.measured import CAMERAS, FILE, SIDES, camera_path, read_measured
+from longarm_comp.arm_folder.measured import (
+    CAMERAS,
+    FILE,
+    SIDES,
+    camera_path,
+    is_changed,
+    read_measured,
+)
 from longarm_comp.arm_folder.parameter_file import find_strangers, own_parameters, read_parameters
 from longarm_comp.arm_folder.servos import ROUNDING_TICKS, find_contradictions
 from longarm_comp.core.arm.arm import Arm
@@ -67,7 +74,11 @@ def check_record(folder: Path) -> Iterator[_FolderFinding]:
     for file, entry in entries.items():
         told = {k: v for k, v in entry.facts.items() if k not in ("session", "before")}
         facts = ", ".join(f"{name} {value}" for name, value in told.items())
-        yield measured(file, f"{entry.at}, longarm {entry.by}: {facts}")
+        said = f"{entry.at}, longarm {entry.by}: {facts}"
+        if is_changed(folder, file, entry):
+            yield unmeasured(file, f"measured, but changed since: {said}. Measure again")
+        else:
+            yield measured(file, said)
     if CAMERAS not in entries and not all(camera_path(folder, side).is_file() for side in SIDES):
         said = "no calibration (longarm stereo calibrate), unless the camera driver has one"
         yield unmeasured(CAMERAS, said)

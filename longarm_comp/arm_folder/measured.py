@@ -5,16 +5,20 @@ The record, `measured.yaml`, says what was measured, when, by which command.
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
 
-from longarm_comp.arm_folder.parameter_file import edit_text, parameters_of
+from longarm_comp.arm_folder.parameter_file import edit_text, parameters_of, parse_parameters
+from longarm_comp.arm_folder.servos import KEYS, SERVOS
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_bytes, write_text, write_texts
@@ -39,11 +43,13 @@ class Measured:
         at: time of the measurement, ISO 8601, UTC.
         by: command that measured.
         facts: results, and how good they are.
+        of: hash of the values that were measured (`_hash_values`); empty if it was not recorded.
     """
 
     at: str
     by: str
     facts: dict[str, Any]
+    of: str = ""
 
 
 def read_measured(folder: Path) -> dict[str, Measured]:
@@ -54,7 +60,9 @@ def read_measured(folder: Path) -> dict[str, Measured]:
     data = read_yaml(path)
     try:
         return {
-            str(file): Measured(str(entry["at"]), str(entry["by"]), dict(entry["facts"]))
+            str(file): Measured(
+                str(entry["at"]), str(entry["by"]), dict(entry["facts"]), str(entry.get("of", ""))
+            )
             for file, entry in data.items()
         }
     except (AttributeError, KeyError, TypeError, ValueError) as error:
@@ -67,10 +75,54 @@ def note_measured(folder: Path, file: str, by: str, facts: Mapping[str, Any]) ->
     write_text(folder / FILE, _with_entry(folder, file, by, facts))
 
 
-def _with_entry(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> str:
-    """Return the text of the record with a measurement added."""
+def is_changed(folder: Path, file: str, entry: Measured) -> bool:
+    """Tell whether the values of an entry of the record are others than those measured."""
+    try:
+        return bool(entry.of) and _hash_values(folder, file, {}) != entry.of
+    except InputError:  # the file cannot be read
+        return True
+
+
+def _hash_values(folder: Path, file: str, written: Mapping[Path, str]) -> str:
+    """Return a hash of the values in a folder that a measurement of a file finds or depends on.
+
+    The place of the stereo head is that of a rectified camera, so it depends on the cameras.
+
+    Args:
+        written: texts by their files, for those that are not written yet.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+
+    def text_of(path: Path) -> str:
+        return written[path] if path in written else read_text(path) if path.is_file() else ""
+
+    values: list[Any] = []
+    if file in (CAMERAS, BRIDGE):
+        values += [text_of(camera_path(folder, side)) for side in SIDES]
+    if file in (SERVOS, BRIDGE):
+        given = parse_parameters(text_of(folder / file), file)
+        own = r"hand_eye\." if file == BRIDGE else rf"joints\..+\.({'|'.join(KEYS)})\b"
+        values += sorted((name, value) for name, value in given.items() if re.match(own, name))
+    return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
+
+
+def _with_entry(
+    folder: Path,
+    file: str,
+    by: str,
+    facts: Mapping[str, Any],
+    written: Mapping[Path, str] = MappingProxyType({}),
+) -> str:
+    """Return the text of the record with a measurement added.
+
+    Args:
+        written: texts by their files that are written with the record.
+    """
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-    known = {**read_measured(folder), file: Measured(now, by, dict(facts))}
+    made = Measured(now, by, dict(facts), _hash_values(folder, file, written))
+    known = {**read_measured(folder), file: made}
     entries = {name: vars(entry) for name, entry in known.items()}
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, width=100)
     return _HEAD + text
@@ -152,14 +204,14 @@ def write_head(
     entry = {**facts, "session": session, "before": old}
     # `write_texts` replaces its first file, the record, last. Until then the same session may be
     # given again
-    made = {FILE: _with_entry(folder, BRIDGE, "stereo hand-eye", entry)}
-    made[BRIDGE] = _edit_values(folder / BRIDGE, values)
+    bridge = {folder / BRIDGE: _edit_values(folder / BRIDGE, values)}
+    made = {folder / FILE: _with_entry(folder, BRIDGE, "stereo hand-eye", entry, bridge), **bridge}
     if (folder / SIMULATED).is_file():
         axis = [round(float(v), 9) for v in pose[:3, 2]]
         camera = {"camera.position": xyz, "camera.axis": axis}
-        made[SIMULATED] = _edit_values(folder / SIMULATED, camera)
-    write_texts({folder / name: text for name, text in made.items()})
-    return [name for name in made if name != FILE]
+        made[folder / SIMULATED] = _edit_values(folder / SIMULATED, camera)
+    write_texts(made)
+    return [path.name for path in made if path.name != FILE]
 
 
 def _check_pose(file: Path, field: str, given: Sequence[Any]) -> np.ndarray:

@@ -33,6 +33,11 @@ def read_parameters(path: Path) -> dict[str, Any]:
     return _flatten_tree(ros_parameters(read_yaml(path), path))
 
 
+def parse_parameters(text: str, where: str) -> dict[str, Any]:
+    """Return the values in the text of a ROS parameter file, by dotted name."""
+    return _flatten_tree(ros_parameters(parse_yaml(text, where), where))
+
+
 def parameters_of(node: str, file: Path) -> dict[str, Any]:
     """Return all parameters of a node that runs with a file, by dotted name.
 
@@ -76,7 +81,7 @@ def _kind_of(value: Any) -> str:
 
 def own_parameters(node: str) -> dict[str, Any]:
     """Read the values of the package's own file of a node, by dotted name."""
-    return _flatten_tree(ros_parameters(parse_yaml(own_text(node), node), node))
+    return parse_parameters(own_text(node), node)
 
 
 def ros_parameters(data: Any, where: object) -> dict[str, Any]:

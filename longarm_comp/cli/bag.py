@@ -36,10 +36,11 @@ def record(
 
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.jobs import recorder
-    from longarm_comp.nodes.interfaces import DIAGNOSTICS
+    from longarm_comp.nodes.interfaces import DIAGNOSTICS, TIP_SEEN
     from longarm_comp.sessions.bag_segments import SegmentedBag
 
-    topics = (*recorder.SESSION_TOPICS, DIAGNOSTICS, *(recorder.IMAGE_TOPICS if images else ()))
+    pictures = recorder.IMAGE_TOPICS if images else ()
+    topics = (*recorder.SESSION_TOPICS, TIP_SEEN, DIAGNOSTICS, *pictures)
     begun, bagged = time.monotonic(), output / "metadata.yaml"
     kept = f"{output} keeps what was recorded; --resume adds to it"
     with (

@@ -64,7 +64,7 @@ def apply_on_graph(
         if done.predictor is not None:
             reload(client, "error_predictor")
     except JobError:
-        undo(files.model)
+        undo(files.model, files.predictor)
         raise
     if files.predictor is not None and files.predictor.parent != files.model.parent:
         note(f"{done.undo} leaves {files.predictor} alone: it is in another folder than the model")

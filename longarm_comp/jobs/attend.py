@@ -18,6 +18,7 @@ from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import kept_stops
 from longarm_comp.jobs.client import STOPPED
 from longarm_comp.jobs.graph_client import ANNOUNCED_S, FOUND_S, GraphClient, Interrupted, Reports
+from longarm_comp.nodes import bringup
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import UNACKNOWLEDGED
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
@@ -186,7 +187,7 @@ class Attendant:
         return str(answer.message)
 
 
-KNOWN = {KINEMATICS, "error_predictor", "stereo_bridge", DRIVER, "simulated_arm"}
+KNOWN = {*bringup.SIMULATED, bringup.PATHS}
 """Nodes of an arm whose reports `Attendant.standing` waits for."""
 
 

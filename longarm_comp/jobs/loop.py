@@ -313,7 +313,7 @@ class Loop:
 
     def _apply_model(self, k: int, files: FilesAtWork) -> dict[str, Any]:
         settings = self._settings
-        take_back(settings.path("diagnosis", k), files.model)
+        take_back(settings.path("diagnosis", k), files.model, files.predictor)
         done = apply_on_graph(
             self._client,
             settings.path("diagnosis", k),

@@ -274,7 +274,8 @@ class BringUp:
             stored = {name: 0 for name in driver if ".stored." in name}
             zeros = {f"joints.{j.name}.zero_ticks": j.zero_ticks for j in read_arm(file).joints}
             emulated = stored | (zeros if stored else {}) | _PATIENT | {"state": str(state)}
-            learned = {"learned_file": str(state / "model.at_work.json")}
+            name = self.namespace.strip("/").replace("/", ".") or "model"
+            learned = {"learned_file": str(state / f"{name}.at_work.json")}
         values: dict[str, Any] = {
             "kinematics": arm | servos | model | trimmed | shaped | learned,
             "error_predictor": arm | model | _path_parameter("predictor", self.predictor),

@@ -52,7 +52,9 @@ class Learning:
         self.begin()
 
     def begin(self) -> None:
-        """Continue from the file of what was learned, if it belongs to the loaded model.
+        """Continue from the file of what was learned with the loaded model.
+
+        What was learned with another model is kept for its return.
 
         Raises:
             InputError: nothing can be learned with this model, or the file is damaged or used by
@@ -66,6 +68,7 @@ class Learning:
         loaded, step_m = self._files.given, self._state.p["learning_step_m"]
         try:
             self._lock = self._lock or lock_beside(self._path)
+            file.take_up(self._path, loaded.file_hash)
             learner = file.load(self._path, loaded.model, loaded.file_hash, step_m)
         except InputError as error:
             self._fault, self.learner = f"nothing is learned: {error}", None

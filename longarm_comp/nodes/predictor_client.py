@@ -49,7 +49,7 @@ class PredictorClient:
         tell: called with every error (3,), m, that is computed here inside the domain.
 
     Attributes:
-        file_hash: SHA-256 of the file of the predictor that answered last.
+        file_hash: SHA-256 of the file of the predictor that answered last; "" if it did not tell.
     """
 
     def __init__(
@@ -123,9 +123,9 @@ class PredictorClient:
         known = [float(context.column(k, math.nan)) for k in ("temperature_c", "payload_kg")]
         if (served := self._served_now) is not None:
             found = served.expand(q, context.of_all("approach", self._arm.n), *known)
+            self.file_hash = served.file_hash
             if found.in_domain:
                 _check_physics(served.beside_deflection, deflection)
-                self.file_hash = served.file_hash
                 self._tell(found.error)
             return found
         request = PredictError.Request(
@@ -147,7 +147,8 @@ class PredictorClient:
             raise NoAnswer(answer.message)
         if answer.success:
             _check_physics(answer.beside_deflection, deflection)
-        self.file_hash = answer.message if answer.success else self.file_hash
+        # Out of its domain it says why instead; its last message about the served file names it
+        self.file_hash = answer.message if answer.success else self._told.partition(" ")[0]
         n, e = self._arm.n, answer.error
         expanded = len(answer.jacobian) == 3 * n and len(answer.reach) == n
         return Expansion(

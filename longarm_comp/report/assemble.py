@@ -71,11 +71,15 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             for f in diagnosis.search.doubtful
         ],
         called=diagnosis.arm.names_for_people,
-        provenance=_provenance_of(diagnosis.seed, data_sha256, diagnosis),
+        provenance=_provenance_of(
+            diagnosis.seed, data_sha256, [_describe_holdout(diagnosis)], diagnosis.model_given
+        ),
     )
 
 
-def refused_report(error: InputError, seed: int, data_sha256: str) -> record.DiagnosisReport:
+def refused_report(
+    error: InputError, seed: int, data_sha256: str, model_given: bool
+) -> record.DiagnosisReport:
     """Return the contents of report.json for data that were refused with an error."""
     return record.DiagnosisReport(
         schema="longarm/diagnosis/1",
@@ -88,20 +92,25 @@ def refused_report(error: InputError, seed: int, data_sha256: str) -> record.Dia
         held_out=record.HeldOut(n=0, rows=[]),
         next_poses=[],
         outliers=[],
-        provenance=_provenance_of(seed, data_sha256),
+        provenance=_provenance_of(seed, data_sha256, [], model_given),
     )
 
 
 def _provenance_of(
-    seed: int, data_sha256: str, diagnosis: Diagnosis | None = None
+    seed: int, data_sha256: str, uses: list[str], model_given: bool
 ) -> record.ReportProvenance:
-    uses = []
-    if diagnosis is not None:
-        folds, rows = len(diagnosis.folds), len(diagnosis.held_out)
-        uses = [f"{rows} rows once, " + (f"{folds} folds" if folds > 1 else "none of them fitted")]
     return record.ReportProvenance(
-        seed=seed, data_sha256=data_sha256, version=__version__, holdout_uses=uses
+        seed=seed,
+        data_sha256=data_sha256,
+        version=__version__,
+        holdout_uses=uses,
+        model_given=model_given,
     )
+
+
+def _describe_holdout(diagnosis: Diagnosis) -> str:
+    folds, rows = len(diagnosis.folds), len(diagnosis.held_out)
+    return f"{rows} rows once, " + (f"{folds} folds" if folds > 1 else "none of them fitted")
 
 
 def _describe_cause(cause: Cause, diagnosis: Diagnosis) -> record.ReportDiscovered:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.findings import Finding
 from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
 from longarm_comp.report import record
 from longarm_comp.report.words import change, interval, join_names, millimetres, number, odds
 
@@ -69,22 +70,26 @@ def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
 
 
 def _choose_duty(
-    gain_mm: float, first: str, action: str, report: record.DiagnosisReport
+    gain_mm: float,
+    first: str,
+    action: str,
+    report: record.DiagnosisReport,
+    what: str = "It is",
 ) -> tuple[str, str]:
     """Return the duty and the advice for a cause.
 
     Args:
-        gain_mm: by how much the held-out error falls with the cause in the model.
+        gain_mm: by how much the held-out mean error falls with `what` in the model.
         first: sentence on what must be known before, or "".
         action: what to do at the arm.
     """
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):
         least = "the noise" if noise > WORTH_MM else f"{WORTH_MM:g} mm"
-        return DUTIES[2], f"It is worth {millimetres(max(gain_mm, 0.0))}, less than {least}."
+        return DUTIES[2], f"{what} worth {millimetres(max(gain_mm, 0.0))}, less than {least}."
     if first:
         return DUTIES[1], f"{first} Then: {action}"
-    return DUTIES[0], f"It is worth {millimetres(gain_mm)}. {action}"
+    return DUTIES[0], f"{what} worth {millimetres(gain_mm)}. {action}"
 
 
 def _say_first(finding: Finding, report: record.DiagnosisReport) -> str:
@@ -105,9 +110,13 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
     if others:
         said += f" Places that explain it as well: {join_names(others)}."
     held = "Within the range of the data the new model.yaml compensates it."
-    gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
+    # Only the gain of all of them together was measured
+    mean_mm = {row.model: row.mean_mm for row in report.held_out.rows}
+    without, with_all = mean_mm[WITH_EFFECTS], mean_mm[WITH_FUNCTIONS]
+    all_of_them = sum(other.kept for other in report.discovered)
+    what = f"Together all {all_of_them} causes without a name are" if all_of_them > 1 else "It is"
     first = "you find something there that acts like this."
-    duty, advice = _choose_duty(gain, first, found.action, report)
+    duty, advice = _choose_duty(without - with_all, first, found.action, report, what)
     return _Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         where=found.frame,
@@ -120,8 +129,8 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
         duty=duty,
         advice=advice,
         software=held if found.compensated else "Commands leave it out.",
-        improves=change(found.held_out_rms_mm),
-        figure="RMS error without → with all that was found without a name",
+        improves=change((without, with_all)),
+        figure="mean error without → with all that was found without a name",
     )
 
 

@@ -70,7 +70,7 @@ def write_report(
     for path, content in files.items():
         write_bytes(path, content)
     for path in there:
-        if path not in files and style.is_signed(path):
+        if path not in files and _FIGURE.fullmatch(path.stem) and style.is_signed(path):
             path.unlink()
     write_text(target / "report.json", record.text(report))
     write_text(target / "report.html", html)
@@ -140,6 +140,10 @@ def place_name(number: int) -> str:
 def against(name: str) -> str:
     """Return the name of the figure of the errors over an input, which may have any name."""
     return "against_" + re.sub(r"\W", "_", name)
+
+
+_FIGURE = re.compile(r"place_\d+|distribution|against_\w+")
+"""Every name that a figure of a diagnosis may have."""
 
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:

@@ -188,13 +188,15 @@ class ReportSetAside(ReportPart):
 class ReportProvenance(ReportPart):
     """The data needed to repeat the diagnosis byte for byte.
 
-    `holdout_uses` says how often each row was held out.
+    `holdout_uses` says how often each row was held out; `model_given` whether a model was given,
+    which the stage ``nominal`` then is.
     """
 
     seed: int
     data_sha256: str
     version: str
     holdout_uses: Sequence[str]
+    model_given: bool = False
 
 
 class DiagnosisReport(ReportPart):

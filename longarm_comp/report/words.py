@@ -108,6 +108,7 @@ STAGES = {
     "with_functions": "the model with what was found without a name",
     "with_network": "the model with the network",
 }
+"""What the page calls a stage; where a model was given, `nominal` is that model."""
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
@@ -167,7 +168,7 @@ def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
     Returns:
         None without these rows; otherwise the texts by name:
 
-        stages: names of the two stages; the first is the arm as declared.
+        stages: names of the two stages; the first is the model before.
         commanded: the two errors as a command would have them.
         seen: the two errors as seen; "" if they read the same.
         between_mm: the error of the stage from which findings are counted; "" if it is the first.
@@ -188,7 +189,10 @@ def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
         return row.mean_mm if row.commanded_mean_mm is None else row.commanded_mean_mm
 
     commanded = change((as_commanded(first), as_commanded(after)))
-    between = f"{millimetres(as_commanded(before))} with {STAGES[before.model]}"
+    called = dict(STAGES)
+    if report.provenance.model_given:
+        called["nominal"] = "the model before"
+    between = f"{millimetres(as_commanded(before))} with {called[before.model]}"
     differs = commanded != seen
     pair, proof = held.commanded_ci95_mm or held.before_after_ci95_mm, ""
     if pair is not None:
@@ -201,7 +205,7 @@ def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
     camera = any(MEASURING_SIDE in said for said in held.not_commanded)
     expected = {} if report.written is None else report.written.expected_commanded_mm
     return {
-        "stages": (STAGES[first.model], STAGES[after.model]),
+        "stages": (called[first.model], called[after.model]),
         "commanded": commanded,
         "seen": seen if differs else "",
         "between_mm": "" if before is first else between,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -95,6 +95,10 @@ class Rows:
             late = joints[times >= times[-1] - REST_S]
             self._restless[int(np.argmax(np.ptp(late, axis=0)))] += 1
         given = rows[0][1] if rows else SessionRow()
+        for t, other in rows:
+            if other != given:
+                where = f"session_row at {t:.3f} s"
+                raise InputError(buffer.where, where, "another of one command", "one a command")
         passed = sighting is None
         if sighting is None and rows:  # it was to be measured: a row says why it is blank
             sighting = blank_sighting(rows[0][0])
@@ -123,7 +127,7 @@ class Rows:
 
         Raises:
             InputError: there are no rows, two arms publish `joint_states` in turn, or a
-                `session_row` holds an unknown kind of reading.
+                `session_row` holds an unknown kind of reading, or lacks a number that others hold.
         """
         buffer, rows = self._buffer, self._rows
         if 2 * self._rivals > self._with_joints:
@@ -172,8 +176,11 @@ class Rows:
             told=np.array([row.sides for row in rows]),
             repeat_id=np.array([row.given.repeat_id for row in rows]),
             sigma=sigma,
-            columns=columns | _in_every_row([row.given.columns for row in rows]),
-            labels=_in_every_row([row.given.labels for row in rows]),
+            columns=columns | _columns_of(rows, buffer.where),
+            labels={
+                name: np.array([row.given.labels.get(name, "") for row in rows])
+                for name in dict.fromkeys(name for row in rows for name in row.given.labels)
+            },
             source=buffer.where,
             readings=readings,
             sigmas={name: values for name, values in sigmas.items() if np.isfinite(values).any()},
@@ -182,11 +189,16 @@ class Rows:
         )
 
 
-def _in_every_row(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Return the columns (N,) that every row has; inclinations may be missing in some (NaN)."""
-    every = dict.fromkeys(name for row in rows for name in row)
-    names = [n for n in every if INCLINATION.match(n) or all(n in row for row in rows)]
-    return {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}
+def _columns_of(rows: Sequence[_Row], where: str) -> dict[str, np.ndarray]:
+    """Return the numbers (N,) by name that rows were given; inclinations may be missing (NaN)."""
+    columns = {}
+    for name in dict.fromkeys(name for row in rows for name in row.given.columns):
+        lacking = [row.number for row in rows if name not in row.given.columns]
+        if lacking and not INCLINATION.match(name):
+            what = f"session_row columns {name}"
+            raise InputError(where, what, f"none at index {lacking[0]}", "a number in every row")
+        columns[name] = np.array([row.given.columns.get(name, math.nan) for row in rows])
+    return columns
 
 
 def bag_info(path: str | Path) -> dict[str, Any]:
@@ -241,18 +253,37 @@ def read_bag(
     Raises:
         InputError: the bag is damaged, holds no command or no sighting, or several arms or frames.
     """
+    rows, _ = _read_rows(path, arm, namespace)
+    return rows.session(touch_distances)
+
+
+def read_seen(path: str | Path, arm: Arm, namespace: str | None = None) -> tuple[Session, str]:
+    """Read a session as `read_bag`, but with the tip as `kinematics` placed it (`tip_seen`).
+
+    Returns:
+        The session, and the frame of its tips: that of the base, if the place of the tracker was
+        known.
+    """
+    rows, frame = _read_rows(path, arm, namespace, "tip_seen")
+    return rows.session(), frame
+
+
+def _read_rows(
+    path: str | Path, arm: Arm, namespace: str | None, tips: str = "tip_measured"
+) -> tuple[Rows, str]:
+    """Return the rows of a bag and the frame of its sightings; ``tips`` is their topic."""
     where = str(path)
     with open_bag(path) as reader:
-        chosen = _topics_of_one_arm(reader, namespace, where)
+        chosen = _topics_of_one_arm(reader, namespace, where, tips)
         has_rows = any(last_part(c.topic) == "session_row" and c.msgcount for c in chosen)
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
         rows = _rows(raw_messages(reader, chosen), buffer)
     if buffer.sent is None or not buffer.frames:
-        topic = "joint_trajectory" if buffer.sent is None else "tip_measured"
+        topic = "joint_trajectory" if buffer.sent is None else tips
         raise InputError(where, topic, "no message", "commands and the sightings they led to")
     if len(buffer.frames) > 1:
-        raise InputError(where, "tip_measured frame_id", sorted(buffer.frames), "one frame")
-    return rows.session(touch_distances)
+        raise InputError(where, f"{tips} frame_id", sorted(buffer.frames), "one frame")
+    return rows, next(iter(buffer.frames))
 
 
 @contextmanager
@@ -299,20 +330,26 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
     return buffer
 
 
-def _topics_of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Connection]:
+def _topics_of_one_arm(
+    reader: Reader, namespace: str | None, where: str, tips: str = "tip_measured"
+) -> list[Connection]:
     """Return the connections of the topics from which one arm's session is read.
+
+    Args:
+        tips: topic of the sightings.
 
     Raises:
         InputError: no topic is known, or known topics are in several namespaces.
     """
-    known = (c for c in reader.connections if TYPES.get(last_part(c.topic)) == c.msgtype)
+    types = {tips if name == "tip_measured" else name: kind for name, kind in TYPES.items()}
+    known = (c for c in reader.connections if types.get(last_part(c.topic)) == c.msgtype)
     chosen = [c for c in known if in_namespace(c.topic, namespace)]
     spaces = sorted({c.topic.rpartition("/")[0] or "/" for c in chosen})
     if len(spaces) > 1:
         raise InputError(where, "namespaces", ", ".join(spaces), "one arm, or say which")
     if not chosen:
         topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
-        raise InputError(where, "topics", topics, ", ".join(TYPES))
+        raise InputError(where, "topics", topics, ", ".join(types))
     return chosen
 
 

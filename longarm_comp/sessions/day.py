@@ -14,7 +14,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.bag import decode, in_namespace, open_bag, raw_messages, read_bag
+from longarm_comp.sessions.bag import decode, in_namespace, open_bag, raw_messages, read_seen
 
 _ASKED, _SAID = "compensation", "diagnostics"
 
@@ -88,15 +88,17 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
             warnings and errors are kept.
 
     Raises:
-        InputError: there is no bag, or it holds no `compensation` message or no sighting.
+        InputError: there is no bag, it holds no `compensation` message or no sighting, or nobody
+            knew where the tracker stands.
     """
-    session = read_bag(path, arm, namespace)
+    session, seen_in = read_seen(path, arm, namespace)
     told: dict[tuple[str, str], Notice] = {}
     asked: list[tuple[float, Any]] = []
     with open_bag(path) as reader:
         start = reader.start_time
         own = [c for c in reader.connections if in_namespace(c.topic, namespace)]
         wanted = [c for c in own if c.topic.endswith(f"/{_ASKED}")]
+        spaces = {c.topic.rpartition("/")[0] for c in wanted}
         wanted += [c for c in reader.connections if c.topic.endswith(f"/{_SAID}")]
         for name, stamp, message in decode(raw_messages(reader, wanted), arm, str(path)):
             t = (stamp - start) * 1e-9
@@ -104,21 +106,23 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
                 asked.append((t, message))
                 continue
             for status in message.status:
-                level = int(status.level)
-                if level or status.name.rpartition(": ")[2] in parts:
+                level, (node, _, part) = int(status.level), status.name.partition(": ")
+                if node.rpartition("/")[0] in spaces and (level or part in parts):
                     key = status.name, _without_numbers(status.message)
                     first = told[key].first_s if key in told else t
                     told[key] = Notice(first, t, status.name, level, status.message)
         hours = reader.duration * 1e-9 / 3600.0
     if not asked:
         raise InputError(path, _ASKED, "no message", "a bag of `longarm record` while targets came")
+    if seen_in not in (bases := {message.header.frame_id for _, message in asked}):
+        allowed = f"{', '.join(sorted(bases))}: a model that knows where the tracker stands"
+        raise InputError(path, "tip_seen frame_id", seen_in, allowed)
     sent = [(t, m) for t, m in asked if m.accepted]
     t_s, at, error_mm = np.array([t for t, _ in sent]), session.columns["t_s"], []
     for (t, message), until in zip(sent, [*t_s[1:], math.inf], strict=True):
         off = np.abs(session.q - message.executed.position).max(axis=1)
-        place = message.target.pose.position
         tips = session.xyz[(t <= at) & (at < until) & (off < SAME_POSE)]
-        errors = np.linalg.norm(tips - [place.x, place.y, place.z], axis=1)
+        errors = np.linalg.norm(tips - _target_in_base(message), axis=1)
         error_mm.append(1e3 * errors[0] if len(errors) else math.nan)
     reasons = {_without_numbers(m.message): m.message for _, m in asked if not m.accepted}
     refused = Counter(reasons[_without_numbers(m.message)] for _, m in asked if not m.accepted)
@@ -126,5 +130,17 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
     return Day(hours, t_s, np.array(error_mm), refused, said)
 
 
+def _target_in_base(story: Any) -> np.ndarray:
+    """Return the target (3,), m, in the base; `story.target` is in the frame in which it came."""
+    pseudo, error = story.pseudo_target.pose.position, story.predicted_error
+    return np.array([pseudo.x + error.x, pseudo.y + error.y, pseudo.z + error.z])
+
+
 def _without_numbers(text: str) -> str:
-    return re.sub(r"[-+]?\d[\d.:e+-]*", "#", text)
+    return _NUMBER.sub(lambda found: found[1] or "#", text)
+
+
+_NUMBER = re.compile(
+    r"((?:joint|driver|servo|link|marker|sensor) \d+)|(?<!\w)[-+]?\d[\d.:e+-]*", re.IGNORECASE
+)
+"""A number; first those that are the name of something. A digit after a letter is of a name too."""

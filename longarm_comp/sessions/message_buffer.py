@@ -196,6 +196,8 @@ class MessageBuffer:
         insort(self.sightings, sighting, key=_time)
         self.frames.add(message.header.frame_id)
 
+    _take_tip_seen = _take_tip_measured
+
     def _take_inclination(self, t: float, message: Any) -> None:
         """Store the tilt about x and y of the frame in the header, from its orientation."""
         if message.orientation_covariance[0] < 0:  # it measures none

@@ -119,8 +119,8 @@ def apply(
 
     Raises:
         InputError: the diagnosis is missing or incomplete; it is of another arm, or was not made
-            with the model in use; the session is missing or another one; another process changes
-            the model.
+            with the model in use; the session is missing or another one; the predictor is of a
+            network of others, and one is to be trained; another process changes the model.
         JobError: the diagnosis adds nothing.
     """
     with alone_in(follow_link(model).parent):  # also while a network is trained
@@ -138,6 +138,8 @@ def apply(
             raise InputError(diagnosis, "report.json and model.yaml", found, allowed)
         after = restore(stored, arm, str(made))
         target = follow_link(predictor or model.parent / inputs.PREDICTOR)
+        if network:
+            predictor_file.check_ending(target, of_others=False)
         finish(model, target)
         before = _read_before(stored.provenance, made, model, arm)
         named = str(stored.provenance.get(inputs.SESSION, ""))
@@ -166,11 +168,11 @@ def apply(
         return Applied(model, stored.version, tuple(changed), at_work, refused, aside, *errors)
 
 
-def take_back(diagnosis: Path, model: Path) -> None:
+def take_back(diagnosis: Path, model: Path, predictor: Path | None = None) -> None:
     """Undo a diagnosis if its model is in use: a job that applied it was interrupted."""
     made = diagnosis / inputs.MODEL
     if model.is_file() and made.is_file() and model.read_bytes() == made.read_bytes():
-        undo(model)
+        undo(model, predictor)
 
 
 def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
@@ -317,12 +319,15 @@ def put_to_work(
     return aside
 
 
-def undo(model: Path) -> Path | None:
+def undo(model: Path, predictor: Path | None = None) -> Path | None:
     """Restore the previous version of a model, byte for byte, and the predictor that belonged to
     it.
 
     Predictors are looked for beside the model. One that belonged to the undone version is set
     aside. An interrupted undo is finished by calling it again.
+
+    Args:
+        predictor: file of the predictor in use, if it may be in another folder.
 
     Returns:
         The file of the predictor that was restored, if any.
@@ -333,9 +338,11 @@ def undo(model: Path) -> Path | None:
     with alone_in(follow_link(model).parent):
         beside = [
             follow_link(p)
-            for p in model.parent.glob("[!.]*.npz")
+            for ending in predictor_file.ENDINGS
+            for p in model.parent.glob(f"[!.]*{ending}")
             if p.is_symlink() or _trained_with(p) is not None
         ]
+        beside += [] if predictor is None else [follow_link(predictor)]
         names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in beside})
         discarded = inputs.file_hash(model) if model.is_file() else ""
         back = [name for name in names if finish(model, name)]
@@ -375,7 +382,7 @@ def _kept_as(predictor: Path, of: str) -> Path:
 def _trained_with(path: Path) -> str | None:
     """Return the SHA-256 of the model that a predictor was trained with; None for another file."""
     try:
-        settings = predictor_file.load(path).provenance.settings
+        settings = predictor_file.read_settings(path)
     except InputError:
         return None
     return str(settings.get("model_hash", ""))

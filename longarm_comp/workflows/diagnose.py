@@ -32,7 +32,7 @@ from longarm_comp.core.model.model_file import StoredModel, read_stored, save_mo
 from longarm_comp.report.assemble import build_report, refused_report
 from longarm_comp.report.detail import Detail, detail
 from longarm_comp.report.pages import write_report
-from longarm_comp.report.record import DiagnosisReport
+from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.sessions.poses import FILE, write_poses
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs
@@ -263,10 +263,13 @@ def diagnose_files(
     test: Path | None = None,
     model: Path | None = None,
     kind_of: Sequence[Path] = (),
+    note: inputs.Note = inputs.log_note,
     progress: inputs.Telling = False,
     **how: Any,
 ) -> DiagnosisResult:
     """Diagnose files and write everything to a folder; arguments as in `diagnose`.
+
+    Of refused data the report says why, unless the folder holds an earlier diagnosis.
 
     Raises:
         InputError: as `diagnose`; another process writes to the folder.
@@ -280,16 +283,34 @@ def diagnose_files(
             inputs.choose_physics(arm, model)
         try:
             found = diagnose(
-                arm, session, test=test, model=model, kind_of=kind_of, progress=progress, **how
+                arm,
+                session,
+                test=test,
+                model=model,
+                kind_of=kind_of,
+                note=note,
+                progress=progress,
+                **how,
             )
         except InputError as error:
-            seed = how.get("seed", 0)
-            report = refused_report(error, seed, inputs.file_hash(session))
-            write_report(report, Detail(title=session.name), folder)
+            if _holds_diagnosis(folder):
+                note(f"{folder} keeps the diagnosis of before")
+            else:
+                of = inputs.file_hash(session)
+                report = refused_report(error, how.get("seed", 0), of, model is not None)
+                write_report(report, Detail(title=session.name), folder)
             raise
         inputs.make_teller(progress)("report")
         found.save(folder)
         return found
+
+
+def _holds_diagnosis(folder: Path) -> bool:
+    """Tell whether a folder has a report that says more than that data were refused."""
+    try:
+        return read_report(folder).verdict != "bad_data"
+    except InputError:
+        return (folder / "report.json").exists()
 
 
 def _path_of(given: inputs.SessionLike) -> Path:

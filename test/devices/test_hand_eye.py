@@ -12,7 +12,7 @@ from cli_shell import Shell
 from servo_bench import folder as arm_folder
 
 from longarm_comp.arm_folder.check import check_folder
-from longarm_comp.arm_folder.measured import head_at, note_measured, read_measured
+from longarm_comp.arm_folder.measured import head_at, is_changed, note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.arm_folder.servos import SERVOS
 from longarm_comp.core.arm.arm import Arm
@@ -101,6 +101,8 @@ def test_the_tip_is_seen_where_it_is_afterwards(
     assert "put position_m" in shell.err and "started again" in shell.err
     assert found["rows"] + found["outliers"] == POSES and 1 <= found["outliers"] <= 3
     assert head.missed_mm(fresh).max() < 0.5
+    bridge = "stereo_bridge.yaml"
+    assert not is_changed(folder, bridge, read_measured(folder)[bridge])
     again = shell.json(*words)  # the same rows were measured with what stood there before
     assert (again["xyz"], again["quaternion"]) == (
         pytest.approx(found["xyz"]), pytest.approx(found["quaternion"]),

@@ -206,3 +206,20 @@ def test_a_driver_that_is_heard_of_last_is_on_the_graph(tmp_path: Path, shell: S
         driver.join()
     assert (found["driver"], found["next"]) == ("ready", "")
     assert "kinematics" in found["nodes"] and "no target is followed" not in str(found)
+
+
+@pytest.mark.usefixtures("soon")
+def test_a_node_that_follows_paths_and_does_not_report_is_told_of(
+    tmp_path: Path, shell: Shell
+) -> None:
+    """It reports once a minute, so that it is as silent as one that hangs."""
+    arm = tmp_path / "arm.yaml"
+    arm.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_none=True)))
+    with own_graph(tmp_path), bench() as stage:
+        heard = stage.collect(graph.DIAGNOSTICS)
+        stage.start("trajectory_compensator", {"arm": arm, "diagnostics_period_s": 60.0})
+        stage.spin(lambda: heard)
+        found = shell.json("status")
+    told = {t["node"]: t["message"] for t in found["troubles"]}
+    assert "does not report" in told["trajectory_compensator"]
+    assert "not on the graph" in told["kinematics"]

@@ -19,6 +19,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+import cobot
 from cli_shell import Shell
 from forked import ForkedProgram
 from nodes_bench import Bench, bench
@@ -32,7 +33,7 @@ from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.jobs.collect.run import visits_in_bag
-from longarm_comp.jobs.collect.visits import Visit, list_visits
+from longarm_comp.jobs.collect.visits import Visit, list_visits, plan_checks
 from longarm_comp.sessions.bag import bag_info, open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types, publisher_quality
@@ -117,6 +118,19 @@ def test_a_run_up_stays_in_the_box_and_comes_from_the_planned_side(arm: Arm) -> 
     np.testing.assert_allclose(low.path[0] - low.q, length)  # no room below
     straight = list_visits(Plan(plan.q, np.zeros(3)), arm)
     assert all(len(visit.path) == 1 for visit in straight)
+
+
+def test_the_run_up_of_an_endless_joint_is_inside_its_limits() -> None:
+    arm = cobot.arm(180.0, {1: {"endless": True, "limits_deg": None}})
+    q = arm.mid.copy()
+    q[0] = np.pi
+    visits = list_visits(Plan(q[None], np.array([-1])), arm)
+    assert visits[0].path[0, 0] > np.pi
+    (limits,) = plan_checks(arm, visits)
+    assert limits.faults == ("",)
+    beyond = arm.upper + 0.1
+    (limits,) = plan_checks(arm, [dataclasses.replace(visits[0], path=beyond[None])])
+    assert limits.faults[0].startswith("joint2 outside")
 
 
 def test_a_joint_without_a_side_stands_still_in_the_run_up(arm: Arm) -> None:

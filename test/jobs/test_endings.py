@@ -172,3 +172,18 @@ def test_apply_that_is_broken_off(
     *before, last = shell.err.splitlines()
     assert cause in last
     assert ("run the same command again" in " ".join(before)) == begun
+
+
+def test_a_model_that_a_node_refuses_is_put_back_with_its_predictor(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The predictor may be in another folder, where no one else would look for it."""
+    model, predictor = tmp_path / "work" / "model.yaml", tmp_path / "elsewhere" / "predictor.npz"
+    client, put_back = MagicMock(), MagicMock()
+    client.parameters.side_effect = [(str(EXAMPLE), str(model)), (str(predictor),)]
+    client.ask.return_value.success = False
+    monkeypatch.setattr(apply_job, "apply", MagicMock())
+    monkeypatch.setattr(apply_job, "undo", put_back)
+    with pytest.raises(JobError, match="kinematics did not take up its file"):
+        apply_job.apply_on_graph(client, tmp_path / "diagnosis")
+    put_back.assert_called_once_with(model, predictor)

@@ -17,6 +17,7 @@ from nodes_bench import Bench, bench
 from own_graph import own_graph
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from target_requests import pose as posed
 
@@ -280,6 +281,10 @@ def test_the_error_computed_from_the_served_file_is_that_of_the_service(
     def alike() -> np.ndarray:
         """Compare them, and return the error at the first row."""
         serves(file_hash(path))
+        service.on_served(String(data=f"{file_hash(path)} /nowhere/predictor.npz"), 0.0)
+        for client in (here, service):  # also where it expects nothing, it is known who answered
+            assert not client.ask(arm.upper, known).in_domain
+            assert client.file_hash == file_hash(path)
         inside = set()
         for k, columns in enumerate(({"temperature_c": 21.0}, {}, {"payload_kg": 0.5})):
             for joints in (q[k], arm.upper):

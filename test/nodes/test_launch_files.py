@@ -118,6 +118,10 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
     assert Path(scaled["state"]).parent == state_folder() / "simulated"  # not the real arm's stops
     learned = fast.parameters("kinematics", "/tmp/bus")["learned_file"]
     assert Path(learned).parent == Path(scaled["state"])  # nor what the real arm learned
+    others = (replace(fast, namespace=name) for name in ("left", "/right/", "/a/b"))
+    theirs = {each.parameters("kinematics", "unused")["learned_file"] for each in others}
+    assert {Path(path).parent for path in theirs} == {Path(learned).parent}
+    assert len({*theirs, learned}) == 4  # each simulated arm has its own
     assert "learned_file" not in real.parameters("kinematics", "unused")
     assert scaled["follower.lost_error_ticks"] == pytest.approx(1600.0)
     assert scaled["follower.max_step_s"] == pytest.approx(0.025)

@@ -101,10 +101,12 @@ def test_same_diagnosis_gives_same_bytes_whatever_the_order_of_keys(
 
 def test_plots_of_an_earlier_report_go(tmp_path: Path) -> None:
     (tmp_path / "plots").mkdir()
-    (tmp_path / "plots" / "against_q5.svg").write_text("<svg>longarm</svg>")
+    kept = ["my_distribution.svg", "place_1 copy.svg", "place_1.svg"]
+    for name in ("against_q5.svg", "distribution.svg", "place_10.svg", *kept[:2]):
+        (tmp_path / "plots" / name).write_text("<svg>longarm</svg>")
     (tmp_path / "plots" / "place_1.svg").write_text("<svg>mine</svg>")
     write_sample(*sample("bad_data"), tmp_path)
-    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["place_1.svg"]
+    assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == kept
     with pytest.raises(InputError, match=r"place_1\.svg: plot: 'exists and is no plot"):
         write_sample(*sample("named"), tmp_path)
     assert (tmp_path / "plots" / "place_1.svg").read_text() == "<svg>mine</svg>"
@@ -112,7 +114,8 @@ def test_plots_of_an_earlier_report_go(tmp_path: Path) -> None:
     write_sample(*sample("named"), tmp_path)
     made = [path for path in (tmp_path / "plots").iterdir() if path.stem.startswith("place")]
     write_sample(*sample("bad_data"), tmp_path)
-    assert made and not list((tmp_path / "plots").iterdir())  # all that it drew before
+    left = sorted(path.name for path in (tmp_path / "plots").iterdir())
+    assert made and left == kept[:2]  # all that it drew before is gone
 
 
 # The page

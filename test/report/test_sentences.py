@@ -177,12 +177,23 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         compensated=True,
         kept=True,
     )
-    for kept in (True, False):
-        found = report.model_copy(
-            update={"discovered": [cause.model_copy(update={"kept": kept}), cause]}
-        )
+    row = report.held_out.rows[0]
+    for gain_mm, kept in ((1.0, True), (0.3, True), (0.3, False), (1.0, False)):
+        errors_mm = {"with_effects": 1.2, WITH_FUNCTIONS: 1.2 - gain_mm}
+        rows = [
+            row.model_copy(update={"model": m, "mean_mm": mm, "rms_mm": 9 * mm})
+            for m, mm in errors_mm.items()
+        ]
+        held = report.held_out.model_copy(update={"rows": rows})
+        quiet = report.noise.model_copy(update={"sigma_mm": None})
+        causes = [cause.model_copy(update={"kept": kept}), cause]
+        found = report.model_copy(update={"discovered": causes, "held_out": held, "noise": quiet})
         said, made = words.meaning(found), cards.cards(found)
         assert len(made) == 1 + kept
+        worth = "Together all 2 causes without a name are" if kept else "It is"
+        little = f"{worth} worth 0.30 mm, less than 0.5 mm."
+        assert {card.duty for card in made} == {"Do only if" if gain_mm == 1.0 else "Leave alone"}
+        assert all((card.advice == little) == (gain_mm == 0.3) for card in made)
         assert ("two causes without a name were" in said) == kept and "none was added" not in said
     (card,) = made
     assert card.title == "Cause without a name, joint 5" and card.advice.endswith(cause.action)
@@ -190,7 +201,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
     assert card.sure == "likely; the place is open" and "joint 6, force y" in card.because
     assert "few positions" in open_questions(found, Detail())[0][1][0]
     assert card.doubts == tuple(cause.doubts)
-    assert card.improves == "1.39 → 0.11 mm" and "compensates it" in card.software
+    assert card.improves == "1.20 → 0.20 mm" and "compensates it" in card.software
 
 
 def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]) -> None:
@@ -208,6 +219,12 @@ def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]
         shown = page.words()
         assert gain["commanded"] in shown and (gain["seen"] in shown)
         assert ("as seen and as a command would have it" in shown) == (not gain["seen"])
+
+
+def test_a_given_model_is_not_called_the_arm_as_declared() -> None:
+    for given, name in ((False, "the arm as declared"), (True, "the model before")):
+        report = build_report(dataclasses.replace(in_doubt(), model_given=given), "0" * 64)
+        assert f"from {name} to" in Page(rendered(report, Detail(), {})).words()
 
 
 def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:

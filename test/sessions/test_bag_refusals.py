@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_robot import STORAGES, command, refusal, robot, sighting, state
+from bag_robot import STORAGES, command, refusal, robot, row_said, sighting, state
 from session_bag import write_bag
 from small_arm import ARM, measured
 
@@ -53,6 +53,42 @@ def test_a_row_that_tells_nonsense(text: str, tmp_path: Path) -> None:
         sighting(put, 0.5, [0.4, 0.1, 0.3])
         put("session_row", "std_msgs/msg/String", 0.6, data=text)
     assert "session_row at 0.400 s" in refusal(tmp_path / "bag")
+
+
+def told_of_three(path: Path, *rows: dict[str, Any]) -> Path:
+    """A bag of three poses, with what is said after each."""
+    with robot(path) as put:
+        for k, row in enumerate(rows):
+            command(put, 2 * k + 0.2, [0.1 * k, 0.5, 0.05, 0.2])
+            sighting(put, 2 * k + 0.5, [0.4, 0.1, 0.3])
+            row_said(put, 2 * k + 1.0, **row)
+    return path
+
+
+def test_a_label_that_a_row_lacks_is_blank_and_a_number_that_it_lacks_is_missed(
+    tmp_path: Path,
+) -> None:
+    elbow, wind = {"labels": {"marker": "elbow"}}, {"columns": {"wind": 3.0}}
+    session = read_bag(told_of_three(tmp_path / "a", {}, elbow, {}), ARM)
+    assert session.labels["marker"].tolist() == ["", "elbow", ""]
+    session = read_bag(told_of_three(tmp_path / "b", wind, wind, wind), ARM)
+    assert session.columns["wind"].tolist() == [3.0, 3.0, 3.0]
+    told_of_three(tmp_path / "c", {"index": 7, **wind}, {"index": 8}, {"index": 9, **wind})
+    assert "session_row columns wind: 'none at index 8'" in refusal(tmp_path / "c")
+    tilt = {"columns": {"incl_base_x": 0.1}}
+    columns = read_bag(told_of_three(tmp_path / "d", {}, tilt, {}), ARM).columns
+    np.testing.assert_array_equal(columns["incl_base_x"], [np.nan, 0.1, np.nan])
+
+
+def test_two_rows_of_one_command(tmp_path: Path) -> None:
+    for k, second in enumerate(({"index": 4}, {"index": 5})):
+        with robot(tmp_path / str(k)) as put:
+            command(put, 0.2, [0.1, 0.5, 0.05, 0.2])
+            sighting(put, 0.5, [0.4, 0.1, 0.3])
+            row_said(put, 0.6, index=4)
+            row_said(put, 0.7, **second)
+    assert read_bag(tmp_path / "0", ARM).index.tolist() == [4]
+    assert "session_row at 0.500 s: 'another of one command'" in refusal(tmp_path / "1")
 
 
 def test_a_bag_without_commands_or_sightings(tmp_path: Path) -> None:

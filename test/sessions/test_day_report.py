@@ -21,11 +21,13 @@ from longarm_comp.sessions.message_types import message_types
 MISS = 0.5e-3
 
 
-def said(put: Any, t: float, part: str, level: int, message: str) -> None:
+def said(
+    put: Any, t: float, part: str, level: int, message: str, node: str = "/kinematics"
+) -> None:
     """A line of /diagnostics."""
     types = message_types().types
     status = types["diagnostic_msgs/msg/DiagnosticStatus"](
-        level=level, name=f"/kinematics: {part}", message=message, hardware_id="", values=[]
+        level=level, name=f"{node}: {part}", message=message, hardware_id="", values=[]
     )
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     put("diagnostics", kind, t, header=header(t), status=[status])
@@ -47,11 +49,16 @@ def bag(tmp_path: Path) -> Path:
             state(put, t + 5.0, q.tolist())
             if k < 3:
                 for s in (3.5, 4.0, 4.5):
-                    sighting(put, t + s, (target + (k + 1) * MISS * np.eye(3)[2]).tolist())
+                    tip = target + (k + 1) * MISS * np.eye(3)[2]
+                    sighting(put, t + s, tip.tolist(), topic="tip_seen")
+                    sighting(put, t + s, [9.0, 9.0, 9.0], frame="tracker")
             said(put, t + 6.0, LEARNED_SAID, 0, f"learning: friction ({90 + k} %)")
         said(put, 6000.0, "driver", 1, "joint 2 is 61 degC")
         said(put, 6100.0, "driver", 1, "joint 2 is 62 degC")
         said(put, 6200.0, "ready", 0, "ready")
+        other = "/another/kinematics"
+        said(put, 6300.0, LEARNED_SAID, 0, "learning: an arm that is not this one", other)
+        said(put, 6400.0, "driver", 2, "its fault", other)
     return tmp_path / "today"
 
 
@@ -85,9 +92,57 @@ def test_a_bag_without_targets_is_refused(tmp_path: Path) -> None:
     with robot(tmp_path / "bag") as put:
         command(put, 1.0, ARM.mid.tolist())
         state(put, 3.0, ARM.mid.tolist())
-        sighting(put, 4.0, [0.0, 0.0, 0.5])
+        sighting(put, 4.0, [0.0, 0.0, 0.5], topic="tip_seen")
     with pytest.raises(InputError, match="compensation"):
         read_day(tmp_path / "bag", ARM, None, ())
+
+
+def served(path: Path, tips: str, frame: str = "base", base: str = "base") -> Path:
+    """A bag of one target that came in the frame of a tracker, with a learned error."""
+    target = np.array([0.3, 0.1, 0.2])
+    with robot(path, "/arm") as put:
+
+        def put_story(topic: str, kind: str, t: float, **story: Any) -> None:
+            far = story["target"].pose.position
+            far.x, far.y, far.z = 7.0, 8.0, 9.0
+            story["pseudo_target"].pose.position.x -= 0.02
+            story["predicted_error"].x = 0.02
+            story["header"].frame_id = base
+            put(topic, kind, t, **story)
+
+        asked(put_story, 10.0, ARM.mid, target)
+        command(put, 10.1, ARM.mid.tolist())
+        for t in (13.0, 15.0):
+            state(put, t, ARM.mid.tolist())
+        for t in (13.5, 14.0, 14.5):
+            sighting(put, t, (target + MISS * np.eye(3)[2]).tolist(), frame=frame, topic=tips)
+    return path
+
+
+def test_tips_and_targets_are_compared_in_the_base(tmp_path: Path) -> None:
+    bag = served(tmp_path / "known", "tip_seen", "arm_base", "arm_base")
+    assert read_day(bag, ARM, None, ()).error_mm == pytest.approx([0.5])
+    with pytest.raises(InputError, match=r"tip_seen frame_id: 'tracker'.*base: a model that knows"):
+        read_day(served(tmp_path / "unknown", "tip_seen", "tracker"), ARM, None, ())
+    with pytest.raises(InputError, match="tip_seen: 'no message'"):
+        read_day(served(tmp_path / "raw", "tip_measured"), ARM, None, ())
+
+
+def test_only_what_differs_in_its_figures_is_one_notice(tmp_path: Path) -> None:
+    texts = ["joint1: stalled", "joint4: stalled", "Servo 3 is hot", "Servo 4 is hot"]
+    texts += ["Joint 3, driver 1", "Joint 3, driver 2", "joint 12 lost", "joint 13 lost"]
+    with robot(tmp_path / "faults") as put:
+        for t, text in enumerate(texts, 1):
+            said(put, t, "driver", 2, text)
+        for t, text in enumerate(("-1.5e-3 m at 3:20", "12 m at 14:05"), 20):
+            said(put, t, "driver", 2, text)
+        asked(put, 40.0, ARM.mid, np.zeros(3))
+        command(put, 40.1, ARM.mid.tolist())
+        for t in (43.0, 45.0):
+            state(put, t, ARM.mid.tolist())
+        sighting(put, 44.0, [0.0, 0.0, 0.5], topic="tip_seen")
+    notices = read_day(tmp_path / "faults", ARM, None, ()).said
+    assert [notice.message for notice in notices] == [*texts, "12 m at 14:05"]
 
 
 def test_a_day_on_which_nothing_was_seen_has_a_row() -> None:

@@ -126,6 +126,7 @@ def sighting(
     frame: str = "base",
     turn: Any = (0.0, 0.0, 0.0, 1.0),
     turn_sd: float = 0.0,
+    topic: str = "tip_measured",
 ) -> None:
     """The tip as measured, with so large a standard deviation in every direction, m and rad."""
     types = message_types().types
@@ -140,7 +141,7 @@ def sighting(
     )
     whole = types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=covariance)
     kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-    put("tip_measured", kind, t, header=header(t, frame), pose=whole)
+    put(topic, kind, t, header=header(t, frame), pose=whole)
 
 
 def refusal(path: Path, **how: Any) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.report import record
-from longarm_comp.workflows.apply import apply, list_changes, undo
+from longarm_comp.workflows.apply import apply, list_changes, take_back, undo
 from longarm_comp.workflows.inputs import file_hash, load_predictor
 from longarm_comp.workflows.train import TrainedPredictor
 
@@ -109,6 +110,49 @@ def test_undo_restores_model_and_predictor_byte_for_byte(
     undo(model)
     after = bytes_of(model.parent)
     assert {name: after[name] for name in before} == before
+
+
+def test_the_predictor_of_a_network_of_others_is_kept_and_returns(
+    diagnosed: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its network is not there: it is a file of others, which neither command is given."""
+    model, net = at_work(tmp_path), at_work(tmp_path).with_name("net.safetensors")
+    apply(diagnosed("first"), ARM, model)
+    papers = predictor_file.load(model.with_name("predictor.npz"))
+    others: Any = SimpleNamespace(name="mine.py", origin=64 * "0")
+    predictor_file.save(dataclasses.replace(papers, hidden=0, network=others), net)
+    model.with_name("predictor.npz").unlink()
+    before, first = net.read_bytes(), file_hash(model)
+    wider = FOUND.with_values(1.5 * FOUND.values)
+    second = diagnosed("second", before=model, model=wider)
+    with monkeypatch.context() as patch:
+        patch.setattr("longarm_comp.workflows.apply.train", pytest.fail)
+        with pytest.raises(InputError, match=r"net\.safetensors: predictor file: 'ends in \."):
+            apply(second, ARM, model, net)
+    done = apply(second, ARM, model, net, network=False)
+    assert done.set_aside == net.with_name(f"net.of_{first[:12]}.safetensors")
+    assert not net.exists()
+    assert undo(model) == net
+    assert net.read_bytes() == before
+
+
+def test_a_predictor_in_another_folder_returns_too(
+    diagnosed: Callable[..., Path], tmp_path: Path
+) -> None:
+    model, predictor = at_work(tmp_path), tmp_path / "elsewhere" / "predictor.npz"
+    apply(diagnosed("first"), ARM, model, predictor)
+    before = predictor.read_bytes()
+    wider = FOUND.with_values(1.5 * FOUND.values)
+    second = diagnosed("second", before=model, model=wider)
+    for taken_back in (
+        lambda: undo(model, predictor),
+        lambda: take_back(second, model, predictor),
+    ):
+        apply(second, ARM, model, predictor)
+        assert predictor.read_bytes() != before
+        taken_back()
+        assert predictor.read_bytes() == before
+        load_predictor(predictor, ARM, model)
 
 
 def test_a_diagnosis_older_than_the_model_at_work_is_refused(

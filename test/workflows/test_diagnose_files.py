@@ -1,4 +1,4 @@
-"""The folder of a diagnosis: one diagnosis at a time."""
+"""The folder of a diagnosis: one diagnosis at a time, and none is lost to data that are refused."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from report_pages import sample, write_sample
 from small_arm import ARM
 
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.report.record import read_report
 from longarm_comp.workflows.diagnose import diagnose_files
 
 
@@ -29,3 +31,33 @@ def test_two_diagnoses_into_one_folder_are_refused(
         with pytest.raises(JobError, match="diverged"):
             diagnose_files(ARM, session, folder)
     assert not list(folder.iterdir())
+
+
+def test_refused_data_leave_an_earlier_diagnosis_as_it_is(tmp_path: Path) -> None:
+    bad, folder, notes = tmp_path / "bad.csv", tmp_path / "diagnosis", list[str]()
+    bad.write_text("q1,q2,q3,q4,x,y,z\n0,0,0,0,1,1,1\n")
+
+    def refuse() -> None:
+        with pytest.raises(InputError, match="at least 20 distinct poses"):
+            diagnose_files(ARM, bad, folder, note=notes.append)
+
+    def held() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+    refuse()
+    assert read_report(folder).verdict == "bad_data"
+    first = held()
+    (folder / "report.html").write_text("old")
+    refuse()  # a refusal takes the place of a refusal
+    assert held() == first
+
+    for write in (
+        lambda: write_sample(*sample("named"), folder),
+        lambda: (folder / "report.json").write_text("of a later version"),
+    ):
+        write()
+        (folder / "model.yaml").write_text("good")
+        before = held()
+        refuse()
+        assert held() == before
+        assert notes.pop() == f"{folder} keeps the diagnosis of before"

@@ -7,6 +7,8 @@ about the last sightings is not stored either: the model from before it is.
 from __future__ import annotations
 
 import json
+import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +17,7 @@ from pydantic import Field
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.at_work.learner import STEP_M, Learner, Named, Version
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import check_regular, write_text
+from longarm_comp.core.files import check_regular, follow_link, write_text
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, restore, store
 from longarm_comp.core.yaml_file import Declared, parse_declared
@@ -62,6 +64,32 @@ def save(path: str | Path, learner: Learner, given: str) -> None:
     write_text(path, stored.model_dump_json(by_alias=True, indent=1))
 
 
+def take_up(path: Path, given: str) -> None:
+    """Put the file of what was learned with a model in its place, if there is one.
+
+    A file there that learned with another model is kept beside it, under the hash of that model.
+
+    Args:
+        given: SHA-256 of the model.yaml in use.
+
+    Raises:
+        InputError: the file there cannot be read.
+    """
+    here = follow_link(path)
+    held = _read(here) if here.exists() else None
+    if held is not None and held.given == given:
+        return
+    with suppress(OSError):  # a folder that takes no name takes no file either, which `save` says
+        if held is not None and held.sightings:
+            os.replace(here, _kept_as(here, held.given))
+        if (kept := _kept_as(here, given)).exists():
+            os.replace(kept, here)
+
+
+def _kept_as(path: Path, given: str) -> Path:
+    return path.with_name(f"{path.stem}.of_{given[:12]}{path.suffix}")
+
+
 def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> Learner:
     """Return the learner that a file holds for a model.
 
@@ -78,12 +106,7 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
     begun = Learner.of(model, step_m)
     if not Path(path).exists():
         return begun
-    check_regular(path)
-    try:
-        read = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
-        raise InputError(path, "file", str(error), "a file that kinematics wrote") from None
-    stored = parse_declared(_StoredLearner, read, str(path))
+    stored = _read(path)
     if stored.given != given:
         return begun
     where, arm = str(path), model.arm
@@ -102,6 +125,15 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
         sightings=stored.sightings,
         doubtful=stored.doubtful,
     )
+
+
+def _read(path: str | Path) -> _StoredLearner:
+    check_regular(path)
+    try:
+        read = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise InputError(path, "file", str(error), "a file that kinematics wrote") from None
+    return parse_declared(_StoredLearner, read, str(path))
 
 
 def _restore_known(stored: StoredModel, arm: Arm, where: str) -> Model:

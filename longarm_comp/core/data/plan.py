@@ -143,8 +143,8 @@ def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
         q: (N, n) commanded joints, rad and m.
         sides: (N, n) wanted sides, +-1; 0 stays 0.
     """
-    start = q - sides * run_up_lengths(arm)
-    return np.where((start < arm.lower) | (start > arm.upper), -sides, sides)
+    start, (lower, upper) = q - sides * run_up_lengths(arm), arm.bounds
+    return np.where((start < lower) | (start > upper), -sides, sides)
 
 
 def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
@@ -210,7 +210,7 @@ def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
     if not model.arm.keep_out:
         return np.ones(len(plan), dtype=bool)
     start = plan.q - plan.approach * run_up_lengths(model.arm)
-    begun = np.clip(start, model.arm.lower, model.arm.upper)
+    begun = np.clip(start, *model.arm.bounds)
     pairs = zip(boxes_entered(model, plan.q), boxes_entered(model, begun), strict=True)
     return np.array([not any(pair) for pair in pairs])
 

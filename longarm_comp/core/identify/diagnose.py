@@ -120,7 +120,8 @@ def diagnose(
     if structure.flag and train_network is not None and final.session.has_position.any():
         say("network")
         network, proof = proved.train_network(train_network, anew=test is None)
-    aside = _refuse_as_calibrate(final, proof, proved)
+    before = "the declared arm" if model is None else "the model before"
+    aside = _refuse_as_calibrate(final, proof, proved, before)
     without_name = list_causes(found.fit, found.found)
     unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")
@@ -131,6 +132,7 @@ def diagnose(
     )
     diagnosis = Diagnosis(
         arm=arm,
+        model_given=model is not None,
         search=found,
         findings=named,
         causes=without_name,
@@ -182,11 +184,17 @@ def _find_structure(proved: ProvedModels) -> Structure:
     return with_held_out(structure, proved.fullest)
 
 
-def _refuse_as_calibrate(final: ModelFit, proof: Proof, proved: ProvedModels) -> SetAside:
-    """Raise JobError for a fit that `calibrate` would refuse; return the rows that it set aside."""
+def _refuse_as_calibrate(
+    final: ModelFit, proof: Proof, proved: ProvedModels, before: str
+) -> SetAside:
+    """Raise JobError for a fit that `calibrate` would refuse; return the rows that it set aside.
+
+    Args:
+        before: what to call the model to which effects were added.
+    """
     rows = proved.held_out.take(proof.rows_at)
     at = {name: error[mark_believed_rows(final, rows)] for name, error in proof.errors.items()}
-    plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}
+    plainer = {"calibration": at[CALIBRATED], before: at["nominal"]}
     return refuse_implausible(final, None, at[proved.written], plainer)
 
 

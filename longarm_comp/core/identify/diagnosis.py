@@ -51,6 +51,7 @@ class Diagnosis:
 
     Attributes:
         arm: the declared arm.
+        model_given: whether the model before was given; else it was that of the declared arm.
         search: the explained session with which the search ended.
         findings: effects with a name, strongest first.
         causes: functions without a name, largest first.
@@ -62,7 +63,7 @@ class Diagnosis:
         intervals: intervals of the parameters of the model to use, by position in its slots.
         structure: the structure that is left in the residual.
         set_aside: rows that the fit of the model to use set aside as outliers.
-        models: nominal, frames_only and the models of `fits`.
+        models: nominal (the model before), frames_only and the models of `fits`.
         folds: the same models fitted without some rows; every held-out row is in one fold.
         proof: errors of all models at the rows that they were fitted without.
         network: the predictor of the residual; None if it does not help at held-out poses.
@@ -76,6 +77,7 @@ class Diagnosis:
     """
 
     arm: Arm
+    model_given: bool
     search: ExplainedSession
     findings: tuple[Finding, ...]
     causes: tuple[Cause, ...]

@@ -112,7 +112,7 @@ def prove_written(
     """Fit the models that may become the model file, test them on held-out rows, and choose one.
 
     Args:
-        nominal: the declared model.
+        nominal: the model before.
         staged: fits of its placements (``frames_only``) and of its geometry (``geometry``).
         search: the search that found the effects.
         test: the held-out rows; None: every fitted row is held out once, in folds.
@@ -196,7 +196,7 @@ def _fit_folds(
     """Fit everything anew without each fold of the rows.
 
     Args:
-        nominal: the declared model.
+        nominal: the model before.
         frames_only: the same with its placements fitted.
         fits: fits of the calibrated model and of fuller ones, to all rows.
         search: the search that found the effects.

@@ -28,8 +28,8 @@ from longarm_comp.core.yaml_file import Declared, parse_declared
 
 _LARGEST = 1e6
 """Largest input, weight or length (m) that is allowed: no arm is a thousand kilometres long."""
-_OTHERS = ".safetensors"
-"""Ending of the file of a network from outside the package."""
+ENDINGS = _PAPERS, _OTHERS = ".npz", ".safetensors"
+"""Endings of the files of the paper's networks, and of those from outside the package."""
 
 _ENCODING = {
     "kept": "kept",
@@ -75,7 +75,7 @@ def check_ending(path: str | os.PathLike[str], of_others: bool) -> None:
     """
     ending = Path(path).suffix
     if of_others != (ending == _OTHERS):
-        allowed = f"{_OTHERS} for a network of others, .npz for the paper's"
+        allowed = f"{_OTHERS} for a network of others, {_PAPERS} for the paper's"
         raise InputError(path, "predictor file", f"ends in {ending or 'nothing'}", allowed)
 
 
@@ -117,6 +117,11 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         entry = json.dumps({"header": said, "sha256": _digest(said, arrays)}, sort_keys=True)
         content = packed(arrays, {"longarm": entry})
     write_bytes(path, content)
+
+
+def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read the settings with which a predictor was trained; its network need not be there."""
+    return _read(path)[0].settings
 
 
 def load(

@@ -8,6 +8,7 @@ raw images it is the *rectified* left frame, because there K, D, R and P share o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,7 +19,18 @@ from longarm_comp.devices.camera_info import CameraInfo
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 
 Array = NDArray[np.float64]
-_MODELS = {"": 8, "plumb_bob": 5, "rational_polynomial": 8}  # distortion model -> coefficients
+_MODELS = ("", "plumb_bob", "rational_polynomial")
+
+
+def check_distortion(model: str, where: str | Path) -> None:
+    """Refuse a distortion model that `Camera` does not have, such as a fisheye's ``equidistant``.
+
+    Args:
+        where: topic or file for the error message.
+    """
+    if model not in _MODELS:
+        known = " or ".join(name for name in _MODELS if name)
+        raise InputError(where, "distortion_model", model, known)
 
 
 @dataclass(frozen=True)
@@ -136,8 +148,6 @@ def _from_info(info: CameraInfo, rectified: bool) -> Camera:
     shift = np.array([p[0, 3] / p[0, 0], p[1, 3] / p[1, 1], 0.0])
     if rectified:
         return Camera(p[:, :3], np.eye(3), shift, size)
-    if info.distortion_model not in _MODELS:
-        known = " or ".join(name for name in _MODELS if name)
-        raise InputError("camera_info", "distortion_model", info.distortion_model, known)
+    check_distortion(info.distortion_model, "camera_info")
     to_camera = np.asarray(info.r, dtype=float).reshape(3, 3).T
     return Camera(info.k, to_camera, to_camera @ shift, size, info.d)

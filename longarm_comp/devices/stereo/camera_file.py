@@ -13,7 +13,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.camera_info import CameraInfo
-from longarm_comp.devices.stereo.camera import Camera, StereoRig
+from longarm_comp.devices.stereo.camera import Camera, StereoRig, check_distortion
 from longarm_comp.devices.stereo.target import Grey
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
@@ -52,13 +52,13 @@ def read_grey(path: Path) -> Grey:
     return np.asarray(grey, dtype=np.uint8)
 
 
-_MATRICES = {
+_MATRICES: dict[str, tuple[str, int, int | None]] = {
     "camera_matrix": ("k", 3, 3),
-    "distortion_coefficients": ("d", 1, 5),
+    "distortion_coefficients": ("d", 1, None),
     "rectification_matrix": ("r", 3, 3),
     "projection_matrix": ("p", 3, 4),
 }
-"""Field of `CameraInfo`, number of rows and of columns, by key in the file."""
+"""Field of `CameraInfo`, number of rows and of columns (None: any), by key in the file."""
 
 
 def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
@@ -93,8 +93,9 @@ def camera_text(name: str, camera: CameraInfo, head: str) -> str:
         "camera_name": name,
         "distortion_model": camera.distortion_model,
     }
-    for key, (field, rows, columns) in _MATRICES.items():
-        data[key] = {"rows": rows, "cols": columns, "data": list(getattr(camera, field))}
+    for key, (field, rows, _) in _MATRICES.items():
+        numbers = list(getattr(camera, field))
+        data[key] = {"rows": rows, "cols": len(numbers) // rows, "data": numbers}
     comment = "".join(f"# {line}\n" for line in head.splitlines())
     return comment + yaml.safe_dump(data, sort_keys=False, default_flow_style=None)
 
@@ -107,9 +108,11 @@ def read_camera(path: Path) -> CameraInfo:
         try:
             numbers = tuple(float(v) for v in data[key]["data"])
         except (KeyError, TypeError, ValueError):
-            numbers = ()
-        if len(numbers) != rows * columns or not np.isfinite(numbers).all():
-            raise InputError(path, f"{key}.data", len(numbers), f"{rows * columns} numbers")
+            numbers = (np.nan,)
+        wanted = len(numbers) if columns is None else rows * columns
+        if len(numbers) != wanted or not np.isfinite(numbers).all():
+            allowed = "numbers" if columns is None else f"{wanted} numbers"
+            raise InputError(path, f"{key}.data", len(numbers), allowed)
         values[field] = numbers
     try:
         width, height = int(data["image_width"]), int(data["image_height"])
@@ -117,4 +120,5 @@ def read_camera(path: Path) -> CameraInfo:
     except (KeyError, TypeError, ValueError) as error:
         allowed = "image_width, image_height, distortion_model"
         raise InputError(path, "camera", f"no {error.args[0]}", allowed) from error
+    check_distortion(model, path)
     return CameraInfo(width, height, model, **values)

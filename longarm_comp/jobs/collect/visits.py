@@ -114,7 +114,7 @@ def plan_checks(
     """Check the visits of a plan; checks that need missing data or cameras are left out."""
     model = declared_model(arm)
     q = np.array([visit.q for visit in visits])
-    outside = tuple(_why_outside(arm.joint_names, v.path, arm.lower, arm.upper) for v in visits)
+    outside = tuple(_why_outside(arm.joint_names, v.path, *arm.bounds) for v in visits)
     checks = [PlanCheck("inside the limits of arm.yaml", outside, True)]
     if servos is not None:
         joints = [servos.joints[name] for name in arm.joint_names]

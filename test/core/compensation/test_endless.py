@@ -14,15 +14,18 @@ from longarm_comp.arm_folder.make import narrow_limits
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.arm.moves import plan_move, wanted_sides
+from longarm_comp.core.arm.moves import plan_move, run_up_lengths, wanted_sides
+from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import JointTrust, check_inside
 from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.data.admission import admit
+from longarm_comp.core.data.plan import Plan, from_both_sides, outside_boxes, with_room
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import Engine, solve, solve_many, warm_up
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
 from longarm_comp.urdf import import_urdf
 from longarm_comp.urdf_export import export_urdf
 from longarm_comp.urdf_file import UrdfRobot
@@ -54,6 +57,21 @@ def test_where_poses_are_planned_is_no_limit() -> None:
     ):  # fmt: skip
         with pytest.raises(InputError, match="endless"):
             arm(180.0, wrong)
+
+
+def test_a_run_up_goes_past_the_end_of_the_poses_that_are_planned() -> None:
+    made = turning()
+    q = np.stack([at(np.pi), at(-np.pi)])
+    for side in (1, -1):
+        sides = np.full(q.shape, side)
+        assert (with_room(made, q, sides)[:, 0] == side).all()
+    plan = Plan(q, np.array([-1, 1]))
+    first, second = from_both_sides(made, plan).approach.reshape(2, 2, -1)[0]
+    assert (first[[0, 5]] == -second[[0, 5]]).all()  # each pose is measured from either side
+    begun = Model(made).tip(q + run_up_lengths(made))
+    box = Box(min_m=tuple(begun[0] - 0.02), max_m=tuple(begun[0] + 0.02))
+    kept_out = Model(made.model_copy(update={"keep_out": {"shelf": box}}))
+    assert outside_boxes(kept_out, plan).tolist() == [False, True]
 
 
 def test_rows_turns_away_are_admitted_and_degrees_are_not() -> None:

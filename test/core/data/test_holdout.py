@@ -163,10 +163,11 @@ def test_a_model_that_fails_its_proof_is_not_written() -> None:
 def test_a_calibration_that_fails_its_proof_is_refused() -> None:
     """The joint that went too far goes too little there: the declared arm errs by half of it."""
     held = session((drives.JointGain(at(2, -0.02)),), n=60, seed=9)
-    with pytest.raises(
-        JobError, match=r"worse on held-out rows than the declared arm: mean 7\.\d+ -> 14"
-    ):
-        diagnosed(session(GAIN), held)
+    for model, name in ((None, "the declared arm"), (Model(ARM), "the model before")):
+        with pytest.raises(
+            JobError, match=rf"worse on held-out rows than {name}: mean 7\.\d+ -> 14"
+        ):
+            core.diagnose(ARM, session(GAIN), test=held, model=model, kinds=(JointGain,))
 
 
 def test_a_few_dangerous_commands_fail_a_proof_that_the_mean_passes() -> None:

@@ -136,6 +136,8 @@ def test_a_second_diagnosis_adds_nothing_and_undo_restores_every_byte(work: Path
     assert diagnosed(*words) == 0
     found = report(folder)
     assert (found["verdict"], found["findings"]) == ("noise", [])
+    assert found["provenance"]["model_given"]
+    assert not report(work / "out")["provenance"]["model_given"]
     stored = yaml.safe_load((folder / "model.yaml").read_text(encoding="utf-8"))
     assert stored["version"] == 2
     origin = next(e["origin"] for e in stored["effects"] if e["effect"] == "joint_gain")
