@@ -77,7 +77,7 @@ class Kinematics(ArmNode):
         state.driver.motion_listeners.append(self._on_motion)
         graph.TIP_MEASURED.subscription(self, self._on_tip)
         self.on_request(graph.RELOAD, state.worker, lambda request: self._reload_model())
-        self.on_request(graph.UNDO, state.worker, lambda request: self._learning.undo())
+        self.on_request(graph.UNDO, state.worker, lambda request: self._undo())
         self.on_request(
             graph.FREEZE, state.worker, lambda request: self._learning.freeze(request.data)
         )
@@ -110,6 +110,11 @@ class Kinematics(ArmNode):
             said = f"{said}; nothing is learned: {error}"
         return done, said
 
+    def _undo(self) -> tuple[bool, str]:
+        done = self._learning.undo()
+        self._monitor.begin_anew()
+        return done
+
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         told, of_model = self._sightings.take(message)
         self._monitor.unplaced = self._sightings.unplaced
@@ -121,7 +126,8 @@ class Kinematics(ArmNode):
 
     def _judge_rest(self, rest: RestPose, context: Context) -> None:
         learned = self._monitor.judge(rest, self._arm.files.loaded.model, context)
-        self._learning.learn_from(rest, context, learned)
+        if self._learning.learn_from(rest, context, learned):
+            self._monitor.begin_anew()
 
     def _on_motion(self, motion: Motion) -> None:
         if motion.event != Motion.REACHED or (now := self._arm.standing) is None:

@@ -7,10 +7,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
-import numpy as np
 from std_msgs.msg import String
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.expansion import Expansion
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import lock_beside
@@ -79,19 +79,24 @@ class Learning:
         self._files.replace_model(self.learner.model)
         self._tell(self.learner)
 
-    def learn_from(self, rest: RestPose, context: Context, learned: np.ndarray | None) -> None:
+    def learn_from(self, rest: RestPose, context: Context, learned: Expansion | None) -> bool:
         """Learn from the tip at a rest pose; nothing while frozen.
 
-        ``learned``: error (3,), m, that the predictor expects there; it is subtracted from the tip.
+        ``learned``: answer of the predictor; the error that it expects is subtracted from the tip.
+
+        Returns:
+            Whether another version of the model began, because a change is now certain.
         """
-        if self.learner is None or self.learner.frozen:
-            return
-        tip = rest.tip if learned is None else rest.tip - learned
-        begun = time.perf_counter()
-        after = self.learner.learn(rest.q, context, tip, rest.variance, self._state.now_s)
+        before = self.learner
+        if before is None or before.frozen:
+            return False
+        error, sigma = (0.0, None) if learned is None else (learned.error, learned.sigma)
+        begun, now_s = time.perf_counter(), self._state.now_s
+        after = before.learn(rest.q, context, rest.tip - error, rest.variance, now_s, sigma)
         self._update_ms = 1e3 * (time.perf_counter() - begun)
         self._take_over(after)
         self._asked = after.request_pose(context)
+        return after.versions[-1] is not before.versions[-1]
 
     def freeze(self, frozen: bool) -> tuple[bool, str]:
         if self.learner is None:

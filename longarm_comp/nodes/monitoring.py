@@ -15,7 +15,9 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carry_place, turned_covariance
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor, Verdict
-from longarm_comp.core.compensation.expected import TipByReadings, expected_miss, tip_by_readings
+from longarm_comp.core.compensation.expansion import Expansion
+from longarm_comp.core.compensation.expected import TipByReadings, tip_by_readings
+from longarm_comp.core.compensation.repeating import RepeatingErrors
 from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -142,7 +144,14 @@ class TipMonitor:
         self._outside = 0
 
     def reset(self) -> None:
-        self._monitor = self._at_target = self._servos = Monitor(self._run_length)
+        """Begin all tests anew."""
+        self._servos = Monitor(self._run_length)
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Begin the tests of the tip anew: the model is another one."""
+        self._monitor = self._at_target = Monitor(self._run_length)
+        self._repeating: RepeatingErrors | None = None
 
     def aim_at(self, q: np.ndarray, target: np.ndarray) -> None:
         """Note a command: joints (n,), rad and m, that bring the tip to ``target`` (3,), m."""
@@ -190,45 +199,49 @@ class TipMonitor:
         with self._feeding:
             return self._watch.on_sighting(tip, variance, taken_s)
 
-    def judge(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
+    def judge(self, rest: RestPose, model: Model, context: Context) -> Expansion | None:
         """Add a rest pose to the sequential tests.
 
         Returns:
-            The error (3,), m, that the predictor expects there; None if no predictor answers, or if
-            the rest pose is not used (outside the domain, or a residual that is not finite).
+            The answer of the predictor; None if no predictor answers, or if the rest pose is not
+            used (outside the domain, or a residual that is not finite).
         """
-        missed = self._miss_at_target(rest, model, context)
-        learned, sigma = None, self._promised_sigma(model, rest.q, context)
+        missed, learned = self._miss_at_target(rest, model, context), None
         with contextlib.suppress(NoAnswer):
-            found = self._state.predictor.ask(rest.q, context)
-            if not found.in_domain:
+            learned = self._state.predictor.ask(rest.q, context)
+            if not learned.in_domain:
                 self._outside += 1
                 return None
-            learned, sigma = found.error, found.sigma
-        residual = rest.tip - model.measured(rest.q, context)
-        residual = residual if learned is None else residual - learned
+        seen = rest.tip if learned is None else rest.tip - learned.error
+        residual = seen - model.measured(rest.q, context)
         if not np.isfinite(residual).all():
             self._state.node.tally.count_dropped(
                 "rest", f"the residual at a rest is {residual.tolist()}"
             )
             return None
-        self._monitor = self._monitor.seen(residual, sigma)
         self._last = f"residual {_format_mm(residual)}"
         if missed is not None:
-            self._at_target = self._at_target.seen(missed, sigma)
             self._last_miss = f"tip - target {_format_mm(missed)}"
+        if self._sigma_m and learned is None:
+            given = np.full(3, self._sigma_m)
+            self._monitor = self._monitor.seen(residual, given)
+            if missed is not None:
+                self._at_target = self._at_target.seen(missed, given)
+            return None
+        if self._repeating is None:
+            self._repeating = RepeatingErrors.of(model)
+        sigma = None if learned is None else learned.sigma
+        least_m = _LEAST_M if learned is None else 0.0
+        found = self._repeating.compare(rest.q, context, seen, rest.variance, sigma)
+        self._monitor = self._monitor.seen(found.off, found.spread(least_m))
+        if missed is not None:
+            stands = self._state.files.loaded.stands
+            missed = missed - stands.turn_from_model(residual - found.off)  # what was expected
+            spread = found.spread(least_m, stands.motion[:3, :3].T)
+            self._at_target = self._at_target.seen(missed, spread)
+        if not self._monitor.verdict().drifted:  # what a changed arm does is no error of the model
+            self._repeating = found.after
         return learned
-
-    def _promised_sigma(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
-        """Return the standard deviation (3,), m, of the tip that is expected at joints ``q``.
-
-        It is the parameter `monitor.sigma_m` if set, else the model's, at least `_LEAST_M`.
-        """
-        if self._sigma_m:
-            return np.full(3, self._sigma_m)
-        promised = expected_miss(model, q, context, model.tip(q, context)).covariance
-        each = np.sqrt(np.trace(np.nan_to_num(promised)) / 3.0)  # in the frame of any tracker
-        return np.full(3, max(float(each), _LEAST_M))
 
     def _miss_at_target(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """Return tip - target (3,), m, without biases; None if the arm rests at no target."""

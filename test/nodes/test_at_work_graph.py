@@ -68,6 +68,10 @@ class Work:
         status = last_status(self.diagnostics, f"/kinematics: {LEARNED_SAID}")
         return "" if status is None else status.message, facts_of(status)
 
+    def monitored(self) -> int:
+        """Number of rests in the test for drift, by the last report."""
+        return int(facts_of(last_status(self.diagnostics, "/kinematics: monitor"))["rest poses"])
+
     def serve(self) -> float:
         """Serve a target until its sighting is learned; by how much the true tip misses it, m."""
         before = int(self.said()[1].get("sightings", 0))
@@ -150,6 +154,7 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
             assert len(missed) <= 15, work.said()
         assert max(missed) > 5e-4  # it was there
         assert np.mean([work.serve() for _ in range(5)]) < 1e-4
+        assert work.monitored() + 4 <= int(work.said()[1]["sightings"])  # anew with the change
         others.follow_learned(files[-1].data)  # as the nodes do that plan paths
         q, side = ARM.mid, np.ones(ARM.n)
         legs = np.zeros((ARM.n, LEGS))
@@ -171,6 +176,7 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
         done = stage.call(graph.UNDO.client(stage.node, of="kinematics"), Trigger.Request())
         assert done.success, done.message
         stage.spin(lambda: work.said()[0].startswith("frozen: nothing changed"))
+        stage.spin(lambda: work.monitored() == 0)
         assert max(work.reach() for _ in range(3)) > 5e-4
         thaw = graph.FREEZE.client(stage.node, of="kinematics")
         assert stage.call(thaw, SetBool.Request(data=False)).success

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -16,6 +17,7 @@ from longarm_comp.core.compensation.target_frame import base_of_graph
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.effects.placements import CameraPose
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 pytest.importorskip("rclpy")
 
@@ -93,6 +95,33 @@ def test_an_arm_that_does_what_its_model_promises_is_not_off(off: float, drifted
     """The declared arm promises to come to rest within some 10 mm of its target."""
     monitor = watched(Model(ARM), off, 0.0, sigma_m=0.0)
     assert (monitor.report().level == WARN) == drifted
+
+
+def test_what_the_model_promises_of_a_pose_is_no_drift_however_often_it_returns(
+    model: Model,
+) -> None:
+    """Two standard deviations of it; then the arm stands aside until it is set back."""
+    none, left = np.zeros((3, 3)), 9e-6 * np.eye(3)
+    promised = ModelUncertainty((), np.zeros((0, 0)), left, none, 0.0, 0)
+    model = replace(model, uncertainty=promised)
+    monitor, stands = monitor_of(model=model, sigma_m=0.0), base_of_graph(model)
+    rng = np.random.default_rng(1)
+
+    def rests(count: int, off: tuple[float, float, float]) -> tuple[int, int]:
+        for _ in range(count):
+            seen = model.measured(ARM.mid) + off + 3e-4 * rng.standard_normal(3)
+            monitor.aim_at(ARM.mid, stands.carry_from_model(model.tip(ARM.mid)))
+            rest = RestPose(ARM.mid, History.unknown(ARM.n), seen, np.full(3, 1e-7))
+            monitor.judge(rest, model, Context())
+        return monitor.report().level, monitor.target_report().level
+
+    assert rests(60, (6e-3, 0.0, 0.0)) == (OK, OK)
+    assert rests(20, (6e-3, 0.0, 8e-3)) == (WARN, WARN)
+    assert rests(300, (6e-3, 0.0, 8e-3)) == (WARN, WARN)
+    assert "+8." in monitor.report().message or "+7." in monitor.report().message
+    monitor.begin_anew()
+    assert monitor.report().facts["rest poses"] == 0
+    assert rests(20, (-6e-3, 0.0, 0.0)) == (OK, OK)  # nothing is known of it
 
 
 def test_commands_for_other_circumstances_show_at_the_target_alone(model: Model) -> None:

@@ -19,7 +19,9 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.at_work.changes import Key, Parameters
-from longarm_comp.core.at_work.posterior import NEGLIGIBLE, RecursivePosterior, Row
+from longarm_comp.core.at_work.posterior import NEGLIGIBLE, RecursivePosterior
+from longarm_comp.core.at_work.row import Row
+from longarm_comp.core.compensation.sighting import visit
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 MOST = 4
@@ -27,9 +29,6 @@ MOST = 4
 DOUBT = 0.01
 """Probability that a sighting is wrong. Also the probability of rare changes that may be left out
 when a posterior splits."""
-VISITED, ALIKE = 16, 0.05
-"""Number of last visited poses whose own errors are estimated; and the share of its range by which
-every joint of two poses may differ if they are to count as one."""
 SURPRISE = -math.log(DOUBT)
 """Surprise above which a sighting may be wrong: a larger one is as rare as a wrong sighting."""
 _PATIENCE = 10
@@ -77,6 +76,8 @@ class Branch:
         Each comes with the log of its weight times the likelihood of the sighting.
         """
         before = self.known.at_new_place(row.place, row.structure) if row.is_new else self.known
+        for which in row.anew:
+            before = before.with_anew(which)
         known, weight = before.update(row), math.log(self.weight)
         wrong = known.surprise > SURPRISE
         age = 0 if wrong else self.age + 1
@@ -88,7 +89,7 @@ class Branch:
             yield doubt, dataclasses.replace(self, known=before, left_out=left_out, age=age)
 
     def split(self) -> Iterator[Branch]:
-        """Yield one branch for each effect that has probably changed.
+        """Yield one branch for each effect that has probably changed, and one without them.
 
         As long as the sightings do not show which effects these are, only this branch is yielded.
         """
@@ -102,10 +103,9 @@ class Branch:
         if not (few or count >= _LATEST):
             yield self
             return
-        whole, past = float(chance[order].sum()), {change.key for change in self.changes}
-        for c in order.tolist():
-            if chance[c] <= NEGLIGIBLE * whole:
-                continue
+        likely = [c for c in order[: MOST - 1].tolist() if chance[c] > NEGLIGIBLE]
+        past = {change.key for change in self.changes}
+        for c in likely:
             key, changes = known.space.keys[c], self.changes
             if key not in past:
                 t = int(known.probability[:, c].argmax())
@@ -120,10 +120,19 @@ class Branch:
                 )
             yield dataclasses.replace(
                 self,
-                weight=self.weight * float(chance[c]) / whole,
+                weight=self.weight * float(chance[c]),
                 known=known.given_change(c),
                 changes=changes,
             )
+        rest = self.weight * (1.0 - float(chance[likely].sum()))
+        if rest > NEGLIGIBLE:
+            yield dataclasses.replace(self, weight=rest, known=known.without_changes(likely))
+
+    def merged_with(self, other: Branch) -> Branch:
+        """Return this explanation with the weight and the moments of a less probable one too."""
+        whole = self.weight + other.weight
+        known = self.known.mixed_with(other.known, other.weight / whole)
+        return dataclasses.replace(self, weight=whole, known=known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +155,10 @@ class Explanations:
 
     def update(self, row: Row) -> Explanations:
         """Return the explanations and their weights after one more sighting."""
-        row, visited = self._visit(row)
+        visited = self.visited
+        if row.pose is not None:
+            place, is_new, visited = visit(visited, row.pose)
+            row = dataclasses.replace(row, place=place, is_new=is_new)
         each = [judged for b in self.branches for judged in b.judge(row)]
         logs = np.array([log for log, _ in each])
         top = float(logs.max())
@@ -157,33 +169,16 @@ class Explanations:
             if w > (_HOPELESS if b.age < _PATIENCE else NEGLIGIBLE)
             for part in dataclasses.replace(b, weight=w).split()
         ]
-        if len(made) > MOST:  # the most probable branch of each set of changes takes their weight
+        if len(made) > MOST:  # one branch for each set of changes
             merged: dict[tuple[frozenset[Key], int], Branch] = {}
-            for b in sorted(made, key=lambda b: b.weight):
+            for b in sorted(made, key=lambda b: -b.weight):
                 keys = frozenset(c.key for c in b.changes), b.left_out
-                whole = b.weight + (merged[keys].weight if keys in merged else 0.0)
-                merged[keys] = dataclasses.replace(b, weight=whole)
+                merged[keys] = merged[keys].merged_with(b) if keys in merged else b
             made = list(merged.values())
         kept = sorted(made, key=lambda b: -b.weight)[:MOST]
         whole = sum(b.weight for b in kept)
         branches = tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept)
         return Explanations(branches, visited)
-
-    def _visit(self, row: Row) -> tuple[Row, tuple[tuple[int, np.ndarray], ...]]:
-        """Return the sighting with the number of its pose, and the new `visited`.
-
-        If all numbers are in use, a new pose takes that of the pose visited longest ago.
-        """
-        if row.pose is None:
-            return row, self.visited
-        for known in self.visited:
-            if np.abs(known[1] - row.pose).max() < ALIKE:
-                others = tuple(each for each in self.visited if each is not known)
-                return dataclasses.replace(row, place=known[0]), (*others, known)
-        full = len(self.visited) == VISITED
-        place = self.visited[0][0] if full else len(self.visited)
-        visited = (*self.visited[full:], (place, row.pose))
-        return dataclasses.replace(row, place=place, is_new=True), visited
 
     @cached_property
     def expected(self) -> np.ndarray:

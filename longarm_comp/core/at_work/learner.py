@@ -19,16 +19,24 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.explanations import Branch, Explanations
-from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
-from longarm_comp.core.compensation.expected import expected_miss
-from longarm_comp.core.compensation.unknown import unknown_history
+from longarm_comp.core.at_work.named import Named, name_change
+from longarm_comp.core.at_work.posterior import RecursivePosterior
+from longarm_comp.core.at_work.row import Row
+from longarm_comp.core.compensation.expected import expected_miss, structure_left
+from longarm_comp.core.compensation.sighting import (
+    COMMON,
+    PAYLOAD,
+    SHARED,
+    SightingError,
+    error_of_sighting,
+    is_other_payload,
+)
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
-from longarm_comp.core.yaml_file import Declared
 
 KNOCK = 3.0
 """Shift of a sighting, in its standard deviations, above which a change counts as a knock."""
@@ -59,42 +67,8 @@ STEP_M = 2e-3
 """Largest step by which one sighting may move the predicted tip at its own pose, m."""
 DRAWN = 32
 """Number of further poses, all over the joints' ranges, at which the step of the tip is limited."""
-SHARED = 0.5
-"""Variance of the error that is the same at each visit to a pose, as a share of the variance that
-no parameter explains. The full variance counts as noise besides: friction, for instance, differs
-from visit to visit."""
 WORTH = 0.1
 """Step of the tip, in standard deviations of a sighting, below which the model in use stays."""
-
-
-class Named(Declared):
-    """A change: its place, and the most probable effect there.
-
-    Attributes:
-        since_s: time of the first sighting that shows it.
-        by: (parameter, unit, change) of the parameters that changed. If several joints are
-            concerned, the parameter's name begins with its joint.
-        probability: probability of the effect, given that something changed there.
-        rivals: other effects there that may have changed, with their probabilities.
-        sightings: number of sightings that it took to find the change.
-    """
-
-    effect: str
-    where: str
-    since_s: float
-    by: tuple[tuple[str, str, float], ...]
-    probability: float
-    rivals: tuple[tuple[str, float], ...]
-    sightings: int
-
-    @property
-    def text(self) -> str:
-        """The change in one line: ``backlash (61 %) or servo_droop (39 %), joint 2: width +0.0031
-        rad``."""
-        each = ((self.effect, self.probability), *self.rivals)
-        names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
-        by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
-        return f"{names}, {self.where}: {by}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +95,7 @@ class Learner:
     older: int = 1  # number of versions that are older than `known`
     knocked: bool = False  # whether base, tip or a measuring device has probably been knocked
     settled: Model | None = None  # the model in use before the present doubt; None without a doubt
+    payload_kg: float = math.nan  # at the last sighting
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
@@ -151,22 +126,31 @@ class Learner:
         return record
 
     def learn(
-        self, q: np.ndarray, context: Context, tip: np.ndarray, variance: np.ndarray, t_s: float
+        self,
+        q: np.ndarray,
+        context: Context,
+        tip: np.ndarray,
+        variance: np.ndarray,
+        t_s: float,
+        learned: np.ndarray | None = None,
     ) -> Learner:
         """Return the learner after a sighting of an arm at rest.
 
         Args:
             q: (n,) commanded joints, rad and m.
             context: circumstances, with the history of the joints.
-            tip: (3,) m, the measured position.
+            tip: (3,) m, the measured position, less the error that a predictor expects.
             variance: (3,) m^2, variance of the measurement along each axis.
             t_s: time of the sighting, s, by any clock that the caller always uses.
+            learned: (3,) m, sigma of the predictor's error; None without a predictor.
         """
         if self.frozen:
             return self
         known = self.known or _begin_explanations(self.model, self.record, context)
-        row = self._make_row(known, q, context, tip, variance, t_s)
-        return self._take_in(known, row)._serve_mean(row, q, context)
+        error = error_of_sighting(self.model, self.given, q, context, variance, learned)
+        row = self._make_row(known, q, context, tip, error, t_s)
+        taken = self._take_in(known, row)._serve_mean(row, q, context)
+        return dataclasses.replace(taken, payload_kg=float(context.payload_kg(0.0)))
 
     def _make_row(
         self,
@@ -174,14 +158,12 @@ class Learner:
         q: np.ndarray,
         context: Context,
         tip: np.ndarray,
-        variance: np.ndarray,
+        error: SightingError,
         t_s: float,
     ) -> Row:
-        """Make the equation of a sighting; arguments as of `learn`."""
+        """Make the equation of a sighting with an error; other arguments as of `learn`."""
         point, columns = known.space.columns(self.model, q, context)
         at = known.space.values(self.model)
-        (spread,), _ = unknown_history(self.model, q[None], context)
-        noise = np.maximum(self.given.noise, np.diag(variance)) + np.diag(spread**2)
         # Error of the linear equation at the present estimate
         bent = known.space.at(known.within_bounds).measured(q, context) - point
         bent = bent - columns @ (known.within_bounds - at)
@@ -190,10 +172,12 @@ class Learner:
             t_s,
             columns,
             value=tip - point + columns @ at,
-            noise=noise + self.given.structure + np.outer(bent, bent),
+            noise=error.noise + error.structure + np.outer(bent, bent),
             reach=float(np.linalg.norm(point)),
             pose=(q - arm.lower) / (arm.upper - arm.lower),
-            structure=SHARED * self.given.structure,
+            structure=SHARED * error.structure,
+            common=error.common,
+            anew=(PAYLOAD,) if is_other_payload(self.payload_kg, context) else (),
         )
 
     def _take_in(self, before: Explanations, row: Row) -> Learner:
@@ -210,7 +194,7 @@ class Learner:
         for where, chance in places.items():  # a new version where a change is now certain
             if where not in said and chance >= CREDIBLE:
                 served = self._model_at(known, known.within_bounds)
-                versions = (*versions, Version(row.t_s, served, _name_change(known, where)))
+                versions = (*versions, Version(row.t_s, served, name_change(known, where)))
         return dataclasses.replace(
             self,
             known=known,
@@ -311,8 +295,8 @@ class Learner:
         there = dataclasses.replace(_at_all(context, len(q)), **came)
         tips = [space.at(b.known.within_bounds).tip(q, there) for b in (first, *rivals)]
         off = np.array(tips[1:]) - tips[0]
-        precision = np.linalg.inv(self.given.noise + self.given.structure)
-        odds = 0.5 * np.einsum("rij,jk,rik->ri", off, precision, off)
+        precision = np.linalg.inv(self.given.noise + structure_left(self.given, arm, q))
+        odds = 0.5 * np.einsum("rij,ijk,rik->ri", off, precision, off)
         which, best = np.unravel_index(int(odds.argmax()), odds.shape)
         if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):
             return None
@@ -332,7 +316,7 @@ class Learner:
         if known is None:
             return self.named
         return tuple(
-            _name_change(known, n.where) if n.where in known.places else n for n in self.named
+            name_change(known, n.where) if n.where in known.places else n for n in self.named
         )
 
     @property
@@ -378,46 +362,12 @@ def _new_effect(branch: Branch, other: Branch) -> str:
     return next((change.key[0] for change in branch.changes if change.key not in theirs), "")
 
 
-def _name_change(known: Explanations, where: str) -> Named:
-    """Describe the change at a place by the effect that has most probably changed there."""
-    here = [(b, c) for b in known.branches for c in b.changes if c.where == where]
-    whole = sum(b.weight for b, _ in here)
-    chances: dict[str, float] = {}
-    for branch, change in here:
-        name = change.key[0]
-        chances[name] = chances.get(name, 0.0) + branch.weight / whole
-    first, *others = sorted(chances, key=lambda name: -chances[name])
-    branch, change = next((b, c) for b, c in here if c.key[0] == first)
-    space = branch.known.space
-    places = space.own(space.keys.index(change.key))
-    moved = branch.known.expected[places] - np.array(change.before)
-    slots = [space.slots[k] for k in places]
-    several = len({s.owner.where for s in slots}) > 1
-    by = tuple(
-        (
-            f"{s.owner.where} {s.parameter.name}" if several else s.parameter.name,
-            s.parameter.unit,
-            v,
-        )
-        for s, v in zip(slots, moved.tolist(), strict=True)
-        if v
-    )
-    return Named(
-        effect=first,
-        where=where,
-        since_s=change.since_s,
-        by=by,
-        probability=chances[first],
-        rivals=tuple((name, chances[name]) for name in others),
-        sightings=change.sightings,
-    )
-
-
 def _begin_explanations(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
     """Make the single explanation before any sighting: a fitted model with its uncertainty."""
     space = Parameters.of(model, context)
     fitted = [name for name in space.position if name in record.row]
     factor = record.factor[[record.row[name] for name in fitted]]
     active = np.array([space.position[name] for name in fitted], dtype=int)
-    known = RecursivePosterior.begin(space, space.values(model), active, factor @ factor.T)
+    values = space.values(model)
+    known = RecursivePosterior.begin(space, values, active, factor @ factor.T, COMMON)
     return Explanations((Branch(1.0, known),))

@@ -8,20 +8,21 @@ counts as a series of jumps.
 
 The error that no parameter explains is nearly the same at each visit to a pose.  If it counted as
 new noise at each visit, it would be learned as a fault of the arm. So the filter also estimates
-this error at each of the poses visited last.
+this error at each of the poses visited last, and the errors that all sightings share.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from longarm_comp.core.at_work.changes import Parameters
+from longarm_comp.core.at_work.row import Row
 from longarm_comp.core.calibration.linear import log_mass
 from longarm_comp.core.identify.posterior.found import UNNAMED
 
@@ -42,36 +43,6 @@ NEGLIGIBLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
-    """One sighting, as a linear equation ``value = columns @ parameters + noise``."""
-
-    t_s: float
-    columns: np.ndarray  # (3, q) derivatives by the parameters, m per unit
-    value: np.ndarray  # (3,) m, the sighting less the prediction with all parameters 0, linearised
-    noise: np.ndarray  # (3, 3) covariance, m^2
-    reach: float  # distance of the sighting from the base, m
-    pose: np.ndarray | None = None  # (n,) joints, 0 to 1 over their ranges
-    structure: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
-    """(3, 3) m^2, covariance of the error that all visits to this pose have in common."""
-    place: int = -1  # number of this pose among those whose own error is estimated; -1: none
-    is_new: bool = False  # whether the error of this pose has not been estimated before
-
-    def log_doubt(self, expected: np.ndarray) -> float:
-        """Return the log density (1/m^3) of this sighting, given that it is wrong.
-
-        A wrong sighting is off by any order of magnitude from the scatter to the reach, all equally
-        likely.
-
-        Args:
-            expected: (q,) values of the parameters.
-        """
-        scatter = math.sqrt(float(np.trace(self.noise)))
-        off = max(float(np.linalg.norm(self.value - self.columns @ expected)), scatter)
-        orders = math.log(max(self.reach / scatter, math.e))
-        return -math.log(4.0 * math.pi * orders) - 3.0 * math.log(off)
-
-
-@dataclass(frozen=True, eq=False)
 class _PossibleChanges:
     """The possible changes: each of C effects and places, at each of T onsets."""
 
@@ -88,42 +59,57 @@ class RecursivePosterior:
     space: Parameters  # the q parameters and C possible changes
     mean: np.ndarray  # (q,) mean of the parameters if nothing changed
     active: np.ndarray  # (p,) positions of the parameters that are not known exactly
-    covariance: np.ndarray  # (p + 3k, p + 3k) of the active ones, then of the errors of k poses
+    covariance: np.ndarray  # (p + m, p + m) of the active ones and of `beside`
     again: np.ndarray  # (C,) bool, whether an effect has changed before
     since: np.ndarray  # (T,) s, time of the first sighting after each onset
     count: np.ndarray  # (T,) number of sightings since each onset
-    response: np.ndarray  # (T, p + 3k, q) response of the mean's error to a unit jump
+    span: np.ndarray  # (T,) number of sightings before each of which it may have been
+    ruled_out: np.ndarray  # (T, C) bool, changes that other explanations follow
+    response: np.ndarray  # (T, p + m, q) response of the mean's error to a unit jump
     gram: np.ndarray  # (T, C, k, k) information on a jump in prior standard deviations
     along: np.ndarray  # (T, C, k) its product with the jump that the sightings show
     growth: np.ndarray  # (T, G) log Bayes factors of grown errors
-    beside: np.ndarray  # (3k,) m, mean of the error that no parameter explains, by pose
-    structure: np.ndarray  # (3, 3) m^2, prior covariance of this error at one pose
+    beside: np.ndarray
+    """(m,) mean of the r shared errors, in standard deviations, then of each pose's own, m."""
+    common: int = 0  # r
     log_likelihood: float = 0.0  # of the last sighting
     surprise: float = 0.0  # how far below its highest possible value this likelihood is
 
     @classmethod
     def begin(
-        cls, space: Parameters, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
+        cls,
+        space: Parameters,
+        mean: np.ndarray,
+        active: np.ndarray,
+        covariance: np.ndarray,
+        common: int = 0,
     ) -> RecursivePosterior:
         """Make the posterior before the first sighting.
 
-        The arguments are the attributes of the same names.
+        Args:
+            space, mean, active, common: the attributes of the same names.
+            covariance: (p, p) of the active parameters.
         """
         c, k = space.places.shape
+        known = len(active)
+        whole = np.eye(known + common)
+        whole[:known, :known] = covariance
         return cls(
             space=space,
             mean=mean,
             active=active,
-            covariance=covariance,
+            covariance=whole,
             again=np.zeros(c, bool),
             since=np.zeros(0),
             count=np.zeros(0, int),
-            response=np.zeros((0, len(active), len(space))),
+            span=np.zeros(0),
+            ruled_out=np.zeros((0, c), bool),
+            response=np.zeros((0, len(whole), len(space))),
             gram=np.zeros((0, c, k, k)),
             along=np.zeros((0, c, k)),
             growth=np.zeros((0, len(_GROWN))),
-            beside=np.zeros(0),
-            structure=np.zeros((3, 3)),
+            beside=np.zeros(common),
+            common=common,
         )
 
     def at_new_place(self, place: int, structure: np.ndarray) -> RecursivePosterior:
@@ -134,22 +120,28 @@ class RecursivePosterior:
                 replaces.
             structure: (3, 3) m^2, prior covariance of the error.
         """
+        return self._with_anew(self.common + 3 * place, structure)
+
+    def with_anew(self, which: int) -> RecursivePosterior:
+        """Return the posterior with one of the r shared errors reset to its prior."""
+        return self._with_anew(which, np.eye(1))
+
+    def _with_anew(self, first: int, prior: np.ndarray) -> RecursivePosterior:
+        """Return the posterior with the errors from `first` in `beside` on reset to a prior."""
         p, known = len(self.active), len(self.covariance)
-        own = slice(p + 3 * place, p + 3 * place + 3)
+        own = slice(p + first, p + first + len(prior))
         whole = max(known, own.stop)
         covariance = np.zeros((whole, whole))
         covariance[:known, :known] = self.covariance
         covariance[own] = covariance[:, own] = 0.0
-        covariance[own, own] = structure
+        covariance[own, own] = prior
         response = np.zeros((len(self.response), whole, len(self.space)))
         response[:, :known] = self.response
         response[:, own] = 0.0
         beside = np.zeros(whole - p)
         beside[: len(self.beside)] = self.beside
-        beside[3 * place : 3 * place + 3] = 0.0
-        return dataclasses.replace(
-            self, covariance=covariance, response=response, beside=beside, structure=structure
-        )
+        beside[first : first + len(prior)] = 0.0
+        return dataclasses.replace(self, covariance=covariance, response=response, beside=beside)
 
     def update(self, row: Row) -> RecursivePosterior:
         """Return the posterior after one more sighting, for "nothing changed" and for every change.
@@ -159,8 +151,10 @@ class RecursivePosterior:
         dropped.
         """
         own = np.zeros((3, len(self.beside)))
+        own[:, : row.common.shape[1]] = row.common
         if row.place >= 0:
-            own[:, 3 * row.place : 3 * row.place + 3] = np.eye(3)
+            at = self.common + 3 * row.place
+            own[:, at : at + 3] = np.eye(3)
         a = np.concatenate([row.columns[:, self.active], own], axis=1)
         carried = self.covariance @ a.T
         spread = a @ carried + row.noise
@@ -187,22 +181,32 @@ class RecursivePosterior:
             covariance=(covariance + covariance.T) / 2.0,
             since=np.append(self.since, row.t_s),
             count=np.append(self.count, 0) + 1,
+            span=np.append(self.span, 1.0),
+            ruled_out=_add_onset(self.ruled_out),
             response=response,
             gram=_add_onset(self.gram) + turned @ np.swapaxes(jump, -1, -2),
             along=_add_onset(self.along) + turned @ off,
             growth=_add_onset(self.growth) + growth,
         )
         surprise = 0.5 * square + self.total - after.total
-        if len(after.since) > _ONSETS:  # without the one that is least apart for its age
-            count = after.count
-            apart = (count[:-2] - count[2:]) / count[1:-1]
-            kept = np.arange(len(count)) != 1 + int(apart.argmin())
-            names = ("since", "count", "response", "gram", "along", "growth")
-            thinner = {name: getattr(after, name)[kept] for name in names}
-            after = dataclasses.replace(after, **thinner)
+        if len(after.since) > _ONSETS:
+            after = after._without_an_onset()
         return dataclasses.replace(
             after, log_likelihood=-0.5 * log_det - surprise, surprise=surprise
         )
+
+    def _without_an_onset(self) -> RecursivePosterior:
+        """Return the posterior without the onset that is least apart for its age.
+
+        The next later one stands for it.
+        """
+        count, span = self.count, self.span.copy()
+        dropped = 1 + int(((count[:-2] - count[2:]) / count[1:-1]).argmin())
+        span[dropped + 1] += span[dropped]
+        kept = np.arange(len(count)) != dropped
+        names = ("since", "count", "ruled_out", "response", "gram", "along", "growth")
+        thinner = {name: getattr(self, name)[kept] for name in names}
+        return dataclasses.replace(self, span=span[kept], **thinner)
 
     @cached_property
     def possible(self) -> _PossibleChanges:
@@ -236,8 +240,10 @@ class RecursivePosterior:
         if self.again.any():
             more = math.log(_AGAIN / self.again.sum())
             log_prior = np.where(self.again, np.maximum(log_prior, more), log_prior)
-        unnamed = self.growth + math.log(_HAZARD * UNNAMED / len(_GROWN))
-        return _PossibleChanges(factor + log_prior, middle, spread, unnamed)
+        log_span = np.log(self.span)[:, None]
+        unnamed = self.growth + math.log(_HAZARD * UNNAMED / len(_GROWN)) + log_span
+        log_weight = np.where(self.ruled_out, -np.inf, factor + log_prior + log_span)
+        return _PossibleChanges(log_weight, middle, spread, unnamed)
 
     @property
     def total(self) -> float:
@@ -270,15 +276,20 @@ class RecursivePosterior:
         """Describe change c at onset t.
 
         Returns:
-            Positions (k,) of its parameters, their mean jump (k,), and the derivatives (q, k) of
-            the mean of all parameters by the jump.
+            Positions (k,) of its parameters, their mean jump (k,), and the derivatives (q + m, k)
+            of the mean of all parameters and of `beside` by the jump.
         """
         places = np.array(self.space.own(c))
         jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
-        follows = np.zeros((len(self.space), len(places)))
-        follows[self.active] = -self.response[t][: len(self.active), places]
+        follows = np.zeros((len(self.space) + len(self.beside), len(places)))
+        follows[self._uncertain] = -self.response[t][:, places]
         follows[places, np.arange(len(places))] += 1.0
         return places, jump, follows
+
+    @property
+    def _uncertain(self) -> np.ndarray:
+        """Positions (p + m,) of the rows of `covariance` in the parameters, then `beside`."""
+        return np.append(self.active, len(self.space) + np.arange(len(self.beside)))
 
     def value_before(self, t: int, c: int) -> np.ndarray:
         """Return the (k,) parameters of an effect before change c, if it came at onset t."""
@@ -288,11 +299,7 @@ class RecursivePosterior:
     @cached_property
     def expected(self) -> np.ndarray:
         """The mean (q,) of the parameters, averaged over all possible changes and none."""
-        made = self.mean.copy()
-        for t, c in np.argwhere(self.probability > NEGLIGIBLE):
-            _, jump, follows = self._describe_jump(t, c)
-            made += self.probability[t, c] * (follows @ jump)
-        return made
+        return self._moments[0][: len(self.space)]
 
     @cached_property
     def spread(self) -> tuple[np.ndarray, np.ndarray]:
@@ -300,41 +307,50 @@ class RecursivePosterior:
 
         The covariance is over all possible changes and none.
         """
-        likely = {
-            (t, c): float(self.probability[t, c])
-            for t, c in np.argwhere(self.probability > NEGLIGIBLE).tolist()
-        }
-        return self._covariance_over(likely, self.expected)
+        _, uncertain, covariance = self._moments
+        active = uncertain[uncertain < len(self.space)]
+        return active, covariance[: len(active), : len(active)]
+
+    @cached_property
+    def _moments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The moments over all possible changes and none, as of `_moments_over`."""
+        likely = np.argwhere(self.probability > NEGLIGIBLE).tolist()
+        return self._moments_over({(t, c): float(self.probability[t, c]) for t, c in likely})
 
     @cached_property
     def within_bounds(self) -> np.ndarray:
         """The most probable parameters within their bounds, (q,)."""
         return self.space.most_probable(self.expected, *self.spread)
 
-    def _covariance_over(
-        self, weights: Mapping[tuple[int, int], float], mean: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and covariance, as `spread`, over some of the possible changes.
+    def _moments_over(
+        self, weights: Mapping[tuple[int, int], float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Compute the moments of the q parameters and of `beside` over some of the changes.
 
         Args:
             weights: probability by (onset, change); no change has 1 less their sum.
-            mean: (q,) mean of the parameters over these possibilities.
+
+        Returns:
+            The mean (q + m,), the positions (a,) of what is uncertain, and its covariance (a, a).
         """
-        changed = [self.space.own(c) for _, c in weights]
-        active = np.unique(np.concatenate([self.active, *changed])).astype(int)
+        own, jumps = self._uncertain, {at: self._describe_jump(*at) for at in weights}
+        unchanged = np.append(self.mean, self.beside)
+        off = {at: follows @ jump for at, (_, jump, follows) in jumps.items()}
+        mean = unchanged + sum(weight * off[at] for at, weight in weights.items())
+        changed = [places for places, _, _ in jumps.values()]
+        active = np.unique(np.concatenate([own, *changed])).astype(int)
+        before = np.isin(active, own)
         covariance = np.zeros((len(active), len(active)))
-        before = np.isin(active, self.active)
-        known = len(self.active)
-        covariance[np.ix_(before, before)] = self.covariance[:known, :known]
-        off = (self.mean - mean)[active]
-        covariance += max(1.0 - sum(weights.values()), 0.0) * np.outer(off, off)
+        covariance[np.ix_(before, before)] = self.covariance
+        away = (unchanged - mean)[active]
+        covariance += max(1.0 - sum(weights.values()), 0.0) * np.outer(away, away)
         for (t, c), weight in weights.items():
-            places, jump, follows = self._describe_jump(t, c)
-            own = self.possible.spread[t, c][: len(places), : len(places)]
+            places, _, follows = jumps[t, c]
+            spread = self.possible.spread[t, c][: len(places), : len(places)]
             carried = follows[active] * self.space.widths[places]
-            off = (self.mean + follows @ jump - mean)[active]
-            covariance += weight * (carried @ own @ carried.T + np.outer(off, off))
-        return active, covariance
+            away = (unchanged + off[t, c] - mean)[active]
+            covariance += weight * (carried @ spread @ carried.T + np.outer(away, away))
+        return mean, active, covariance
 
     def given_change(self, c: int) -> RecursivePosterior:
         """Return the posterior, given that change c has happened.
@@ -344,19 +360,43 @@ class RecursivePosterior:
         """
         chance = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
         likely = {(t, c): float(p) for t, p in enumerate(chance) if p > NEGLIGIBLE}
-        whole = sum(likely.values())
+        whole, count = sum(likely.values()), len(self.space)
         weights = {at: p / whole for at, p in likely.items()}
-        jumps = {at: self._describe_jump(*at) for at in weights}
-        mean = self.mean + sum(p * (jumps[at][2] @ jumps[at][1]) for at, p in weights.items())
-        active, covariance = self._covariance_over(weights, mean)
-        again = self.again.copy()
+        mean, uncertain, covariance = self._moments_over(weights)
+        active, again = uncertain[uncertain < count], self.again.copy()
         again[c] = True
-        begun = RecursivePosterior.begin(self.space, mean, active, covariance)
-        for place in range(len(self.beside) // 3):
-            begun = begun.at_new_place(place, self.structure)
-        return dataclasses.replace(begun, again=again)
+        begun = RecursivePosterior.begin(self.space, mean[:count], active, np.eye(len(active)))
+        return dataclasses.replace(
+            begun,
+            covariance=covariance,
+            response=np.zeros((0, len(covariance), count)),
+            again=again,
+            beside=mean[count:],
+            common=self.common,
+        )
+
+    def mixed_with(self, other: RecursivePosterior, share: float) -> RecursivePosterior:
+        """Return the posterior with mean and covariance of a mixture with another one.
+
+        Args:
+            other: a posterior after the same sightings, of the same active parameters. The possible
+                changes are not taken from it.
+            share: its probability.
+        """
+        off = np.append(other.mean - self.mean, other.beside - self.beside)
+        off, away = share * off, off[self._uncertain]
+        covariance = (1.0 - share) * self.covariance + share * other.covariance
+        covariance = covariance + share * (1.0 - share) * np.outer(away, away)
+        mean, beside = np.split(np.append(self.mean, self.beside) + off, [len(self.space)])
+        return dataclasses.replace(self, mean=mean, beside=beside, covariance=covariance)
+
+    def without_changes(self, which: Sequence[int]) -> RecursivePosterior:
+        """Return the posterior, given that none of some changes has happened until now."""
+        ruled_out = self.ruled_out.copy()
+        ruled_out[:, which] = True
+        return dataclasses.replace(self, ruled_out=ruled_out)
 
 
 def _add_onset(before: np.ndarray) -> np.ndarray:
     """Return an array (T, ...) with a row of zeros for one more onset, (T + 1, ...)."""
-    return np.concatenate([before, np.zeros((1, *before.shape[1:]))])
+    return np.concatenate([before, np.zeros((1, *before.shape[1:]), before.dtype)])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +27,24 @@ right to a fifth."""
 _ROUNDING = 1e-6
 
 
+@dataclass(frozen=True, eq=False)
+class Beyond:
+    """One circumstance of M commands, outside the session's range at some of them.
+
+    Attributes:
+        name: of the circumstance.
+        change: (M, 3) m, standard deviation of the error in the change of the tip that the model
+            predicts, with the signs of this change: the error is the same share of it everywhere.
+        rest: (M, 3) m^2, variance of what else the circumstance may move.
+        text: M texts that name the value and the range, "" within it.
+    """
+
+    name: str
+    change: np.ndarray
+    rest: np.ndarray
+    text: list[str]
+
+
 def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, list[str]]:
     """Estimate how far off the tip may be, because no row was measured in these circumstances.
 
@@ -38,6 +57,15 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
         the ranges of the session, or if the model does not hold these ranges.
     """
     variance, said = np.zeros((len(q), 3)), [""] * len(q)
+    for each in list_beyond(model, q, context):
+        variance += each.change**2 + each.rest
+        said = ["; ".join(filter(None, two)) for two in zip(said, each.text, strict=True)]
+    return np.sqrt(variance), said
+
+
+def list_beyond(model: Model, q: np.ndarray, context: Context) -> list[Beyond]:
+    """List the circumstances that are outside the session's ranges; arguments as above."""
+    made = []
     known = dict({} if model.uncertainty is None else model.uncertainty.circumstances)
     tilts = [name for name in context.columns if INCLINATION.match(name)]
     if known and tilts:  # a tilt that was not recorded, or is not known now, counts as level
@@ -56,13 +84,20 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
         columns = {**context.columns, name: np.clip(values, low, high)}
         edge = dataclasses.replace(context, columns=columns)
         one_load = name == "payload_kg" and high - low <= rounding
-        sd = np.where(beyond[:, None], _sd_of_change(model, q, context, edge, one_load), 0.0)
-        variance += sd**2
-        for row in np.flatnonzero(beyond):
-            size = 1e3 * float(np.linalg.norm(sd[row]))
-            text = f"{name} {values[row]:.4g} is beyond the session's {low:.4g} to {high:.4g}"
-            said[row] = "; ".join(filter(None, (said[row], f"{text} (sigma {size:.2f} mm)")))
-    return np.sqrt(variance), said
+        change, rest = (
+            np.where(beyond[:, None], part, 0.0)
+            for part in _doubt_of_change(model, q, context, edge, one_load)
+        )
+        mm = 1e3 * np.linalg.norm(np.sqrt(change**2 + rest), axis=1)
+        text = [
+            f"{name} {value:.4g} is beyond the session's {low:.4g} to {high:.4g}"
+            f" (sigma {size:.2f} mm)"
+            if there
+            else ""
+            for value, size, there in zip(values, mm, beyond, strict=True)
+        ]
+        made.append(Beyond(name, change, rest, text))
+    return made
 
 
 def outside_data(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, list[str]]:
@@ -95,10 +130,10 @@ def outside_data(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndar
     return sd, said
 
 
-def _sd_of_change(
+def _doubt_of_change(
     model: Model, q: np.ndarray, context: Context, edge: Context, one_load: bool
-) -> np.ndarray:
-    """Estimate the (M, 3) standard deviation, m, of the predicted change of the tip.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate how far off the predicted change of the tip may be: `Beyond.change` and `rest`.
 
     The change is that from the edge of the session's range to the present circumstances. The model
     predicts it to a share of `KNOWN_TO`. This share is larger if causes without a name depend on
@@ -130,17 +165,17 @@ def _sd_of_change(
         columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
-    variance = (share[:, None] * moved) ** 2 + moves(*absent_slots(model, context))
+    rest = moves(*absent_slots(model, context))
     for effect in _list_absent_effects(model, context):
         if not effect.parameters(model.arm):  # it follows from the reading alone, as tilt does
             there_with, here_with = (model.plus(effect).tip(q, c) for c in (context, edge))
-            variance += (there_with - here_with - moved) ** 2
+            rest += (there_with - here_with - moved) ** 2
     if one_load and nameless:
         # A cause without a name at one load may stand for any elastic effect
         elastic = slots_of(model.arm, [t for t in _list_searched_effects(model) if t.elastic])
         sizes = np.array([YIELDS * s.parameter.width for s in elastic])
-        variance += np.minimum(ratio, 1.0)[:, None] ** 2 * moves(elastic, sizes)
-    return np.sqrt(variance)
+        rest += np.minimum(ratio, 1.0)[:, None] ** 2 * moves(elastic, sizes)
+    return share[:, None] * moved, rest
 
 
 def _list_searched_effects(model: Model) -> list[Effect]:

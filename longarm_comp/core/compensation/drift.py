@@ -72,9 +72,12 @@ class Monitor:
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
         """Return the monitor after one more independent sample.
 
+        Errors of the model that repeat are no independent samples: `RepeatingErrors` follows them.
+
         Args:
-            residual: (3,) m, measured - predicted.
-            sigma: (3,) m, expected standard deviation of the residual: of model and measurement.
+            residual: (3,) m, measured - expected.
+            sigma: (3,) m, standard deviations of the residual, of model and measurement; or its
+                (3, 3) covariance, m^2.
 
         Raises:
             InputError: a shape or value is wrong.
@@ -82,9 +85,14 @@ class Monitor:
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():
             raise InputError("monitor", "residual", residual, "three finite numbers, m")
-        if s.shape != (3,) or not (np.isfinite(s).all() and (s > 0).all()):
-            raise InputError("monitor", "sigma", sigma, "three numbers above 0, m")
-        z = r / s
+        if s.shape == (3,):
+            s = np.diag(s * np.abs(s))
+        variance, axes = np.zeros(3), np.eye(3)
+        if s.shape == (3, 3) and np.isfinite(s).all():
+            variance, axes = np.linalg.eigh(s)
+        if not (variance > 0).all():
+            raise InputError("monitor", "sigma", sigma, "three numbers above 0, m, or a covariance")
+        z = axes @ (axes.T @ r / np.sqrt(variance))
         square = float(z @ z)
         shifts = np.stack([z, -z], axis=1).ravel() - 0.5  # by one standard deviation
         growth = 0.5 * square * (1 - _GROWTH**-2) - 3 * math.log(_GROWTH)

@@ -24,7 +24,7 @@ from longarm_comp.core.ik.engines import posture_at, tip_poses
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
-from longarm_comp.core.model.uncertainty import sizes
+from longarm_comp.core.model.uncertainty import ModelUncertainty, sizes
 
 LEAST_MOVED = 0.1
 """Share of its range by which a joint must move in the rows, so that they show how the error varies
@@ -101,12 +101,16 @@ def expected_miss(
     carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
     carried = carried.reshape(*mean.shape, 3)
     if learned is None:
-        arm = model.arm
-        structure = known.structure_at(np.atleast_2d(q), LEAST_MOVED * (arm.upper - arm.lower))
-        return ExpectedMiss(mean, carried + structure.reshape(carried.shape) + known.frame)
+        structure = structure_left(known, model.arm, np.atleast_2d(q)).reshape(carried.shape)
+        return ExpectedMiss(mean, carried + structure + known.frame)
     seen = learned**2 - np.diag(known.noise)
     least = np.diagonal(carried, axis1=-2, axis2=-1)
     return ExpectedMiss(mean, np.maximum(seen, least)[..., None] * np.eye(3) + known.frame)
+
+
+def structure_left(known: ModelUncertainty, arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Return the covariance (M, 3, 3), m^2, of what no parameter explains at joints (M, n)."""
+    return known.structure_at(q, LEAST_MOVED * (arm.upper - arm.lower))
 
 
 def list_tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:

@@ -133,19 +133,25 @@ def uncertain_payload(
     Returns:
         Standard deviations (M, 3) in m, and M sentences; zeros and "" for a certain payload.
     """
-    sd = np.broadcast_to(context.columns[SD], len(q)) if SD in context.columns else np.zeros(0)
+    sd = np.broadcast_to(context.columns.get(SD, 0.0), len(q))
+    moved = moved_by_payload(model, q, context)
+    return np.abs(moved), [
+        f"the payload is known to {by:.3f} kg only (sigma {mm:.2f} mm)" if by else ""
+        for by, mm in zip(sd, 1e3 * np.linalg.norm(moved, axis=1), strict=True)
+    ]
+
+
+def moved_by_payload(model: Model, q: np.ndarray, context: Context) -> np.ndarray:
+    """Return the change (M, 3) of the tip, m, if the payload is one standard deviation heavier."""
+    sd = np.broadcast_to(context.columns.get(SD, 0.0), len(q))
     if not sd.any():
-        return np.zeros((len(q), 3)), [""] * len(q)
+        return np.zeros((len(q), 3))
     columns, kg = context.columns, context.payload_kg(0.0)
     tips = [
         model.tip(q, dataclasses.replace(context, columns={**columns, "payload_kg": kg + by}))
         for by in (sd, -sd)
     ]
-    half = np.abs(tips[0] - tips[1]) / 2.0
-    return half, [
-        f"the payload is known to {by:.3f} kg only (sigma {mm:.2f} mm)" if by else ""
-        for by, mm in zip(sd, 1e3 * np.linalg.norm(half, axis=1), strict=True)
-    ]
+    return np.asarray((tips[0] - tips[1]) / 2.0)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.explanations import Branch, Explanations
 from longarm_comp.core.at_work.learner import Learner, PoseRequest
-from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
+from longarm_comp.core.at_work.posterior import RecursivePosterior
+from longarm_comp.core.at_work.row import Row
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.expected import expected_miss
@@ -276,7 +277,7 @@ def test_it_asks_for_the_pose_that_tells_rivals_apart() -> None:
         learner = after(learner, q, rng.choice([-1.0, 1.0], ARM.n), np.ones(ARM.n))
         wanted, moves = learner.request_pose(Work().pose()[1]), moves + 1
         assert moves <= 10
-    assert "joint_gain" in wanted.between and learner.now[0].probability < CREDIBLE
+    assert "joint_gain" in wanted.between and all(n.probability < CREDIBLE for n in learner.now)
     assert np.abs(wanted.q - corner).max() > 0.5  # far from where it works
     assert (ARM.lower <= wanted.q).all() and (wanted.q <= ARM.upper).all()
     learner = after(learner, wanted.q, wanted.side, run_up_lengths(ARM))

@@ -39,15 +39,17 @@ def learned(learner: Learner, truth: TrueArm, first: int, last: int) -> Learner:
 @pytest.mark.parametrize("truth", [SOFT, RIGID], ids=["soft", "rigid"])
 def test_the_promise_holds_after_any_number_of_sightings(truth: TrueArm, rows: str) -> None:
     learner = Learner.of(calibrated(truth, rows))
-    before, done = judged(learner.model, truth)[1], 0
+    before, done, boxed = judged(learner.model, truth)[1], 0, rows == "box"
     for count in (1, 5, 20, 40):
         learner, done = learned(learner, truth, done, count), count
         inside, error, _ = judged(learner.model, truth)
         assert inside >= 0.85
-        assert error < before + 0.2 * SIGMA
+        assert error < before + (0.4 if boxed else 0.2) * SIGMA
     _, error, radius = judged(learner.model, truth)
-    assert error < 1.1 * SIGMA and learner.named == ()  # the arm is learned, and has not changed
-    assert rows == "wide" or radius < 2.0 * SIGMA  # all over, a misfit stays in the structure
+    # The arm is learned, and has not changed. Beyond a box a misfit of 10 mm is promised, so that
+    # sightings there tell little of the parameters; all over, a misfit stays in the structure
+    assert error < (2.5 if boxed else 1.1) * SIGMA and learner.named == ()
+    assert rows != "line" or radius < 2.0 * SIGMA
 
 
 def test_compliances_that_are_not_held_stay_in_the_record() -> None:

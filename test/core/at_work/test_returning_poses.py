@@ -10,9 +10,10 @@ from read_arm import ARM
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.explanations import VISITED
 from longarm_comp.core.at_work.learner import Learner
-from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
+from longarm_comp.core.at_work.posterior import RecursivePosterior
+from longarm_comp.core.at_work.row import Row
+from longarm_comp.core.compensation.sighting import COMMON, VISITED
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import GearEccentricity
 from longarm_comp.sim.hidden.geometry import JointZero
@@ -85,4 +86,4 @@ def test_the_last_poses_are_followed() -> None:
     (_, pose), visited = first.known.visited[0], learner.known.visited
     assert {place for place, _ in visited} == set(range(VISITED))
     assert [place for place, at in visited if (at == pose).all()] == [0]
-    assert all(len(b.known.beside) == 3 * VISITED for b in learner.known.branches)
+    assert all(len(b.known.beside) == COMMON + 3 * VISITED for b in learner.known.branches)

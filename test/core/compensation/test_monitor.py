@@ -74,9 +74,27 @@ def test_a_single_gross_outlier_after_calm_is_forgotten(rng: np.random.Generator
     assert monitor.verdict().evidence == 0.0
 
 
+def test_of_a_residual_whose_axes_depend_on_each_other_the_root_of_its_covariance_is_taken(
+    rng: np.random.Generator,
+) -> None:
+    """The symmetric one, which turns the axes least."""
+    root = np.array([[3e-4, 2e-4, 0.0], [2e-4, 5e-4, -1e-4], [0.0, -1e-4, 4e-4]])
+    z = 3.0 * rng.standard_normal(3)
+    of_covariance = Monitor().seen(root @ z, root @ root)
+    np.testing.assert_allclose(of_covariance.sums, Monitor().seen(z, np.ones(3)).sums, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("residual", "sigma"),
-    [([0, 0], SIGMA), ([np.nan, 0, 0], SIGMA), ([0, 0, 0], [0, 1, 1]), ([0, 0, 0], [1, 1])],
+    [
+        ([0, 0], SIGMA),
+        ([np.nan, 0, 0], SIGMA),
+        ([0, 0, 0], [0, 1, 1]),
+        ([0, 0, 0], [-1, 1, 1]),
+        ([0, 0, 0], [1, 1]),
+        ([0, 0, 0], np.diag([1.0, 1.0, -1.0])),
+        ([0, 0, 0], np.full((3, 3), np.nan)),
+    ],
 )
 def test_what_is_no_sample_is_refused(residual: list[float], sigma: list[float]) -> None:
     with pytest.raises(InputError):
