@@ -22,13 +22,11 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.ik.engines import posture_at, tip_poses
 from longarm_comp.core.model.by_readings import by_readings
+from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import sizes
 
-LEAST_MOVED = 0.1
-"""Share of its range by which a joint must move in the rows, so that they show how the error varies
-with this joint."""
 BY_HAND = math.radians(1.0)
 """Usual error of a joint's zero, rad, that was set by hand or by a servo horn. It holds for an arm
 that is not calibrated; a calibration expects less (`JointZero`)."""
@@ -101,8 +99,7 @@ def expected_miss(
     carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
     carried = carried.reshape(*mean.shape, 3)
     if learned is None:
-        arm = model.arm
-        structure = known.structure_at(np.atleast_2d(q), LEAST_MOVED * (arm.upper - arm.lower))
+        structure = known.structure_at(np.atleast_2d(q), least_moved(model.arm))
         return ExpectedMiss(mean, carried + structure.reshape(carried.shape) + known.frame)
     seen = learned**2 - np.diag(known.noise)
     least = np.diagonal(carried, axis1=-2, axis2=-1)

@@ -1,0 +1,133 @@
+"""The uncertainty of a model as `model.yaml` holds it."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from longarm_comp.core.arm.parts import Vec3
+from longarm_comp.core.effects.catalogue import possible_compliances
+from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.domain import RowDomain, least_moved
+from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.stored_terms import StoredTerm, restore_term
+from longarm_comp.core.model.uncertainty import (
+    ModelUncertainty,
+    decode_numbers,
+    decode_triangle,
+    encode_numbers,
+    encode_triangle,
+    triangular,
+)
+from longarm_comp.core.yaml_file import Declared
+
+_Square = tuple[Vec3, Vec3, Vec3]
+_ZERO: _Square = ((0.0, 0.0, 0.0),) * 3
+
+
+class StoredUncertainty(Declared):
+    """A stored `ModelUncertainty`, with the parameters in the order of the file."""
+
+    factor: list[str] = Field(description="triangle of the covariance, rows in base 64")
+    structure_m2: _Square
+    noise_m2: _Square
+    largest_m: float = Field(ge=0.0)
+    rows: int = Field(ge=0)
+    frame_m2: _Square = _ZERO
+    circumstances: dict[str, tuple[float, float]] = Field(
+        default_factory=dict, description="lowest and highest of the session, by column"
+    )
+    absent: list[StoredTerm] = Field(
+        default_factory=list, description="effects that are not held; parameters after the others"
+    )
+    places: list[str] = Field(
+        default_factory=list, description="joints of rows far apart, a line a joint in base 64"
+    )
+
+
+def store_uncertainty(model: Model) -> StoredUncertainty | None:
+    """Return the model's uncertainty, with parameters in the order in which `restore` has them."""
+    known = model.uncertainty
+    if known is None:
+        return None
+    kept = [t for t in model.terms if not t.passing]
+    in_file = sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
+    order = [slot.identity for slot in slots_of(model.arm, [*in_file, *known.absent])]
+    factor = np.zeros((len(order), known.factor.shape[1]))
+    for k, identity in enumerate(order):
+        if identity in known.row:
+            factor[k] = known.factor[known.row[identity]]
+    return StoredUncertainty(
+        factor=encode_triangle(triangular(factor)),
+        structure_m2=known.structure.tolist(),
+        noise_m2=known.noise.tolist(),
+        largest_m=known.largest_m,
+        rows=known.rows,
+        frame_m2=known.frame.tolist(),
+        circumstances=dict(known.circumstances),
+        absent=[StoredTerm(effect=t.name, where=t.where, form=t.placement) for t in known.absent],
+        places=[] if known.domain is None else [encode_numbers(q) for q in known.domain.q.T],
+    )
+
+
+def restore_uncertainty(
+    given: StoredUncertainty | None, model: Model, where: str
+) -> ModelUncertainty | None:
+    """Return a model's uncertainty from its stored form.
+
+    Raises:
+        InputError: it does not belong to the model, or a value is no covariance or no number.
+    """
+    if given is None:
+        return None
+    absent = [restore_term(entry, model.arm, where) for entry in given.absent]
+    possible = possible_compliances(model.arm, {term.key for term in model.terms})
+    if [term for term in possible if term in absent] != absent:
+        wrong = next((f"{t.name}, {t.where}" for t in absent if t not in possible), "another order")
+        allowed = "parts of the arm that may yield and the model does not hold, each once, in order"
+        raise InputError(where, "uncertainty.absent", wrong, allowed)
+    slots = (*model.slots, *slots_of(model.arm, absent))
+    if len(given.factor) != len(slots):
+        allowed = f"{len(slots)}, one a parameter"
+        raise InputError(where, "uncertainty.factor", f"{len(given.factor)} lines", allowed)
+    try:
+        factor = decode_triangle(given.factor)
+    except ValueError as error:
+        allowed = "base 64 of as many 32-bit numbers as its number"
+        raise InputError(where, "uncertainty.factor", str(error), allowed) from None
+    names = ("structure_m2", "noise_m2", "frame_m2")
+    squares = {name: np.array(getattr(given, name)) for name in names}
+    for name, square in squares.items():
+        least, size = np.linalg.eigvalsh(square).min(), np.abs(square).max()
+        if least < -1e-9 * size or not np.allclose(square, square.T, atol=1e-9 * size):
+            raise InputError(where, f"uncertainty.{name}", "no covariance", "a covariance, m^2")
+    for name, (low, high) in given.circumstances.items():
+        if not low <= high:
+            raise InputError(where, f"uncertainty.circumstances.{name}", [low, high], "low, high")
+    return ModelUncertainty(
+        tuple(slot.identity for slot in slots),
+        factor,
+        squares["structure_m2"],
+        squares["noise_m2"],
+        given.largest_m,
+        given.rows,
+        squares["frame_m2"],
+        given.circumstances,
+        tuple(term for term in possible if term in absent),
+        _restore_domain(given.places, model, where),
+    )
+
+
+def _restore_domain(lines: list[str], model: Model, where: str) -> RowDomain | None:
+    """Return where the rows stood; None for a file of an earlier version, which does not say it."""
+    if not lines:
+        return None
+    try:
+        q = np.array([decode_numbers(line) for line in lines]).T
+    except ValueError:
+        q = np.zeros((0, 0))
+    if q.ndim != 2 or not len(q) or q.shape[1] != model.arm.n:
+        allowed = f"a line for each of {model.arm.n} joints, base 64 of as many 32-bit numbers"
+        raise InputError(where, "uncertainty.places", f"{len(lines)} lines", allowed)
+    return RowDomain.of(q, least_moved(model.arm))
