@@ -26,7 +26,7 @@ from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.file_versions import previous, replace_file, settle, write_version
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.stored_terms import StoredTerm, StoredValue, restore_term
+from longarm_comp.core.model.stored_terms import StoredTerm, restore_term, store_term
 from longarm_comp.core.model.stored_uncertainty import (
     StoredUncertainty,
     restore_uncertainty,
@@ -106,21 +106,10 @@ def store(
     for number, term in enumerate(model.terms):
         if term.passing:
             continue
-        parameters = {
-            p.name: StoredValue(
-                value=float(getattr(term, p.name)), unit=p.unit, ci95=ends.get((number, p.name))
-            )
-            for p in term.parameters(model.arm)
-        }
         side = "camera" if isinstance(term, Bias) else "geometry" if term.geometry else "effects"
-        stored = StoredTerm(
-            effect=term.name,
-            where=term.where,
-            form=term.placement,
-            parameters=parameters,
-            origin=(origins or {}).get(number, ""),
-        )
-        sides[side].append(stored)
+        of_term = {name: end for (k, name), end in ends.items() if k == number}
+        origin_of_term = (origins or {}).get(number, "")
+        sides[side].append(store_term(term, model.arm, of_term, origin_of_term))
     arm = _ArmReference(name=model.arm.name, hash=model.arm.hash)
     # Effects from outside the package, which the user must provide again
     known = {f"{term.name}_from": origin(type(term)) for term in model.terms}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import get_type_hints
 
 from pydantic import Field, model_validator
@@ -36,6 +37,33 @@ class StoredTerm(Declared):
     form: dict[str, int | float | str] = Field(default_factory=dict)
     parameters: dict[str, StoredValue] = Field(default_factory=dict)
     origin: str = ""
+
+
+def store_term(
+    term: Effect | Bias,
+    arm: Arm,
+    ends: Mapping[str, tuple[float, float]] | None = None,
+    origin: str = "",
+) -> StoredTerm:
+    """Return the stored form of a term.
+
+    Args:
+        ends: 95 % intervals by parameter.
+        origin: where it is from.
+    """
+    parameters = {
+        p.name: StoredValue(
+            value=float(getattr(term, p.name)), unit=p.unit, ci95=(ends or {}).get(p.name)
+        )
+        for p in term.parameters(arm)
+    }
+    return StoredTerm(
+        effect=term.name,
+        where=term.where,
+        form=term.placement,
+        parameters=parameters,
+        origin=origin,
+    )
 
 
 def restore_term(entry: StoredTerm, arm: Arm, where: str, known_from: str = "") -> Effect | Bias:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Vec3
 from longarm_comp.core.effects.catalogue import possible_compliances
-from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.alternatives import Alternative
 from longarm_comp.core.model.domain import RowDomain, least_moved
 from longarm_comp.core.model.model import Model, slots_of
-from longarm_comp.core.model.stored_terms import StoredTerm, restore_term
+from longarm_comp.core.model.stored_terms import StoredTerm, restore_term, store_term
 from longarm_comp.core.model.uncertainty import (
     ModelUncertainty,
     decode_numbers,
@@ -24,6 +26,18 @@ from longarm_comp.core.yaml_file import Declared
 
 _Square = tuple[Vec3, Vec3, Vec3]
 _ZERO: _Square = ((0.0, 0.0, 0.0),) * 3
+
+
+class StoredAlternative(Declared):
+    """A stored `Alternative`."""
+
+    chance: float = Field(gt=0.0, lt=1.0)
+    terms: list[StoredTerm] = Field(description="effects that are not held")
+    moves: list[str] = Field(
+        min_length=1,
+        description="changes of the parameters, in the order of the file, then of its terms, and "
+        "what one standard deviation of each of its terms' moves; in base 64",
+    )
 
 
 class StoredUncertainty(Declared):
@@ -44,6 +58,9 @@ class StoredUncertainty(Declared):
     places: list[str] = Field(
         default_factory=list, description="joints of rows far apart, a line a joint in base 64"
     )
+    alternatives: list[StoredAlternative] = Field(
+        default_factory=list, description="other explanations of the rows"
+    )
 
 
 def store_uncertainty(model: Model) -> StoredUncertainty | None:
@@ -53,7 +70,8 @@ def store_uncertainty(model: Model) -> StoredUncertainty | None:
         return None
     kept = [t for t in model.terms if not t.passing]
     in_file = sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
-    order = [slot.identity for slot in slots_of(model.arm, [*in_file, *known.absent])]
+    held = [slot.identity for slot in slots_of(model.arm, in_file)]
+    order = [*held, *(slot.identity for slot in slots_of(model.arm, known.absent))]
     factor = np.zeros((len(order), known.factor.shape[1]))
     for k, identity in enumerate(order):
         if identity in known.row:
@@ -68,6 +86,7 @@ def store_uncertainty(model: Model) -> StoredUncertainty | None:
         circumstances=dict(known.circumstances),
         absent=[StoredTerm(effect=t.name, where=t.where, form=t.placement) for t in known.absent],
         places=[] if known.domain is None else [encode_numbers(q) for q in known.domain.q.T],
+        alternatives=[_store_alternative(a, held, model.arm) for a in known.alternatives],
     )
 
 
@@ -116,6 +135,7 @@ def restore_uncertainty(
         given.circumstances,
         tuple(term for term in possible if term in absent),
         _restore_domain(given.places, model, where),
+        tuple(_restore_alternative(each, model, where) for each in given.alternatives),
     )
 
 
@@ -131,3 +151,29 @@ def _restore_domain(lines: list[str], model: Model, where: str) -> RowDomain | N
         allowed = f"a line for each of {model.arm.n} joints, base 64 of as many 32-bit numbers"
         raise InputError(where, "uncertainty.places", f"{len(lines)} lines", allowed)
     return RowDomain.of(q, least_moved(model.arm))
+
+
+def _store_alternative(
+    other: Alternative, held: list[tuple[object, ...]], arm: Arm
+) -> StoredAlternative:
+    """Return the stored form of an alternative of a model with the parameters `held`."""
+    order = [*held, *(slot.identity for slot in slots_of(arm, other.terms))]
+    return StoredAlternative(
+        chance=other.chance,
+        terms=[store_term(t, arm) for t in other.terms],
+        moves=[encode_numbers(move) for move in other.moves_of(order)],
+    )
+
+
+def _restore_alternative(given: StoredAlternative, model: Model, where: str) -> Alternative:
+    terms = tuple(restore_term(entry, model.arm, where) for entry in given.terms)
+    slots = (*model.slots, *slots_of(model.arm, terms))
+    try:
+        moves = np.array([decode_numbers(line) for line in given.moves])
+    except ValueError:
+        moves = np.zeros((0, 0))
+    if moves.ndim != 2 or moves.shape[1] != len(slots):
+        allowed = f"lines of base 64 of {len(slots)} 32-bit numbers, one a parameter"
+        raise InputError(where, "uncertainty.alternatives", f"{len(given.moves)} lines", allowed)
+    effects = tuple(t for t in terms if isinstance(t, Effect))
+    return Alternative(given.chance, tuple(slot.identity for slot in slots), moves, effects)

@@ -19,6 +19,7 @@ from statistics import NormalDist
 import numpy as np
 
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.model.alternatives import Alternative, mixture_quantile
 from longarm_comp.core.model.domain import RowDomain
 
 LEVEL = 0.9
@@ -48,6 +49,7 @@ class ModelUncertainty:
             payload, temperature and tilt.
         absent: effects that the arm may have and the model does not hold.
         domain: where the rows stood; None if a file of an earlier version does not say it.
+        alternatives: other explanations of the rows, with their probabilities.
     """
 
     slots: tuple[_Identity, ...]
@@ -60,6 +62,7 @@ class ModelUncertainty:
     circumstances: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     absent: tuple[Effect, ...] = ()
     domain: RowDomain | None = None
+    alternatives: tuple[Alternative, ...] = ()
 
     @cached_property
     def row(self) -> dict[_Identity, int]:
@@ -104,7 +107,9 @@ class ModelUncertainty:
         return np.asarray(moved @ np.swapaxes(moved, -1, -2))
 
 
-def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def sizes(
+    covariance: np.ndarray, mean: np.ndarray | None = None, chance: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the expected length of a normally distributed error, and the length's 90 % quantile.
 
     The squared length is taken to be gamma distributed (Satterthwaite 1946, Biometrics Bull. 2),
@@ -113,6 +118,7 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     Args:
         covariance: (..., 3, 3) m^2.
         mean: (..., 3) m, mean of the error; zero by default.
+        chance: (A,) probability of each of A means (A, ..., 3), one of which is true.
 
     Returns:
         (...) m each.
@@ -129,6 +135,9 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     expected = np.sqrt(square / shape) * np.exp(rise)
     spread = variance / np.maximum(9.0 * square**2, 1e-300)
     within = np.sqrt(square * (1.0 - spread + _NORMAL * np.sqrt(spread)) ** 3)
+    if chance is not None:
+        expected = np.tensordot(chance, expected, axes=1)
+        return expected, mixture_quantile(LEVEL, chance, square, spread, within)
     return np.where(square == 0, 0.0, expected), within
 
 
