@@ -30,7 +30,7 @@ ROUGH = 1e-4
 With ten times as much the promise beside a band of a tenth of the ranges holds 62 to 100 % instead
 of 89 to 100 %.
 """
-MOST = 200
+MOST = 100
 """Largest number of rows that stand for all: those farthest apart."""
 
 
