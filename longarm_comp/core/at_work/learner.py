@@ -26,6 +26,7 @@ from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.model.domain import RowDomain
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 from longarm_comp.core.yaml_file import Declared
@@ -121,6 +122,7 @@ class Learner:
     older: int = 1  # number of versions that are older than `known`
     knocked: bool = False  # whether base, tip or a measuring device has probably been knocked
     settled: Model | None = None  # the model in use before the present doubt; None without a doubt
+    domain: RowDomain | None = None  # where the rows and the sightings were; None before the first
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
@@ -166,7 +168,10 @@ class Learner:
             return self
         known = self.known or _begin_explanations(self.model, self.record, context)
         row = self._make_row(known, q, context, tip, variance, t_s)
-        return self._take_in(known, row)._serve_mean(row, q, context)
+        before = self.domain or self.record.domain
+        domain = None if before is None else before.plus(q)
+        taken = dataclasses.replace(self._take_in(known, row), domain=domain)
+        return taken._serve_mean(row, q, context)
 
     def _make_row(
         self,
@@ -284,6 +289,7 @@ class Learner:
             factor=factor_of(left[np.ix_(kept, kept)]),
             structure=known.grown * (given.structure + given.noise) - given.noise,
             absent=tuple(absent.values()),
+            domain=self.domain,
         )
         return dataclasses.replace(model, uncertainty=record)
 

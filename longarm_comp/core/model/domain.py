@@ -47,10 +47,12 @@ class RowDomain:
         q: (R, n) joints of rows far apart, rad and m.
         span: (n,) range of each joint in the rows; infinite if it hardly moved, because such rows
             do not tell how an error varies with it.
+        amid: usual variance of the process amid the rows, as a share of that far from all.
     """
 
     q: np.ndarray
     span: np.ndarray
+    amid: float
 
     @classmethod
     def of(cls, q: np.ndarray, least: np.ndarray) -> RowDomain:
@@ -60,7 +62,15 @@ class RowDomain:
             least: (n,) rad or m; a joint whose range in the rows is not larger hardly moved.
         """
         places = q[choose_apart(q / _span(q, 0.0 * least), MOST)]
-        return cls(places, _span(places, least))
+        made = cls(places, _span(places, least), 1.0)
+        each = 1.0 / (made._whitener**2).sum(axis=0)  # of each place, by all others
+        return dataclasses.replace(made, amid=float(np.median(each)))
+
+    def plus(self, q: np.ndarray) -> RowDomain:
+        """Return the domain with one more place, joints (n,), unless it is amid the others."""
+        if self.growth_at(q[None])[0] <= 1.0:
+            return self
+        return dataclasses.replace(self, q=np.concatenate([self.q, q[None]]))
 
     def growth_at(self, q: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
         """Return how an error's variance grows from amid the rows to joints (N, n): (N,).
@@ -74,12 +84,7 @@ class RowDomain:
         some = self if kept is None else dataclasses.replace(self, q=self.q[kept])
         near = some._alike(q) @ some._whitener.T
         variance = np.maximum(1.0 - (near**2).sum(axis=1), 0.0) + ROUGH
-        return np.asarray(0.5 + 0.5 * variance / self._usual)
-
-    @cached_property
-    def _usual(self) -> float:
-        """The variance of the process amid the rows: the median over places, each by the others."""
-        return float(np.median(1.0 / (self._whitener**2).sum(axis=0)))
+        return np.asarray(0.5 + 0.5 * variance / self.amid)
 
     @cached_property
     def _whitener(self) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from pydantic import Field
 
@@ -11,7 +13,7 @@ from longarm_comp.core.effects.catalogue import possible_compliances
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.alternatives import Alternative
-from longarm_comp.core.model.domain import RowDomain, least_moved
+from longarm_comp.core.model.domain import RowDomain
 from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.stored_terms import StoredTerm, restore_term, store_term
 from longarm_comp.core.model.uncertainty import (
@@ -26,6 +28,16 @@ from longarm_comp.core.yaml_file import Declared
 
 _Square = tuple[Vec3, Vec3, Vec3]
 _ZERO: _Square = ((0.0, 0.0, 0.0),) * 3
+
+
+class StoredDomain(Declared):
+    """A stored `RowDomain`."""
+
+    places: list[str] = Field(description="joints of rows far apart, a line a joint in base 64")
+    span: list[Annotated[float, Field(ge=0.0)]] = Field(
+        description="range of each joint, rad or m; 0 for a joint that hardly moved"
+    )
+    amid: float = Field(gt=0.0, description="usual variance amid the rows, as a share of that far")
 
 
 class StoredAlternative(Declared):
@@ -55,9 +67,7 @@ class StoredUncertainty(Declared):
     absent: list[StoredTerm] = Field(
         default_factory=list, description="effects that are not held; parameters after the others"
     )
-    places: list[str] = Field(
-        default_factory=list, description="joints of rows far apart, a line a joint in base 64"
-    )
+    domain: StoredDomain | None = Field(default=None, description="where the rows stood")
     alternatives: list[StoredAlternative] = Field(
         default_factory=list, description="other explanations of the rows"
     )
@@ -85,7 +95,7 @@ def store_uncertainty(model: Model) -> StoredUncertainty | None:
         frame_m2=known.frame.tolist(),
         circumstances=dict(known.circumstances),
         absent=[StoredTerm(effect=t.name, where=t.where, form=t.placement) for t in known.absent],
-        places=[] if known.domain is None else [encode_numbers(q) for q in known.domain.q.T],
+        domain=_store_domain(known.domain),
         alternatives=[_store_alternative(a, held, model.arm) for a in known.alternatives],
     )
 
@@ -134,23 +144,34 @@ def restore_uncertainty(
         squares["frame_m2"],
         given.circumstances,
         tuple(term for term in possible if term in absent),
-        _restore_domain(given.places, model, where),
+        _restore_domain(given.domain, model, where),
         tuple(_restore_alternative(each, model, where) for each in given.alternatives),
     )
 
 
-def _restore_domain(lines: list[str], model: Model, where: str) -> RowDomain | None:
-    """Return where the rows stood; None for a file of an earlier version, which does not say it."""
-    if not lines:
+def _store_domain(known: RowDomain | None) -> StoredDomain | None:
+    """Return the stored form of where the rows stood."""
+    if known is None:
         return None
+    span = np.where(np.isfinite(known.span), known.span, 0.0)
+    places = [encode_numbers(q) for q in known.q.T]
+    return StoredDomain(places=places, span=span.tolist(), amid=known.amid)
+
+
+def _restore_domain(given: StoredDomain | None, model: Model, where: str) -> RowDomain | None:
+    """Return where the rows stood; None for a file of an earlier version, which does not say it."""
+    if given is None:
+        return None
+    n = model.arm.n
     try:
-        q = np.array([decode_numbers(line) for line in lines]).T
+        q = np.array([decode_numbers(line) for line in given.places]).T
     except ValueError:
         q = np.zeros((0, 0))
-    if q.ndim != 2 or not len(q) or q.shape[1] != model.arm.n:
-        allowed = f"a line for each of {model.arm.n} joints, base 64 of as many 32-bit numbers"
-        raise InputError(where, "uncertainty.places", f"{len(lines)} lines", allowed)
-    return RowDomain.of(q, least_moved(model.arm))
+    if q.ndim != 2 or not len(q) or q.shape[1] != n or len(given.span) != n:
+        allowed = f"a line and a range for each of {n} joints, base 64 of as many 32-bit numbers"
+        raise InputError(where, "uncertainty.domain", f"{len(given.places)} lines", allowed)
+    span = np.array(given.span)
+    return RowDomain(q, np.where(span > 0.0, span, np.inf), given.amid)
 
 
 def _store_alternative(

@@ -62,6 +62,17 @@ def test_an_error_grows_with_the_distance_from_the_rows(rng: np.random.Generator
     np.testing.assert_allclose(domain.growth_at(x, some), there, rtol=1e-6)
 
 
+def test_a_place_beside_the_rows_tells_more_and_one_amid_them_nothing() -> None:
+    along = np.linspace(0.0, 1.0, 30)[:, None] * [1.0, 1.0]
+    domain = RowDomain.of(along, np.zeros(2))
+    beside = np.array([0.2, 0.8])
+    more = domain.plus(beside)
+    near = beside[None] + 0.02
+    assert more.amid == domain.amid and len(more.q) == len(domain.q) + 1
+    assert more.growth_at(near)[0] < 0.1 * domain.growth_at(near)[0]
+    assert more.plus(np.array([0.405, 0.405])) is more
+
+
 def test_the_places_are_those_farthest_apart(rng: np.random.Generator) -> None:
     crowd = np.repeat(0.01 * rng.random((40, 2)), 10, axis=0)
     corners = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
@@ -104,7 +115,7 @@ def test_a_file_that_does_not_say_where_its_rows_stood_promises_as_before(tmp_pa
     assert back is not None and back.domain is not None
     np.testing.assert_allclose(back.domain.q, places, rtol=1e-6)
     before = stored.model_copy(
-        update={"uncertainty": stored.uncertainty.model_copy(update={"places": []})}
+        update={"uncertainty": stored.uncertainty.model_copy(update={"domain": None})}
     )
     model: Model = restore(before, ARM, "model.yaml")
     assert model.uncertainty is not None and model.uncertainty.domain is None
@@ -125,8 +136,9 @@ def test_places_that_are_no_joints_are_refused(line: str) -> None:
     q = ARM.lower + rng.random((40, ARM.n)) * (ARM.upper - ARM.lower)
     stored = store(with_uncertainty(calibrated(Session.record(q, TRUTH.tip(q)))))
     assert stored.uncertainty is not None
-    stored.uncertainty.places[1] = line
-    with pytest.raises(InputError, match=r"uncertainty\.places"):
+    assert stored.uncertainty.domain is not None
+    stored.uncertainty.domain.places[1] = line
+    with pytest.raises(InputError, match=r"uncertainty\.domain"):
         restore(stored, ARM, "model.yaml")
 
 
