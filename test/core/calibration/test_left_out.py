@@ -146,6 +146,7 @@ def test_rows_set_aside_count_as_far_as_the_arm_may_have_been_there(
     alone = left_out(error[~aside], np.zeros((420, 3, 3)), np.ones(420, dtype=bool))
     wide, usual = (each.find_least_errors(1e-14 * np.eye(3))[1] for each in (left, alone))
     found = sizes(wide)[1] / sizes(usual)[1]
+    np.testing.assert_allclose(wide / np.trace(wide), usual / np.trace(usual))  # of the others
     assert found == pytest.approx(radius, rel=0.05)
     inside = np.linalg.norm(error, axis=1) <= sizes(wide)[1]
     assert np.average(inside, weights=few["count"]) >= 0.9
