@@ -30,6 +30,7 @@ from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import slots_of
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session
@@ -98,7 +99,7 @@ def judge(
     slots = (*model.slots, *slots_of(model.arm, known.absent))
     columns = make_equations(model, seen, slots).columns[:, :3]
     carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
-    return _judge(name, off, carried, known)
+    return _judge(name, off, carried, known, known.structure_at(seen.q, least_moved(model.arm)))
 
 
 def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
@@ -110,14 +111,21 @@ def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     tip, columns = model.columns(compute_posture(model, rows), slots)
     off, alone = subtract_point_means(tip, touched)
     moved, _ = subtract_point_means(columns, touched)
-    return _judge(name, off[~alone], known.carry_to_tip(moved[~alone], names), known)
+    structure = known.structure_at(rows.q[~alone], least_moved(model.arm))
+    return _judge(name, off[~alone], known.carry_to_tip(moved[~alone], names), known, structure)
 
 
-def _judge(name: str, off: np.ndarray, carried: np.ndarray, known: ModelUncertainty) -> LeftOutRows:
-    alone = known.structure + known.noise
+def _judge(
+    name: str,
+    off: np.ndarray,
+    carried: np.ndarray,
+    known: ModelUncertainty,
+    structure: np.ndarray,
+) -> LeftOutRows:
+    alone = structure + known.noise
     expected, radius = sizes(carried + alone)
-    own = sizes(carried + known.structure)[0]
-    whole = carried.mean(axis=0) + alone / len(off)
+    own = sizes(carried + structure)[0]
+    whole = carried.mean(axis=0) + alone.mean(axis=0) / len(off)
     mean = off.mean(axis=0)
     apart = math.sqrt(float(mean @ np.linalg.pinv(whole) @ mean) / 3.0)
     inside = float((own <= known.largest_m).mean())

@@ -18,6 +18,8 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 
+OLD = "; its file does not say where its rows stood, so any command in their ranges counts as near"
+
 
 @dataclass(frozen=True)
 class _LoadedModel:
@@ -123,4 +125,6 @@ class ModelFiles:
             said = "not calibrated yet: plan, collect, diagnose; the arm as declared is used"
             return Report(WARN, said, facts)
         left_out = f"; left out {', '.join(self._left_out)} {NEVER_TOLD}" if self._left_out else ""
-        return Report(OK, f"calibrated model loaded{left_out}", facts)
+        known = self.given.model.uncertainty
+        old = OLD if known is not None and known.domain is None else ""
+        return Report(OK, f"calibrated model loaded{left_out}{old}", facts)

@@ -22,6 +22,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import alone_in, check_writable, write_bytes
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
+from longarm_comp.core.identify.alternatives import weigh_alternatives
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.findings import Finding
 from longarm_comp.core.learn import ensemble as networks
@@ -84,7 +85,8 @@ class DiagnosisResult:
         found = self.diagnosis
         of_it = [r for r in (found.train, found.held_out) if r.source == found.train.source]
         ends = [ended for rows in of_it if (ended := rows.ended_s) is not None]
-        known = measure_uncertainty(found.fit)
+        others = weigh_alternatives(found.fit, found.search.found, found.search.doubtful)
+        known = replace(measure_uncertainty(found.fit), alternatives=others)
         return replace(found.model, uncertainty=known, ended_s=max(ends, default=None))
 
     @property

@@ -35,6 +35,7 @@ from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.model.domain import RowDomain
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 
@@ -96,6 +97,7 @@ class Learner:
     knocked: bool = False  # whether base, tip or a measuring device has probably been knocked
     settled: Model | None = None  # the model in use before the present doubt; None without a doubt
     payload_kg: float = math.nan  # at the last sighting
+    domain: RowDomain | None = None  # where the rows and the sightings were; None before the first
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
@@ -147,10 +149,14 @@ class Learner:
         if self.frozen:
             return self
         known = self.known or _begin_explanations(self.model, self.record, context)
-        error = error_of_sighting(self.model, self.given, q, context, variance, learned)
+        before = self.domain or self.record.domain
+        domain = None if before is None else before.plus(q)
+        promised = dataclasses.replace(self.given, domain=domain)
+        error = error_of_sighting(self.model, promised, q, context, variance, learned)
         row = self._make_row(known, q, context, tip, error, t_s)
-        taken = self._take_in(known, row)._serve_mean(row, q, context)
-        return dataclasses.replace(taken, payload_kg=float(context.payload_kg(0.0)))
+        taken = dataclasses.replace(self._take_in(known, row), domain=domain)
+        served = taken._serve_mean(row, q, context)
+        return dataclasses.replace(served, payload_kg=float(context.payload_kg(0.0)))
 
     def _make_row(
         self,
@@ -268,6 +274,7 @@ class Learner:
             factor=factor_of(left[np.ix_(kept, kept)]),
             structure=known.grown * (given.structure + given.noise) - given.noise,
             absent=tuple(absent.values()),
+            domain=self.domain,
         )
         return dataclasses.replace(model, uncertainty=record)
 

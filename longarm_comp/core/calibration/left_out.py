@@ -1,7 +1,7 @@
 """The errors of a fit at rows that are left out of it, and the error of commands that follows.
 
 Each part of the rows is left out in turn, and the error is computed from the design: no fit is
-repeated.
+repeated.  Rows that the fit set aside are left out by themselves.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly
+from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
+from longarm_comp.core.data.set_aside import chance_of_arm
+from longarm_comp.core.model.domain import RowDomain
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
 PARTS, SMALL = 4, 20
@@ -41,21 +43,30 @@ class LeftOut:
     Attributes:
         error: (M, 3) measured - predicted by a fit without the row, m.
         covariance: (M, 3, 3) covariance of this prediction by the fitted parameters, m^2.
-        count: (M,) weight of each; the weights of one row sum up to 1.
+        growth: (M,) variance of what no parameter explains, by the distance from the rows that
+            stayed (`RowDomain`).
+        count: (M,) weight of each; the weights of one row sum up to 1, or to the probability that
+            the arm was there, if the fit set it aside.
         amid: (M,) True if similar rows stayed in the fit (random parts), False if a whole part of
             a joint's range, or of the touched places, was left out.
+        believed: (M,) False for a row that the fit set aside.
     """
 
     error: np.ndarray
     covariance: np.ndarray
+    growth: np.ndarray
     count: np.ndarray
     amid: np.ndarray
+    believed: np.ndarray
 
     @classmethod
-    def of(cls, fit: ModelFit) -> LeftOut | None:
+    def of(cls, fit: ModelFit, domain: RowDomain) -> LeftOut | None:
         """Leave rows out of a fit to positions or touches; None if fewer than two rows have one.
 
         The place of a touched point is not known, so its rows are compared with their mean.
+
+        Args:
+            domain: the places of the fit's rows.
         """
         kept = np.flatnonzero((fit.weights > 0) & fit.has_point)
         if len(kept) < 2:
@@ -68,15 +79,18 @@ class LeftOut:
         gram += np.eye(len(gram))
         length = fit.sigma[:3] / np.sqrt(fit.weights[kept])[:, None]
         judged = choose_evenly(np.arange(len(kept)), MOST)
-        errors, covariances, counts, amid = [], [], [], []
+        q = fit.session.q[kept]
+        owner = (domain.q[:, None] == q).all(axis=-1).argmax(axis=1)
+        made = []
         places = None
         if touched is not None:  # points at known distances belong to one tool: one place
             places = touched.copy()
             for first, second, *_ in fit.session.touch_distances:
                 places[places == second] = first
-        for division, share, near in _divide_rows(fit.session.q[kept], places):
+        for division, share, near in _divide_rows(q, places):
             for part in np.unique(division):
                 out = division == part
+                growth = domain.growth_at(q[out], ~out[owner])
                 a = whole[here[out]]
                 flat = a.reshape(-1, a.shape[-1])
                 inverse = np.linalg.inv(gram - flat[:, :-1].T @ flat[:, :-1])
@@ -87,16 +101,24 @@ class LeftOut:
                     rows, alone = subtract_point_means(rows, touched[out])
                     mine &= ~alone
                 moved = rows[mine, :, :-1]
-                errors.append(rows[mine, :, -1] + moved @ shift)
-                covariances.append(moved @ inverse @ np.swapaxes(moved, 1, 2))
-                counts.append(np.full(mine.sum(), share))
-                amid.append(np.full(mine.sum(), near))
-        return cls(*(np.concatenate(each) for each in (errors, covariances, counts, amid)))
+                error = rows[mine, :, -1] + moved @ shift
+                carried = moved @ inverse @ np.swapaxes(moved, 1, 2)
+                alike = (np.full(len(error), each) for each in (share, near, True))
+                made.append((error, carried, growth[mine], *alike))
+        if touched is None:
+            aside = np.flatnonzero((fit.weights == 0) & fit.has_point)
+            moved = fit.columns[aside][:, :3] * prior_widths(fit.slots)
+            carried = moved @ np.linalg.inv(gram) @ np.swapaxes(moved, 1, 2)
+            growth = domain.growth_at(fit.session.q[aside])
+            count = chance_of_arm(fit.session, fit.weights == 0)[aside]
+            no = np.zeros(len(aside), bool)
+            made.append((fit.residual[aside][:, :3], carried, growth, count, no, no))
+        return cls(*map(np.concatenate, zip(*made, strict=True)))
 
     def find_least_errors(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
         """Find the smallest stated errors that contain 90 % of the rows that were left out.
 
-        They are enlarged in two ways.  One is a further covariance, the same everywhere, for errors
+        They are enlarged in two ways.  One is a further covariance, times the growth, for errors
         that no parameter explains.  It is too large if more than `AMID` of the rows that were left
         out at random lie inside the stated errors.  Then the covariance of the parameters is
         multiplied by the number of rows that count as one, as similar rows have similar errors.
@@ -105,17 +127,20 @@ class LeftOut:
             noise: (3, 3) covariance of the measurement, m^2.
 
         Returns:
-            The number of rows that count as one, and the further covariance (3, 3), m^2.
+            The number of rows that count as one, and the further covariance (3, 3) amid the rows,
+            m^2.
         """
-        amid = self.amid if self.amid.any() else ~self.amid
-        size, best = np.linalg.norm(self.error, axis=1)[amid], math.inf
+        amid = self.amid if self.amid.any() else self.believed
+        every, best = np.linalg.norm(self.error, axis=1), math.inf
+        size, largest = every[amid], float(every[amid | ~self.believed].max())
         counts = 2.0 ** np.arange(0.0, math.log2(len(self.error)) + 1.0, 0.5)
-        alike, structure = float(counts[-1]), size.max() ** 2 / 3.0 * np.eye(3)  # at worst
+        alike, structure = float(counts[-1]), largest**2 / 3.0 * np.eye(3)  # at worst
         for count in counts:
-            further = self._find_structure(noise, count, float(size.max()))
+            further = self._find_structure(noise, count, largest)
             if further is None:  # more than any row amid the others errs
                 continue
-            radius = sizes(count * self.covariance[amid] + noise + further)[1]
+            grown = self.growth[amid, None, None] * further
+            radius = sizes(count * self.covariance[amid] + noise + grown)[1]
             if np.median(radius) < best:
                 best, alike, structure = float(np.median(radius)), float(count), further
             if (size <= radius).mean() <= AMID or not further.any():
@@ -126,21 +151,22 @@ class LeftOut:
         """Return the smallest further covariance (3, 3), m^2, with which enough rows lie inside.
 
         Enough are 90 % of the rows, inside the stated radius. The covariance is proportional to the
-        weighted mean of the products ``error error'``.
+        weighted mean of the products ``error error'`` of believed rows.
 
         Args:
             noise: (3, 3) covariance of the measurement, m^2.
             alike: the number of rows that count as one.
             largest: largest square root of its trace, m; None is returned if this is not enough.
         """
-        shape = np.einsum("n,ni,nj->ij", self.count, self.error, self.error)
+        shape = np.einsum("n,ni,nj->ij", self.count * self.believed, self.error, self.error)
         shape /= np.trace(shape) or 1.0
         size = np.linalg.norm(self.error, axis=1)
-        wanted = LEVEL * (self.count.sum() + 1.0)
+        groups = [each for each in (self.count, self.count * self.amid) if each.any()]
 
         def holds_enough(square: float) -> bool:
-            inside = size <= sizes(alike * self.covariance + noise + square * shape)[1]
-            return bool(self.count @ inside >= wanted)
+            grown = square * self.growth[:, None, None] * shape
+            inside = size <= sizes(alike * self.covariance + noise + grown)[1]
+            return all(each @ inside >= LEVEL * (each.sum() + 1.0) for each in groups)
 
         low, high = 0.0, largest**2
         if holds_enough(low) or not holds_enough(high):

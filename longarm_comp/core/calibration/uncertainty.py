@@ -5,9 +5,10 @@ the model lacks is similar in similar rows, so many rows count as few.  Therefor
 one part of a joint's range at a time and in small random parts.  The error of the fit at these rows
 is computed from the design (no fit is repeated).  An error that no parameter explains is added, so
 that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann. Math.
-Artif. Intell. 74).  The added error may be larger than the errors in the random parts allow. Then
-the covariance of the parameters is multiplied instead, as if there were fewer rows, so the error
-grows with the distance from the rows.
+Artif. Intell. 74).  Rows that the fit set aside count as far as the arm may have been there.  The
+added error may be larger than the errors in the random parts allow. Then the covariance of the
+parameters is multiplied instead, as if there were fewer rows, so the error grows with the distance
+from the rows.
 
 Not all of a fit's residual is noise.  The arm behaves similarly at similar poses, so an error that
 the model lacks looks as if the parameters changed with the joints.  The residual is modelled as
@@ -48,6 +49,7 @@ from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.catalogue import possible_compliances
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.model.domain import RowDomain, least_moved
 from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.uncertainty import YIELDS, ModelUncertainty, factor_of, sizes
 
@@ -71,12 +73,16 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     position or a touch, the noise of the fit is taken instead.
     """
     kept, alike = fit.weights > 0, 1.0
-    left_out = LeftOut.of(fit)
+    pointed = fit.has_point & kept
+    arm = fit.model.arm
+    least = least_moved(arm)
+    domain = RowDomain.of(fit.session.q[pointed if pointed.any() else kept], least)
+    left_out = LeftOut.of(fit, domain)
     if left_out is None:
         lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))
     else:
-        spread = fit.residual[kept & fit.has_point][:, :3]
+        spread = fit.residual[pointed][:, :3]
         sensor = min(1.0 - estimate_arm_share(fit), share_of_sensor(fit).share)
         noise = sensor * np.diag((spread**2).mean(axis=0))
         alike, structure = left_out.find_least_errors(noise)
@@ -91,8 +97,7 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     frames = (FRAME * each for each in (moved, since) if len(each))
     frame = np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
     # Range of each circumstance that a command knows, except time; the declared value without rows
-    arm, payload = fit.model.arm, fit.model.arm.payload
-    warmth = arm.reference_temperature_c
+    payload, warmth = arm.payload, arm.reference_temperature_c
     circumstances = {"temperature_c": (warmth, warmth)}
     if payload is not None:  # as declared where the rows do not say it
         circumstances["payload_kg"] = (payload.mass_kg, payload.mass_kg)
@@ -102,8 +107,8 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
         values = np.asarray(column, dtype=float)[kept]
         if is_told(name) and name not in (CLOCK, ORDER) and np.isfinite(values).any():
             circumstances[name] = (float(np.nanmin(values)), float(np.nanmax(values)))
-    absent = possible_compliances(fit.model.arm, {term.key for term in fit.model.terms})
-    slots = (*fit.slots, *slots_of(fit.model.arm, absent))
+    absent = possible_compliances(arm, {term.key for term in fit.model.terms})
+    slots = (*fit.slots, *slots_of(arm, absent))
     covariance, drift = _covariance_with_absent(fit, absent, alike)
     frame += FRAME**2 * np.outer(drift, drift) * float(rows.share_of_time.var())
     record = ModelUncertainty(
@@ -116,14 +121,15 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
         frame=frame,
         circumstances=circumstances,
         absent=absent,
+        domain=domain,
     )
-    pointed = fit.has_point & kept
     if not pointed.any():
         return record
     arm_side = [k for k, slot in enumerate(slots) if isinstance(slot.owner, Effect)]
     columns = _columns_with_absent(fit, absent)[pointed][:, :3, arm_side]
     covariance = record.carry_to_tip(columns, [slots[k].identity for k in arm_side])
-    expected = sizes(covariance + record.structure + record.frame)[0]
+    structure = record.structure_at(fit.session.q[pointed], least)
+    expected = sizes(covariance + structure + record.frame)[0]
     return dataclasses.replace(record, largest_m=float(expected.max()))
 
 

@@ -9,7 +9,7 @@ predictor's own sigma.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,14 +21,13 @@ from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.ik.engines import posture_at, tip_poses
+from longarm_comp.core.model.alternatives import Alternative, list_told
 from longarm_comp.core.model.by_readings import by_readings
+from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty, sizes
 
-LEAST_MOVED = 0.1
-"""Share of its range by which a joint must move in the rows, so that they show how the error varies
-with this joint."""
 BY_HAND = math.radians(1.0)
 """Usual error of a joint's zero, rad, that was set by hand or by a servo horn. It holds for an arm
 that is not calibrated; a calibration expects less (`JointZero`)."""
@@ -40,11 +39,18 @@ class ExpectedMiss:
 
     Attributes:
         mean: (..., 3) m, the known part.
-        covariance: (..., 3, 3) m^2 of the unknown part; NaN if not known.
+        covariance: (..., 3, 3) m^2 of the unknown part; NaN if not known. It is about the model's
+            tip, so the alternatives count in it.
+        chance: (A,) probability of each alternative explanation.
+        apart: (A, ..., 3) m, its tip less the model's.
+        further: (A, ..., 3, 3) m^2, covariance of that difference.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
+    chance: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    apart: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    further: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     @property
     def sigma(self) -> np.ndarray:
@@ -54,14 +60,24 @@ class ExpectedMiss:
     @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """The expected distance from the target, and that of 90 of 100 commands, (...) m each."""
-        return sizes(self.covariance, self.mean)
+        if not len(self.chance):
+            return sizes(self.covariance, self.mean)
+        alone = self.covariance - spread_of(self.chance, self.apart, self.further)
+        covariances = np.concatenate([alone[None], alone + self.further])
+        means = np.concatenate([self.mean[None], self.mean + self.apart])
+        return sizes(covariances, means, np.append(1.0 - self.chance.sum(), self.chance))
 
     def plus(self, variance: np.ndarray) -> ExpectedMiss:
         """Return the miss with a further independent error of variance (..., 3), m^2, per axis.
 
         An unknown covariance stays NaN, because a part of an error is no bound of the whole.
         """
-        return ExpectedMiss(self.mean, self.covariance + variance[..., None] * np.eye(3))
+        return replace(self, covariance=self.covariance + variance[..., None] * np.eye(3))
+
+
+def spread_of(chance: np.ndarray, apart: np.ndarray, further: np.ndarray) -> np.ndarray:
+    """Return the covariance (..., 3, 3), m^2, about the model's tip that A alternatives cause."""
+    return np.tensordot(chance, apart[..., None] * apart[..., None, :] + further, axes=1)
 
 
 def expected_miss(
@@ -97,12 +113,19 @@ def expected_miss(
     if "uncertain" not in model.memo:
         model.memo["uncertain"] = model.uncertain_slots(known)
     slots = model.memo["uncertain"]
-    columns = model.columns(at, slots)[1].reshape(-1, 3, len(slots))
-    carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
+    others = list_told(known.alternatives, context)
+    more, chance, moves = _alternative_slots(model, others)
+    columns = model.columns(at, (*slots, *more))[1].reshape(-1, 3, len(slots) + len(more))
+    carried = known.carry_to_tip(columns, [slot.identity for slot in (*slots, *more)])
     carried = carried.reshape(*mean.shape, 3)
+    apart, *ways = np.einsum("nip,kap->kani", columns, moves).reshape(
+        len(moves), len(others), *mean.shape
+    )
+    further = sum((way[..., None] * way[..., None, :] for way in ways), np.zeros((*apart.shape, 3)))
+    carried = carried + spread_of(chance, apart, further)
     if learned is None:
         structure = structure_left(known, model.arm, np.atleast_2d(q)).reshape(carried.shape)
-        return ExpectedMiss(mean, carried + structure + known.frame)
+        return ExpectedMiss(mean, carried + structure + known.frame, chance, apart, further)
     seen = learned**2 - np.diag(known.noise)
     least = np.diagonal(carried, axis1=-2, axis2=-1)
     return ExpectedMiss(mean, np.maximum(seen, least)[..., None] * np.eye(3) + known.frame)
@@ -110,7 +133,32 @@ def expected_miss(
 
 def structure_left(known: ModelUncertainty, arm: Arm, q: np.ndarray) -> np.ndarray:
     """Return the covariance (M, 3, 3), m^2, of what no parameter explains at joints (M, n)."""
-    return known.structure_at(q, LEAST_MOVED * (arm.upper - arm.lower))
+    return known.structure_at(q, least_moved(arm))
+
+
+def _alternative_slots(
+    model: Model, others: tuple[Alternative, ...]
+) -> tuple[tuple[Slot, ...], np.ndarray, np.ndarray]:
+    """Return the parameters of A alternatives that the model does not hold, and what they change.
+
+    Returns:
+        The parameters; the probabilities (A,); and the moves (1 + k, A, p), as of `Alternative`, of
+        the model's uncertain parameters, then of these.
+    """
+    name = f"alternatives {[id(a) for a in others]}"
+    if name not in model.memo:
+        terms = {t.variant: t for a in others for t in a.terms}
+        known = [slot.identity for slot in model.memo["uncertain"]]
+        slots = slots_of(model.arm, list(terms.values()))
+        more = tuple(slot for slot in slots if slot.identity not in known)
+        every = [*known, *(slot.identity for slot in more)]
+        most = max((len(a.moves) for a in others), default=1)
+        moves = np.zeros((most, len(others), len(every)))
+        for k, other in enumerate(others):
+            moves[: len(other.moves), k] = other.moves_of(every)
+        model.memo[name] = more, np.array([a.chance for a in others]), moves
+    held: tuple[tuple[Slot, ...], np.ndarray, np.ndarray] = model.memo[name]
+    return held
 
 
 def list_tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:

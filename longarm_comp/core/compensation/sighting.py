@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.beyond import list_beyond, outside_data
-from longarm_comp.core.compensation.expected import structure_left
+from longarm_comp.core.compensation.expected import expected_miss, spread_of, structure_left
 from longarm_comp.core.compensation.unknown import moved_by_payload, unknown_history
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.model.model import Model
@@ -78,6 +78,9 @@ def error_of_sighting(
     (outside,), _ = outside_data(model, here, context)
     if learned is None:
         (structure,) = structure_left(promised, model.arm, here)
+        if promised.alternatives:  # each errs alike at each visit
+            miss = expected_miss(model, q, context, np.zeros(3))
+            structure = structure + spread_of(miss.chance, miss.apart, miss.further)
     else:
         structure = np.diag(np.maximum(learned**2 - np.diag(promised.noise), 0.0))
     structure = structure + np.diag(outside**2)

@@ -24,6 +24,8 @@ Of a thousand sessions with isolated gross errors, one is wrongly suspected.
 """
 RESTING = 0.5
 """Fraction of the visits at one value from which on a joint counts as mostly standing still."""
+EITHER = 0.5
+"""Probability that the arm, not the sensor, caused a row set aside of which nothing is known."""
 FEW = 3
 """Smallest number of visits that can have a trait in common."""
 
@@ -96,6 +98,23 @@ class SetAside:
         """
         numbers = session.labels.get("point", session.index)[list(self.rows)]
         return f"{self.summary}: {', '.join(map(str, numbers))}" if self.rows else self.summary
+
+
+def chance_of_arm(session: Session, aside: np.ndarray) -> np.ndarray:
+    """Return for each row the probability (N,) that the arm was where a row set aside says.
+
+    It is 0 where another row of the visit, from the same sides, is believed: the arm stood there.
+    Else it is `EITHER`, or the fraction of the rows that share a trait, if that is more.
+
+    Args:
+        aside: (N,) bool, the rows set aside.
+    """
+    visit = np.cumsum(np.r_[0, np.diff(session.pose_id) != 0])
+    stood = np.column_stack([visit, session.approach])
+    _, which = np.unique(stood, axis=0, return_inverse=True)
+    believed = np.bincount(which.reshape(-1), weights=~aside)[which.reshape(-1)] > 0
+    shared = max((each.rows for each in SetAside.of(session, aside).shared_by), default=0)
+    return np.where(believed, 0.0, max(EITHER, shared / max(int(aside.sum()), 1)))
 
 
 _Found = tuple[str, int, float]

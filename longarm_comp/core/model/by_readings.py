@@ -6,10 +6,10 @@ the readings equal to the commands: then this is the model of the commands too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.effect import Bias, Effect, parameter
 from longarm_comp.core.effects.geometry_errors import Encoder
 from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.model.encoders import sees
@@ -38,7 +38,16 @@ class _Shaft(JointTerm):
 def by_readings(model: Model) -> Model:
     """Return the model that takes encoder readings (rad, m) as q instead of commands."""
     arm = model.arm
-    behind = [t for t in model.terms if not any(sees(arm, row, t) for row in arm.commanded)]
-    return model.with_terms(
+
+    def follows(term: Effect | Bias) -> bool:
+        return not any(sees(arm, row, term) for row in arm.commanded)
+
+    behind = filter(follows, model.terms)
+    made = model.with_terms(
         [_Shaft(t.joint, t.zero, t.scale) if isinstance(t, Encoder) else t for t in behind]
     )
+    known = model.uncertainty
+    if known is None:
+        return made
+    others = (replace(a, terms=tuple(filter(follows, a.terms))) for a in known.alternatives)
+    return replace(made, uncertainty=replace(known, alternatives=tuple(others)))

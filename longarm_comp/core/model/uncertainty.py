@@ -2,15 +2,14 @@
 
 The error of the tip has two parts.  The first is that of the parameters: `Model.columns` carries
 their covariance to the tip at any joints, and it grows away from the fitted rows.  The second is
-structure that no parameter explains: it is the same everywhere within the range of the rows, and
-grows outside.  Noise of the measurement is no error of the tip.  `core/calibration/uncertainty.py`
-estimates all of them, `core/compensation/expected.py` uses them.
+structure that no parameter explains: it grows with the distance from the rows (`domain.py`).  Noise
+of the measurement is no error of the tip.  `core/calibration/uncertainty.py` estimates all of them,
+`core/compensation/expected.py` uses them.
 """
 
 from __future__ import annotations
 
 import base64
-import binascii
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +19,8 @@ from statistics import NormalDist
 import numpy as np
 
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.model.alternatives import Alternative, mixture_quantile
+from longarm_comp.core.model.domain import RowDomain
 
 LEVEL = 0.9
 """Probability that the tip is within the radius that a command states."""
@@ -37,7 +38,8 @@ class ModelUncertainty:
     Attributes:
         slots: identities of the fitted parameters (`Slot.identity`), then those of `absent`.
         factor: (p, r), the parameters' covariance is ``factor @ factor.T``.
-        structure: (3, 3) covariance of the tip's error that no parameter explains, m^2.
+        structure: (3, 3) covariance of the tip's error that no parameter explains, m^2, amid the
+            rows.
         noise: (3, 3) covariance of the measurement's noise, m^2; it is no error of the tip.
         largest_m: expected error of the tip, the largest over the fitted rows, m.
         rows: number of fitted rows.
@@ -46,6 +48,8 @@ class ModelUncertainty:
         circumstances: lowest and highest value in the fitted rows, by column: joints (``q1``, ...),
             payload, temperature and tilt.
         absent: effects that the arm may have and the model does not hold.
+        domain: where the rows stood; None if a file of an earlier version does not say it.
+        alternatives: other explanations of the rows, with their probabilities.
     """
 
     slots: tuple[_Identity, ...]
@@ -57,6 +61,8 @@ class ModelUncertainty:
     frame: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     circumstances: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     absent: tuple[Effect, ...] = ()
+    domain: RowDomain | None = None
+    alternatives: tuple[Alternative, ...] = ()
 
     @cached_property
     def row(self) -> dict[_Identity, int]:
@@ -72,9 +78,10 @@ class ModelUncertainty:
     def structure_at(self, q: np.ndarray, least: np.ndarray) -> np.ndarray:
         """Return the covariance of the structure at joints (N, n), rad and m: (N, 3, 3), m^2.
 
-        Outside the range of the rows it grows as if each joint caused an equal share of it by a
-        parabola. The second Legendre polynomial over the range rises from 1 to 1 + 6 (e + e^2) at e
-        ranges beyond it, and has a mean square of 1/5 within it.
+        It grows with the distance from the rows.  Outside their range it also grows as if each
+        joint caused an equal share of it by a parabola.  The second Legendre polynomial over the
+        range rises from 1 to 1 + 6 (e + e^2) at e ranges beyond it, and has a mean square of 1/5
+        within it.
 
         Args:
             least: (n,) rad or m; a joint whose range in the rows is not larger adds no growth.
@@ -84,7 +91,8 @@ class ModelUncertainty:
         low, high = np.array([self.circumstances.get(f"q{j + 1}", anywhere) for j in range(n)]).T
         told = high - low > least
         e = np.maximum(np.maximum(low - q, q - high), 0.0) / np.where(told, high - low, np.inf)
-        grown = 1.0 + (180.0 * (e + e**2) ** 2).sum(axis=-1) / n
+        near = 1.0 if self.domain is None else self.domain.growth_at(q)
+        grown = near + (180.0 * (e + e**2) ** 2).sum(axis=-1) / n
         return np.asarray(grown[..., None, None] * self.structure)
 
     def carry_to_tip(self, columns: np.ndarray, slots: Sequence[_Identity]) -> np.ndarray:
@@ -99,7 +107,9 @@ class ModelUncertainty:
         return np.asarray(moved @ np.swapaxes(moved, -1, -2))
 
 
-def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def sizes(
+    covariance: np.ndarray, mean: np.ndarray | None = None, chance: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the expected length of a normally distributed error, and the length's 90 % quantile.
 
     The squared length is taken to be gamma distributed (Satterthwaite 1946, Biometrics Bull. 2),
@@ -108,6 +118,7 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     Args:
         covariance: (..., 3, 3) m^2.
         mean: (..., 3) m, mean of the error; zero by default.
+        chance: (A,) probability of each of A means (A, ..., 3), one of which is true.
 
     Returns:
         (...) m each.
@@ -124,6 +135,9 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     expected = np.sqrt(square / shape) * np.exp(rise)
     spread = variance / np.maximum(9.0 * square**2, 1e-300)
     within = np.sqrt(square * (1.0 - spread + _NORMAL * np.sqrt(spread)) ** 3)
+    if chance is not None:
+        expected = np.tensordot(chance, expected, axes=1)
+        return expected, mixture_quantile(LEVEL, chance, square, spread, within)
     return np.where(square == 0, 0.0, expected), within
 
 
@@ -141,10 +155,26 @@ def triangular(factor: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.qr(wide.T, mode="r")).T
 
 
+def encode_numbers(numbers: np.ndarray) -> str:
+    """Return numbers (k,) as text: 32-bit floats, little-endian, in base 64."""
+    return base64.b64encode(numbers.astype("<f4").tobytes()).decode()
+
+
+def decode_numbers(text: str) -> np.ndarray:
+    """Return the numbers (k,) that `encode_numbers` wrote.
+
+    Raises:
+        ValueError: the text is no base 64 of finite 32-bit numbers.
+    """
+    numbers = np.frombuffer(base64.b64decode(text, validate=True), "<f4").astype(float)
+    if not np.isfinite(numbers).all():
+        raise ValueError("not finite")
+    return numbers
+
+
 def encode_triangle(factor: np.ndarray) -> list[str]:
-    """Return a lower triangle as text, one line a row: 32-bit floats, little-endian, in base 64."""
-    rows = factor.astype("<f4")
-    return [base64.b64encode(rows[k, : k + 1].tobytes()).decode() for k in range(len(rows))]
+    """Return a lower triangle as text, one line a row."""
+    return [encode_numbers(row[: k + 1]) for k, row in enumerate(factor)]
 
 
 def decode_triangle(lines: Sequence[str]) -> np.ndarray:
@@ -156,10 +186,10 @@ def decode_triangle(lines: Sequence[str]) -> np.ndarray:
     made = np.zeros((len(lines), len(lines)))
     for k, line in enumerate(lines):
         try:
-            row = np.frombuffer(base64.b64decode(line, validate=True), "<f4")
-        except (binascii.Error, ValueError):
+            row = decode_numbers(line)
+        except ValueError:
             row = np.zeros(0)
-        if len(row) != k + 1 or not np.isfinite(row).all():
+        if len(row) != k + 1:
             raise ValueError(f"line {k + 1}")
         made[k, : k + 1] = row
     return made

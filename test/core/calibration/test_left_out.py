@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hidden_arm import SIGMA, at, calibrated, session
 from scipy.signal import lfilter
+from small_arm import ARM
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.left_out import LeftOut, subtract_point_means
+from longarm_comp.core.calibration.uncertainty import measure_uncertainty, with_uncertainty
+from longarm_comp.core.compensation.expected import expected_miss
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.set_aside import EITHER, chance_of_arm
+from longarm_comp.core.model.domain import RowDomain, least_moved
 from longarm_comp.core.model.uncertainty import sizes
 from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.sim.hidden.geometry import JointZero
@@ -18,12 +27,21 @@ ZEROS = JointZero(at(1, 0.003) + at(2, -0.004))
 LACKING = JointGain(at(2, 0.03))
 
 
+def left_out(error: np.ndarray, covariance: np.ndarray, amid: np.ndarray, **more) -> LeftOut:
+    """Rows that count once each, all of them believed and as near to the others."""
+    once = dict.fromkeys(("growth", "count"), np.ones(len(error)))
+    believed = np.ones(len(error), dtype=bool)
+    given = {"error": error, "covariance": covariance, "amid": amid, "believed": believed}
+    return LeftOut(**{**once, **given, **more})
+
+
 def test_rows_left_out_are_missed_as_by_a_fit_without_them() -> None:
     start = calibrated(session([ZEROS, LACKING], n=80))
     settings = {"sigma": np.full(3, 5e-4), "robust": False, "close": 1e-6}
     whole = fit_model(start.model, start.session, **settings)
     rows, weights = whole.session, whole.weights
-    left = LeftOut.of(whole)
+    domain = RowDomain.of(rows.q[weights > 0], least_moved(whole.model.arm))
+    left = LeftOut.of(whole, domain)
     assert left is not None
     order = np.argsort(np.argsort(rows.q[weights > 0, 0], kind="stable"))
     out = np.flatnonzero(weights > 0)[order * 4 // len(order) == 0]
@@ -41,7 +59,7 @@ def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
     unit = np.tile(np.eye(3), (400, 1, 1))
     error = 1e-3 * rng.standard_normal((400, 3))
     error[:20] *= 30.0
-    small = LeftOut(error, 1e-9 * unit, np.ones(400), np.ones(400, dtype=bool))
+    small = left_out(error, 1e-9 * unit, np.ones(400, dtype=bool))
     noise = 1e-9 * np.eye(3)
     alike, structure = small.find_least_errors(noise)
     radius = sizes(small.covariance + structure + noise)[1]
@@ -86,7 +104,7 @@ def test_an_error_where_rows_are_far_is_no_error_everywhere(far: float, one: boo
     sd = np.where(amid, 1e-4, 1e-4 * far)
     covariance = sd[:, None, None] ** 2 * np.eye(3)
     error = 5.0 * sd[:, None] * rng.standard_normal((400, 3))
-    left = LeftOut(error, covariance, np.ones(400), amid)
+    left = left_out(error, covariance, amid)
     alike, structure = left.find_least_errors(1e-10 * np.eye(3))
     inside = np.linalg.norm(error, axis=1) <= sizes(alike * covariance + structure)[1]
     assert (alike == 1.0) is one
@@ -108,7 +126,55 @@ def test_errors_that_nothing_explains_are_at_worst_those_amid() -> None:
     """Rows far off that no parameter moves: all rows count as one, and err as the worst amid."""
     error = np.full((40, 3), 1e-4)
     error[20:] = 1.0
-    left = LeftOut(error, np.zeros((40, 3, 3)), np.ones(40), np.arange(40) < 20)
+    left = left_out(error, np.zeros((40, 3, 3)), np.arange(40) < 20)
     alike, structure = left.find_least_errors(1e-10 * np.eye(3))
     assert alike > 40.0
     assert np.trace(structure) == pytest.approx(3e-8)
+
+
+@pytest.mark.parametrize(("chance", "radius"), [(0.0, 1.0), (0.5, 1.17), (1.0, 4.0)])
+def test_rows_set_aside_count_as_far_as_the_arm_may_have_been_there(
+    chance: float, radius: float
+) -> None:
+    """An eighth of the rows lies ten times as far off: with all of them 90 % need these too."""
+    rng = np.random.default_rng(4)
+    error = 1e-4 * rng.standard_normal((480, 3))
+    aside = np.arange(480) % 8 == 0
+    error[aside] *= 10.0
+    few = {"count": np.where(aside, chance, 1.0), "believed": ~aside}
+    left = left_out(error, np.zeros((480, 3, 3)), ~aside, **few)
+    alone = left_out(error[~aside], np.zeros((420, 3, 3)), np.ones(420, dtype=bool))
+    wide, usual = (each.find_least_errors(1e-14 * np.eye(3))[1] for each in (left, alone))
+    found = sizes(wide)[1] / sizes(usual)[1]
+    np.testing.assert_allclose(wide / np.trace(wide), usual / np.trace(usual))  # of the others
+    assert found == pytest.approx(radius, rel=0.05)
+    inside = np.linalg.norm(error, axis=1) <= sizes(wide)[1]
+    assert np.average(inside, weights=few["count"]) >= 0.9
+
+
+def test_an_arm_that_rests_on_another_seat_now_and_then_promises_less() -> None:
+    """A tenth of its rows lie 4 mm off; the fit sets them aside, the commands do not."""
+    rows, far = session([ZEROS], n=200), np.arange(200) % 10 == 3
+    moved = np.where(far[:, None], [0.0, 4e-3, 0.0], 0.0)
+    fit = calibrated(dataclasses.replace(rows, xyz=rows.xyz + moved))
+    assert (fit.weights[far] == 0).all()
+    known = measure_uncertainty(fit)
+    q = session([ZEROS], seed=7).q
+    radius = expected_miss(
+        dataclasses.replace(fit.model, uncertainty=known), q, Context(), fit.model.tip(q)
+    ).sizes[1]
+    usual = with_uncertainty(calibrated(rows.take(~far)))
+    plain = expected_miss(usual, q, Context(), usual.tip(q)).sizes[1]
+    assert 1.5 < np.median(radius) / np.median(plain) < 3.0
+
+
+def test_a_row_whose_visit_is_believed_was_the_sensor_s() -> None:
+    q = np.repeat(np.random.default_rng(2).random((30, ARM.n)), 2, axis=0)
+    rows = Session.record(ARM.lower + q * (ARM.upper - ARM.lower), np.zeros((60, 3)))
+    aside = np.zeros(60, dtype=bool)
+    aside[[4, 20, 21]] = True  # one of a visit, all of another
+    chance = chance_of_arm(rows, aside)
+    assert chance[[4, 20, 21]].tolist() == [0.0, EITHER, EITHER]
+    aside = np.zeros(60, dtype=bool)
+    aside[20:36] = True  # eight visits, one after the other
+    assert chance_of_arm(rows, aside)[aside].tolist() == [1.0] * 16

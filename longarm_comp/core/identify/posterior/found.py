@@ -86,6 +86,7 @@ class FoundEffect:
         chance: probability of its name, given that the effect exists.
         rivals: all other names that may be true instead, the most probable first.
         where: sets of places that explain the data nearly as well; its own set first.
+        otherwise: its other places and forms, with the log odds of each against its own.
         log_prior: as in `Rival`; None: that of any candidate of its name.
         loose: whether it is a function whose prior was widened to its amount (`widen_prior`).
     """
@@ -98,6 +99,7 @@ class FoundEffect:
     where: tuple[tuple[str, ...], ...] = ()
     log_prior: float | None = None
     loose: bool = False
+    otherwise: tuple[tuple[Candidate, float], ...] = ()
 
     @property
     def name(self) -> str:
@@ -208,6 +210,7 @@ class FoundEffect:
             chance=first.probability,
             log_prior=first.log_prior,
             loose=first.loose,
+            otherwise=self.otherwise if first.name == self.name else (),
             rivals=tuple(sorted(others, key=lambda r: -r.probability)),
         )
 

@@ -197,15 +197,15 @@ class OfferedEffects:
         """
         here, own = self.bank.evidence(offers), self._bayes_factor(offers, k)
         likeliest: dict[str, tuple[float, int, Offer, list[Offer]]] = {}
-        where = {tuple(t.where for t in found.terms): 1.0}
+        otherwise: dict[object, tuple[Candidate, float]] = {}
         for n, offer, rest in self._list_substitutes(offers, k, here + math.log(LOOKED_AT)):
             tried = (offer, self._drop_idle_places_of([*rest, offer], len(rest)))
             worth = (self.bank.evidence_of_sets([[*rest, each] for each in tried]) - here).tolist()
             odds = max(worth)
             if offer.name == found.name:
                 for each, value in zip(tried, worth, strict=True):
-                    places = tuple(t.where for t in self._terms_of(n, each))
-                    where.setdefault(places, math.exp(min(value, 0.0)))
+                    same = Candidate(offer.name, self._terms_of(n, each))
+                    otherwise.setdefault(list_variants(same.terms), (same, value))
             elif odds > likeliest.get(offer.name, (-math.inf,))[0]:
                 likeliest[offer.name] = odds, n, tried[int(np.argmax(worth))], rest
         first = [self._candidate_of_name(n, found.terms) for n in self._list_aliases(found.terms)]
@@ -231,8 +231,13 @@ class OfferedEffects:
             for chance, (_, factor, prior, alike) in zip(chances, judged, strict=True)
             for candidate in alike
         )
+        where = {tuple(t.where for t in found.terms): 1.0}
+        for same, value in otherwise.values():
+            where.setdefault(tuple(t.where for t in same.terms), math.exp(min(value, 0.0)))
         where = dict(sorted(where.items(), key=lambda w: -w[1]))
-        led = found.put_first(dataclasses.replace(leader, loose=found.loose), others)
+        otherwise.pop(list_variants(found.terms), None)
+        told = dataclasses.replace(found, otherwise=tuple(otherwise.values()))
+        led = told.put_first(dataclasses.replace(leader, loose=found.loose), others)
         return dataclasses.replace(led, where=smallest_set(where))
 
     def _list_substitutes(

@@ -1,0 +1,121 @@
+"""The other explanations that the rows leave possible, as the promise of a command needs them.
+
+The law of total covariance: an error about the model's tip is that within each explanation, and the
+distance to the explanation's tip.  Explanations differ by the names, places and forms of the found
+effects, by their absence, and by the presence of doubtful ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.calibration import linear
+from longarm_comp.core.calibration.candidates import Term
+from longarm_comp.core.calibration.fit_columns import FitColumns
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.identify.posterior.found import FoundEffect, keys_of
+from longarm_comp.core.model.alternatives import Alternative
+from longarm_comp.core.model.model import slots_of
+
+LEAST = 0.01
+"""Smallest probability of an alternative: less moves the radius of 90 of 100 commands little."""
+MOST = 8
+"""Largest number of alternatives; the likeliest stand for all."""
+
+
+@dataclass(frozen=True)
+class _Change:
+    """Effects that replace others, with the probability of that."""
+
+    chance: float
+    gone: frozenset[tuple[str, str]] = frozenset()
+    terms: tuple[Term, ...] = ()
+
+
+def weigh_alternatives(
+    fit: ModelFit, found: Sequence[FoundEffect], doubtful: Sequence[FoundEffect]
+) -> tuple[Alternative, ...]:
+    """List the explanations that may be true instead of that of a fitted model.
+
+    Found effects that the model does not hold are left out: their proof failed.
+
+    Args:
+        fit: the fit of the model.
+        found: the effects that were found.
+        doubtful: further effects that may be there.
+    """
+    held = {t.key for t in fit.model.terms}
+    mine = [f for f in found if held.issuperset(t.key for t in f.terms)]
+    sets = [list(_changes_of(f, mine)) for f in mine]
+    sets += [[_Change(f.presence, terms=f.terms)] for f in doubtful]
+    every = [_Change(1.0)]
+    for changes in sets:
+        stays = 1.0 - sum(c.chance for c in changes)
+        every = [
+            _Change(e.chance * c.chance, e.gone | c.gone, e.terms + c.terms)
+            for e in every
+            for c in (_Change(stays), *changes)
+            if e.chance * c.chance >= LEAST
+        ]
+    others = sorted((e for e in every if e.gone or e.terms), key=lambda e: -e.chance)
+    shown = [e for e in others if _has_parameters(fit, e)]
+    kept = shown[:MOST]
+    share = sum(e.chance for e in shown) / (sum(e.chance for e in kept) or 1.0)
+    return tuple(_make_alternative(fit, e, share * e.chance) for e in kept)
+
+
+def _changes_of(found: FoundEffect, every: Sequence[FoundEffect]) -> Iterator[_Change]:
+    """Yield what may be true instead of a found effect, its absence first.
+
+    A named rival also replaces all other effects of its name.
+    """
+    own = frozenset(t.key for t in found.terms)
+    yield _Change(1.0 - found.presence, own)
+    odds = [math.exp(value) for _, value in found.otherwise]
+    for (candidate, _), each in zip(found.otherwise, odds, strict=True):
+        share = found.presence * found.chance * each / (1.0 + sum(odds))
+        yield _Change(share, own, candidate.terms)
+    for rival in found.rivals:
+        same = () if rival.unnamed else [f for f in every if f.name == rival.name]
+        chance = found.presence * rival.probability
+        yield _Change(chance, own | keys_of(same), rival.candidate.terms)
+
+
+def _has_parameters(fit: ModelFit, change: _Change) -> bool:
+    """Tell whether every effect that comes or goes has parameters, by which it moves the tip."""
+    gone = [t for t in fit.model.terms if t.key in change.gone]
+    return all(slots_of(fit.model.arm, [t]) for t in (*gone, *change.terms))
+
+
+def _make_alternative(fit: ModelFit, change: _Change, chance: float) -> Alternative:
+    """Fit the other effects in the place of those that go, by the columns of a fit."""
+    held = {t.key for t in fit.model.terms} - change.gone
+    new = tuple({t.key: t for t in change.terms if t.key not in held}.values())
+    stays = np.array(
+        [s.owner.key not in change.gone and not s.owner.through_others for s in fit.slots], bool
+    )
+    fixed = np.array([s.owner.through_others for s in fit.slots], bool)
+    kept = [s for s, stay in zip(fit.slots, stays, strict=True) if stay]
+    slots = (*kept, *slots_of(fit.model.arm, new))
+    width = prior_widths(slots)
+    values = fit.model.values / prior_widths(fit.slots)
+    data = fit.data - fit.design[:, fixed] @ values[fixed]
+    design = np.concatenate([fit.design[:, stays], FitColumns(fit).white_columns(new)], axis=1)
+    limits = (np.array([getattr(s.parameter, end) for s in slots]) for end in ("lower", "upper"))
+    ends = (each / width for each in limits)
+    fitted = linear.solve_products(design.T @ design, design.T @ data, *ends)
+    covariance = fitted.covariance * np.outer(width, width)
+    own = slice(len(kept), None)
+    ways = np.linalg.solve(np.linalg.cholesky(covariance[own, own]), covariance[own])
+    before = np.array([s.value if s.owner.key in held else 0.0 for s in slots])
+    gone = [s for s in fit.slots if s.owner.key in change.gone]
+    moves = np.zeros((1 + len(ways), len(slots) + len(gone)))
+    moves[0] = [*(fitted.u * width - before), *(-s.value for s in gone)]
+    moves[1:, : len(slots)] = ways
+    terms = tuple(t for t in new if isinstance(t, Effect))
+    return Alternative(chance, tuple(s.identity for s in (*slots, *gone)), moves, terms)
