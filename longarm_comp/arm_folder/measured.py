@@ -153,8 +153,8 @@ def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
     }
     files = {camera_path(folder, side): side for side in SIDES}
     # The record first: `write_texts` replaces its first file last
-    made = {folder / FILE: _with_entry(folder, CAMERAS, "stereo calibrate", facts)}
-    made |= {file: camera_text(side, cameras[side], head) for file, side in files.items()}
+    texts = {file: camera_text(side, cameras[side], head) for file, side in files.items()}
+    made = {folder / FILE: _with_entry(folder, CAMERAS, "stereo calibrate", facts, texts), **texts}
     for file, side in files.items():
         if file.is_file():
             write_bytes(camera_path(folder, f"{side}.previous"), file.read_bytes())

@@ -187,6 +187,7 @@ def base(rng: np.random.Generator) -> Diagnosis:
             "data_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
             "version": "0.1.0",
             "holdout_uses": ["9f86d081884c7d65"],
+            "model_given": False,
         },
     }
     detail = Detail(

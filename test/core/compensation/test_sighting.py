@@ -15,6 +15,7 @@ from longarm_comp.core.compensation.sighting import VISITED, error_of_sighting, 
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.plays import FrictionHysteresis
+from longarm_comp.core.model.alternatives import Alternative
 
 VARIANCE = np.array([1e-8, 4e-6, 9e-6])
 GROWN = Discovered("joint 3", "turn z", "linear(q2)", "q2 -0.1..0.1", 0.01, 0.2)
@@ -32,8 +33,12 @@ def test_it_is_the_promise_and_the_noise(told: dict[str, float], share: float) -
     """Of the joints' history nothing is known, and a function without a name is extrapolated."""
     given = loaded()
     assert given.uncertainty is not None
+    slots = tuple(slot.identity for slot in given.uncertain_slots(given.uncertainty)[:2])
     record = dataclasses.replace(
-        given.uncertainty, frame=np.diag([1e-6, 2e-6, 3e-6]), noise=2e-6 * np.eye(3)
+        given.uncertainty,
+        frame=np.diag([1e-6, 2e-6, 3e-6]),
+        noise=2e-6 * np.eye(3),
+        alternatives=(Alternative(0.3, slots, np.array([[4e-3, -3e-3], [0.0, 1e-3]])),),
     )
     model = dataclasses.replace(
         given.plus(FrictionHysteresis(2, far=0.01, width=0.01), GROWN), uncertainty=record
