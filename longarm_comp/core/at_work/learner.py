@@ -150,8 +150,8 @@ class Learner:
             return self
         known = self.known or _begin_explanations(self.model, self.record, context)
         before = self.domain or self.record.domain
+        promised = dataclasses.replace(self.given, domain=before)
         domain = None if before is None else before.plus(q)
-        promised = dataclasses.replace(self.given, domain=domain)
         error = error_of_sighting(self.model, promised, q, context, variance, learned)
         row = self._make_row(known, q, context, tip, error, t_s)
         taken = dataclasses.replace(self._take_in(known, row), domain=domain)

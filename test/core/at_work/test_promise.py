@@ -49,7 +49,7 @@ def test_the_promise_holds_after_any_number_of_sightings(truth: TrueArm, rows: s
     # The arm is learned, and has not changed. Beyond a box a misfit of 10 mm is promised, so that
     # sightings there tell little of the parameters; all over, a misfit stays in the structure
     assert error < (2.5 if boxed else 1.1) * SIGMA and learner.named == ()
-    assert rows != "line" or radius < 2.0 * SIGMA
+    assert rows != "line" or radius < 3.0 * SIGMA
 
 
 def test_compliances_that_are_not_held_stay_in_the_record() -> None:
