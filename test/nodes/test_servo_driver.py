@@ -152,6 +152,7 @@ def test_beside_another_driver_it_moves_nothing_but_still_stops(rig: Rig) -> Non
     other.state = DriverState.READY
     rig.stage.spin(lambda: "two drivers" in rig.motions[-1].message or not rig.send(shoulder=0.2))
     rig.stage.node.destroy_timer(beat)  # killed: it says nothing any more
+    rig.stage.node.destroy_publisher(states)
     rig.stage.spin(
         lambda: Motion.ACCEPTED in rig.events("last") or not rig.send("last", shoulder=0.4)
     )
