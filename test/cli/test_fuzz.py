@@ -216,7 +216,8 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             command(put, t + 0.1, ARM.mid.tolist())
             for k in (3.0, 4.0):
                 state(put, t + k, ARM.mid.tolist())
-                sighting(put, t + k, target.tolist())
+                for topic in ("tip_measured", "tip_seen"):
+                    sighting(put, t + k, target.tolist(), topic=topic)
     return folder
 
 

@@ -93,11 +93,16 @@ def _has_parameters(fit: ModelFit, change: _Change) -> bool:
 
 
 def _make_alternative(fit: ModelFit, change: _Change, chance: float) -> Alternative:
-    """Fit the other effects in the place of those that go, by the columns of a fit."""
-    held = {t.key for t in fit.model.terms} - change.gone
+    """Fit the other effects in the place of those that go, by the columns of a fit.
+
+    An effect that goes and comes in the same form stays.
+    """
+    same = {t.variant for t in change.terms}
+    leaves = {t.key for t in fit.model.terms if t.variant not in same} & change.gone
+    held = {t.key for t in fit.model.terms} - leaves
     new = tuple({t.key: t for t in change.terms if t.key not in held}.values())
     stays = np.array(
-        [s.owner.key not in change.gone and not s.owner.through_others for s in fit.slots], bool
+        [s.owner.key not in leaves and not s.owner.through_others for s in fit.slots], bool
     )
     fixed = np.array([s.owner.through_others for s in fit.slots], bool)
     kept = [s for s, stay in zip(fit.slots, stays, strict=True) if stay]
@@ -113,7 +118,7 @@ def _make_alternative(fit: ModelFit, change: _Change, chance: float) -> Alternat
     own = slice(len(kept), None)
     ways = np.linalg.solve(np.linalg.cholesky(covariance[own, own]), covariance[own])
     before = np.array([s.value if s.owner.key in held else 0.0 for s in slots])
-    gone = [s for s in fit.slots if s.owner.key in change.gone]
+    gone = [s for s in fit.slots if s.owner.key in leaves]
     moves = np.zeros((1 + len(ways), len(slots) + len(gone)))
     moves[0] = [*(fitted.u * width - before), *(-s.value for s in gone)]
     moves[1:, : len(slots)] = ways

@@ -118,6 +118,17 @@ def test_another_form_moves_the_tip_as_its_own_fit_does() -> None:
     np.testing.assert_allclose(single.apart[0], mine[7], atol=1e-9)
 
 
+def test_more_places_of_an_effect_leave_it_where_it_is() -> None:
+    """The rows tell as much of the first joint as before, and that the second one turns true."""
+    fit = fitted(ONCE)
+    more = Candidate(ONCE.name, (ONCE, GearEccentricity(2, order=1)))
+    (other,) = weigh_alternatives(fit, [found(fit, otherwise=((more, 0.0),))], [])
+    assert [t.where for t in other.terms] == ["joint 2"]
+    own = [s for s in fit.slots if s.owner.key == ONCE.key]
+    moved = other.moves_of([s.identity for s in own])[0]
+    assert np.abs(moved).max() < 0.02 * max(abs(s.value) for s in own)
+
+
 def test_a_promise_holds_whichever_form_is_true() -> None:
     """Where the rows show either and the other one is true, 17 % of the commands were inside."""
     inside = np.zeros((2, 2, 5))  # by truth, with and without the other form, by session
