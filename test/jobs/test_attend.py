@@ -210,9 +210,10 @@ def test_a_driver_that_is_heard_of_last_is_on_the_graph(tmp_path: Path, shell: S
 
 @pytest.mark.usefixtures("soon")
 def test_a_node_that_follows_paths_and_does_not_report_is_told_of(
-    tmp_path: Path, shell: Shell
+    tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It reports once a minute, so that it is as silent as one that hangs."""
+    monkeypatch.setattr("longarm_comp.jobs.attend.FOUND_S", 20.0)
     arm = tmp_path / "arm.yaml"
     arm.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_none=True)))
     with own_graph(tmp_path), bench() as stage:
