@@ -14,7 +14,6 @@ import numpy as np
 
 from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
 from longarm_comp.core.data.set_aside import chance_of_arm
-from longarm_comp.core.model.domain import RowDomain
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
 PARTS, SMALL = 4, 20
@@ -43,8 +42,6 @@ class LeftOut:
     Attributes:
         error: (M, 3) measured - predicted by a fit without the row, m.
         covariance: (M, 3, 3) covariance of this prediction by the fitted parameters, m^2.
-        growth: (M,) variance of what no parameter explains, by the distance from the rows that
-            stayed (`RowDomain`).
         count: (M,) weight of each; the weights of one row sum up to 1, or to the probability that
             the arm was there, if the fit set it aside.
         amid: (M,) True if similar rows stayed in the fit (random parts), False if a whole part of
@@ -54,19 +51,15 @@ class LeftOut:
 
     error: np.ndarray
     covariance: np.ndarray
-    growth: np.ndarray
     count: np.ndarray
     amid: np.ndarray
     believed: np.ndarray
 
     @classmethod
-    def of(cls, fit: ModelFit, domain: RowDomain) -> LeftOut | None:
+    def of(cls, fit: ModelFit) -> LeftOut | None:
         """Leave rows out of a fit to positions or touches; None if fewer than two rows have one.
 
         The place of a touched point is not known, so its rows are compared with their mean.
-
-        Args:
-            domain: the places of the fit's rows.
         """
         kept = np.flatnonzero((fit.weights > 0) & fit.has_point)
         if len(kept) < 2:
@@ -80,7 +73,6 @@ class LeftOut:
         length = fit.sigma[:3] / np.sqrt(fit.weights[kept])[:, None]
         judged = choose_evenly(np.arange(len(kept)), MOST)
         q = fit.session.q[kept]
-        owner = (domain.q[:, None] == q).all(axis=-1).argmax(axis=1)
         made = []
         places = None
         if touched is not None:  # points at known distances belong to one tool: one place
@@ -90,7 +82,6 @@ class LeftOut:
         for division, share, near in _divide_rows(q, places):
             for part in np.unique(division):
                 out = division == part
-                growth = domain.growth_at(q[out], ~out[owner])
                 a = whole[here[out]]
                 flat = a.reshape(-1, a.shape[-1])
                 inverse = np.linalg.inv(gram - flat[:, :-1].T @ flat[:, :-1])
@@ -104,21 +95,20 @@ class LeftOut:
                 error = rows[mine, :, -1] + moved @ shift
                 carried = moved @ inverse @ np.swapaxes(moved, 1, 2)
                 alike = (np.full(len(error), each) for each in (share, near, True))
-                made.append((error, carried, growth[mine], *alike))
+                made.append((error, carried, *alike))
         if touched is None:
             aside = np.flatnonzero((fit.weights == 0) & fit.has_point)
             moved = fit.columns[aside][:, :3] * prior_widths(fit.slots)
             carried = moved @ np.linalg.inv(gram) @ np.swapaxes(moved, 1, 2)
-            growth = domain.growth_at(fit.session.q[aside])
             count = chance_of_arm(fit.session, fit.weights == 0)[aside]
             no = np.zeros(len(aside), bool)
-            made.append((fit.residual[aside][:, :3], carried, growth, count, no, no))
+            made.append((fit.residual[aside][:, :3], carried, count, no, no))
         return cls(*map(np.concatenate, zip(*made, strict=True)))
 
     def find_least_errors(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
         """Find the smallest stated errors that contain 90 % of the rows that were left out.
 
-        They are enlarged in two ways.  One is a further covariance, times the growth, for errors
+        They are enlarged in two ways.  One is a further covariance, the same everywhere, for errors
         that no parameter explains.  It is too large if more than `AMID` of the rows that were left
         out at random lie inside the stated errors.  Then the covariance of the parameters is
         multiplied by the number of rows that count as one, as similar rows have similar errors.
@@ -139,8 +129,7 @@ class LeftOut:
             further = self._find_structure(noise, count, largest)
             if further is None:  # more than any row amid the others errs
                 continue
-            grown = self.growth[amid, None, None] * further
-            radius = sizes(count * self.covariance[amid] + noise + grown)[1]
+            radius = sizes(count * self.covariance[amid] + noise + further)[1]
             if np.median(radius) < best:
                 best, alike, structure = float(np.median(radius)), float(count), further
             if (size <= radius).mean() <= AMID or not further.any():
@@ -161,12 +150,11 @@ class LeftOut:
         shape = np.einsum("n,ni,nj->ij", self.count * self.believed, self.error, self.error)
         shape /= np.trace(shape) or 1.0
         size = np.linalg.norm(self.error, axis=1)
-        groups = [each for each in (self.count, self.count * self.amid) if each.any()]
+        wanted = LEVEL * (self.count.sum() + 1.0)
 
         def holds_enough(square: float) -> bool:
-            grown = square * self.growth[:, None, None] * shape
-            inside = size <= sizes(alike * self.covariance + noise + grown)[1]
-            return all(each @ inside >= LEVEL * (each.sum() + 1.0) for each in groups)
+            inside = size <= sizes(alike * self.covariance + noise + square * shape)[1]
+            return bool(self.count @ inside >= wanted)
 
         low, high = 0.0, largest**2
         if holds_enough(low) or not holds_enough(high):

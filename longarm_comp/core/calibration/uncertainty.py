@@ -77,7 +77,7 @@ def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
     arm = fit.model.arm
     least = least_moved(arm)
     domain = RowDomain.of(fit.session.q[pointed if pointed.any() else kept], least)
-    left_out = LeftOut.of(fit, domain)
+    left_out = LeftOut.of(fit)
     if left_out is None:
         lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))

@@ -72,19 +72,15 @@ class RowDomain:
             return self
         return dataclasses.replace(self, q=np.concatenate([self.q, q[None]]))
 
-    def growth_at(self, q: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-        """Return how an error's variance grows from amid the rows to joints (N, n): (N,).
+    def growth_at(self, q: np.ndarray) -> np.ndarray:
+        """Return how an error's variance grows from amid the rows to joints (N, n): (N,), from 1.
 
         Half of the variance amid the rows is the same everywhere: what they show and no parameter
         explains.  The other half is that of the process, which grows with the distance.
-
-        Args:
-            kept: (R,) bool, the places that count; all by default. Amid stays amid all.
         """
-        some = self if kept is None else dataclasses.replace(self, q=self.q[kept])
-        near = some._alike(q) @ some._whitener.T
+        near = self._alike(q) @ self._whitener.T
         variance = np.maximum(1.0 - (near**2).sum(axis=1), 0.0) + ROUGH
-        return np.asarray(0.5 + 0.5 * variance / self.amid)
+        return np.asarray(np.maximum(0.5 + 0.5 * variance / self.amid, 1.0))
 
     @cached_property
     def _whitener(self) -> np.ndarray:

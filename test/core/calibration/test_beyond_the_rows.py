@@ -56,10 +56,9 @@ def test_an_error_grows_with_the_distance_from_the_rows(rng: np.random.Generator
 
     amid = [variance(rows[[k]], np.delete(rows, k, axis=0)) for k in range(40)]
     grown = 0.5 + 0.5 * variance(x, rows) / np.median(amid)
+    assert grown.min() > 1.0
     np.testing.assert_allclose(domain.growth_at(x), grown, rtol=1e-6)
-    some = np.arange(40) % 3 > 0
-    there = 0.5 + 0.5 * variance(x, domain.q[some]) / np.median(amid)
-    np.testing.assert_allclose(domain.growth_at(x, some), there, rtol=1e-6)
+    assert np.median(domain.growth_at(rows)) == domain.growth_at(rows).min() == 1.0
 
 
 def test_a_place_beside_the_rows_tells_more_and_one_amid_them_nothing() -> None:
@@ -101,7 +100,7 @@ def test_beside_a_band_of_rows_the_promise_holds(width: float) -> None:
         times.append(np.median(radius) / np.median(off))
         rows_radius = expected_miss(model, q, Context(), model.tip(q, Context())).sizes[1]
         assert np.median(rows_radius) < 3.0 * SIGMA
-    assert min(inside) >= 0.85 and max(times) < 5.0
+    assert min(inside) >= 0.85 and max(times) < 6.0
 
 
 def test_a_file_that_does_not_say_where_its_rows_stood_promises_as_before(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from longarm_comp.core.calibration.uncertainty import measure_uncertainty, with_
 from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import EITHER, chance_of_arm
-from longarm_comp.core.model.domain import RowDomain, least_moved
 from longarm_comp.core.model.uncertainty import sizes
 from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.sim.hidden.geometry import JointZero
@@ -28,11 +27,11 @@ LACKING = JointGain(at(2, 0.03))
 
 
 def left_out(error: np.ndarray, covariance: np.ndarray, amid: np.ndarray, **more) -> LeftOut:
-    """Rows that count once each, all of them believed and as near to the others."""
-    once = dict.fromkeys(("growth", "count"), np.ones(len(error)))
-    believed = np.ones(len(error), dtype=bool)
-    given = {"error": error, "covariance": covariance, "amid": amid, "believed": believed}
-    return LeftOut(**{**once, **given, **more})
+    """Rows that count once each, all of them believed."""
+    count, believed = np.ones(len(error)), np.ones(len(error), dtype=bool)
+    return LeftOut(
+        error, covariance, **{"count": count, "amid": amid, "believed": believed, **more}
+    )
 
 
 def test_rows_left_out_are_missed_as_by_a_fit_without_them() -> None:
@@ -40,8 +39,7 @@ def test_rows_left_out_are_missed_as_by_a_fit_without_them() -> None:
     settings = {"sigma": np.full(3, 5e-4), "robust": False, "close": 1e-6}
     whole = fit_model(start.model, start.session, **settings)
     rows, weights = whole.session, whole.weights
-    domain = RowDomain.of(rows.q[weights > 0], least_moved(whole.model.arm))
-    left = LeftOut.of(whole, domain)
+    left = LeftOut.of(whole)
     assert left is not None
     order = np.argsort(np.argsort(rows.q[weights > 0, 0], kind="stable"))
     out = np.flatnonzero(weights > 0)[order * 4 // len(order) == 0]

@@ -111,7 +111,7 @@ def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
         rows_inside += list(np.linalg.norm(off + noise, axis=1) <= rows)
         stated.append(expected.mean())
         true.append(np.linalg.norm(off, axis=1).mean())
-    assert 0.86 <= np.mean(rows_inside) <= 0.95
+    assert 0.86 <= np.mean(rows_inside) <= 0.98
     assert np.mean(tips_inside) >= 0.85
     assert np.mean(true) < 1.1 * np.mean(stated) and np.mean(stated) < 3.0 * np.mean(true)
 
