@@ -176,7 +176,7 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
         done = stage.call(graph.UNDO.client(stage.node, of="kinematics"), Trigger.Request())
         assert done.success, done.message
         stage.spin(lambda: work.said()[0].startswith("frozen: nothing changed"))
-        stage.spin(lambda: work.monitored() == 0)
+        stage.spin(lambda: work.monitored() <= 1)  # anew; where it rests may count again
         assert max(work.reach() for _ in range(3)) > 5e-4
         thaw = graph.FREEZE.client(stage.node, of="kinematics")
         assert stage.call(thaw, SetBool.Request(data=False)).success
