@@ -163,7 +163,7 @@ def test_verdict_and_tables_tell_the_record(verdict: str, reports: Path) -> None
     aside = (report["set_aside"] or {"rows": 0})["rows"]
     assert (f"{aside} rows were set aside" in page.words()) == bool(aside)
     held = report["held_out"]["rows"]
-    assert ("they were used 1 time." in page.words()) == bool(held)
+    assert ("each by a model that was fitted without it" in page.words()) == bool(held)
     shown = page.tables.get("errors", [])
     assert len(shown) == (len(held) + 2 if held else 0)  # head, rows, noise floor
     for line, row in zip(shown[1:], held, strict=False):
