@@ -16,7 +16,7 @@ from longarm_comp.cli import options, outputs
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.files import write_text
 from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
-from studies.day_work import ROW_H, WAYS, DayOutcome, DaySetting, Stop, Way, one_day
+from studies.day_work import ROW_H, WAYS, DayOutcome, DaySetting, Stop, one_day
 
 ARRAYS = ("t_h", "temperature_c", "payload_kg", "play_rad", "error")
 """Fields of `DayOutcome` that are arrays."""
@@ -50,14 +50,12 @@ def table(found: Sequence[DayOutcome], hours: float, parts: int = 4) -> list[dic
     return rows
 
 
-def read_or_make_day(
-    folder: Path | None, setting: DaySetting, seed: int, ways: Sequence[Way]
-) -> DayOutcome:
+def read_or_make_day(folder: Path | None, setting: DaySetting, seed: int) -> DayOutcome:
     """Read a day from its folder if it is of the same setting; else make it and write it there."""
     if folder is None:
-        return one_day(setting, seed, ways)
+        return one_day(setting, seed)
     path = folder / f"day_{seed}.json"
-    asked = f"{setting!r} {tuple(ways)!r}"
+    asked = f"{setting!r} {WAYS!r}"
     if path.is_file():
         held = json.loads(path.read_text())
         if held.pop("asked") == asked:
@@ -65,7 +63,7 @@ def read_or_make_day(
             held["stops"] = tuple(Stop(**stop) for stop in held["stops"])
             held["changes"] = tuple((hour, said) for hour, said in held["changes"])
             return DayOutcome(**held | {"ways": tuple(held["ways"])})
-    made = one_day(setting, seed, ways)
+    made = one_day(setting, seed)
     folder.mkdir(parents=True, exist_ok=True)
     facts = dataclasses.asdict(made) | {name: getattr(made, name).tolist() for name in ARRAYS}
     write_text(path, json.dumps(facts | {"asked": asked}))
@@ -78,7 +76,6 @@ def read_or_make_day(
     whole_number("--hours", 8, "Hours of work."),
     whole_number("--moves", 12, "Targets an hour."),
     click.option("--quiet", is_flag=True, help="No play grows."),
-    click.option("--fast", is_flag=True, help="Without the ways that diagnose during the day."),
     options.seed,
     options.written_option(
         "-o/--output",
@@ -87,14 +84,14 @@ def read_or_make_day(
     ),
 )
 def command(
-    arm: Arm, arms: int, hours: int, moves: int, quiet: bool, fast: bool, seed: int,
+    arm: Arm, arms: int, hours: int, moves: int, quiet: bool, seed: int,
     output: Path | None, show: Show,
 ) -> Figures:  # fmt: skip
     """Command a simulated arm for a day while it wears, warms up and carries other loads.
 
-    Compares no compensation, one calibration, a calibration that knows the circumstances, one that
-    is diagnosed again when the drift monitor asks, and one that learns at work. Errors are of
-    the true tip, at the targets that were served. Each arm takes some minutes.
+    Compares no compensation, one calibration, a calibration that knows the circumstances, and one
+    that learns at work. Errors are of the true tip, at the targets that were served. Each arm takes
+    some minutes.
 
     \b
     Example:
@@ -103,10 +100,9 @@ def command(
     setting = DaySetting(arm, hours=hours, moves=moves)
     if quiet:
         setting = replace(setting, growth_rad=0.0)
-    ways = [way for way in WAYS if not (fast and way.watched)]
     found: list[DayOutcome] = []
     for number in range(seed, seed + arms):
-        found.append(read_or_make_day(output, setting, number, ways))
+        found.append(read_or_make_day(output, setting, number))
         show(f"{len(found)} of {arms} days", len(found) / arms)
     rows = table(found, hours)
     stops = [
@@ -132,7 +128,7 @@ def command(
         facts,
         {
             f"A day of {hours} h: {arms} arms, {moves} targets an hour": rows,
-            "What the monitor asked for": stops,
+            "What was measured for its own sake": stops,
             "What was learned at work": changes,
         },
     )

@@ -14,8 +14,10 @@ from longarm_comp.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, VERMILLI
 from studies.day_work import DayOutcome
 
 _LINES = (
-    *((INK, "X", ":"), (PURPLE, "s", "-."), (ORANGE, "^", "--")),
-    *((VERMILLION, "v", ":"), (BLUE, "o", "-"), (GREEN, "D", "-")),
+    (INK, "X", ":"),
+    (PURPLE, "s", "-."),
+    (ORANGE, "^", "--"),
+    (BLUE, "o", "-"),
 )
 
 

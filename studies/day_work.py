@@ -22,7 +22,6 @@ from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
-from longarm_comp.core.compensation.drift import Monitor
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
@@ -52,7 +51,6 @@ class DaySetting:
         hours: of work.
         moves: targets an hour.
         rows: poses of the morning's calibration, before work begins.
-        again: poses that are measured when the monitor asks.
         warming_k: rise of the temperature, most of it in the first hours.
         payloads_kg: carried in turn, each for an equal part of the day.
         growth_rad: by so much the half play of one joint grows in the middle of the day; it is one
@@ -65,7 +63,6 @@ class DaySetting:
     hours: int = 8
     moves: int = 12
     rows: int = 300
-    again: int = 150
     warming_k: float = 12.0
     payloads_kg: tuple[float, ...] = (0.25, 0.5, 0.1, 0.4)
     growth_rad: float = 6e-3
@@ -95,16 +92,12 @@ class Way:
         name: in table and figure.
         method: what is compensated.
         told: temperature and payload of the move are known; else those of the morning are taken.
-        watched: the drift monitor runs, and what it asks for is done.
-        charged: that takes its time.
         learns: the recursive posterior learns from what the cameras report of every move.
     """
 
     name: str
     method: Method = Method.DEFLECTION
     told: bool = True
-    watched: bool = False
-    charged: bool = True
     learns: bool = False
 
 
@@ -112,8 +105,6 @@ WAYS = (
     Way("no compensation", Method.NONE),
     Way("calibrated once", told=False),
     Way("with circumstances"),
-    Way("with re-diagnosis, free of charge", watched=True, charged=False),
-    Way("with re-diagnosis", watched=True),
     Way("learning at work", learns=True),
 )
 
@@ -234,11 +225,9 @@ class _Arm:
 
     way: Way
     model: Model
-    sigma: np.ndarray
     q: np.ndarray
     side: np.ndarray
     history: History
-    monitor: Monitor = field(default_factory=Monitor)
     learner: Learner | None = None
     busy_until_h: float = 0.0
     stops: list[Stop] = field(default_factory=list)
@@ -265,9 +254,6 @@ class _Arm:
         self.q = points[-1]
         arrived = replace(context, **self.history.fields())
         tip = truth.tip(self.q[None], self.side[None], t_h, real)
-        if self.way.watched:
-            expected = self.model.measured(self.q[None], arrived)
-            self.monitor = self.monitor.seen((truth.observe(tip) - expected)[0], self.sigma)
         if self.learner is not None:
             seen, variance = truth.observe(tip)[0], np.full(3, truth.setting.noise_m**2)
             self.learner = self.learner.learn(self.q, arrived, seen, variance, 3600.0 * t_h)
@@ -283,19 +269,6 @@ class _Arm:
             self.stops.append(Stop(self.way.name, t_h, asked.text, 1))
             self.busy_until_h = max(self.busy_until_h, t_h) + ROW_H
 
-    def answer(self, truth: _Truth, t_h: float, payload_kg: float) -> None:
-        """Do what the monitor asks for."""
-        verdict = self.monitor.verdict()
-        if not verdict.drifted:
-            return
-        setting = truth.setting
-        self.stops.append(Stop(self.way.name, t_h, verdict.finding, setting.again))
-        done_h = t_h + self.way.charged * setting.again * ROW_H
-        fresh = truth.session(setting.again, done_h, [payload_kg])
-        fitted = identify(self.model, fresh, setting)
-        self.model, self.sigma = fitted.model, fitted.sigma
-        self.monitor, self.busy_until_h = Monitor(), done_h
-
 
 def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOutcome:
     """Calibrate in the morning and work all day.
@@ -308,7 +281,7 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
     morning = truth.session(setting.rows, 0.0, setting.payloads_kg)
     fitted = identify(declared_model(arm), morning, setting)
     rest, unknown = arm.mid, History.unknown(arm.n)
-    arms = [_Arm(way, fitted.model, fitted.sigma, rest, np.ones(arm.n), unknown) for way in ways]
+    arms = [_Arm(way, fitted.model, rest, np.ones(arm.n), unknown) for way in ways]
     for each in arms:
         if each.way.learns:
             each.learner = Learner.of(with_uncertainty(fitted))
@@ -329,7 +302,6 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
             context = Context(columns=now if each.way.told else of_morning)
             tip = each.move(truth, targets[k], t_h, context, real)
             error[i, k] = np.linalg.norm(tip - targets[k])
-            each.answer(truth, t_h, now["payload_kg"])
             if each.learner is not None:
                 each.tell_apart(truth, t_h, context, real)
     return DayOutcome(

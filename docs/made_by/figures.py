@@ -38,7 +38,7 @@ COMMANDS = {
     "table1": "study table1 --arms 4",
     "paper": "study table1 --paper-setting --arms 10",
     "coverage": "study coverage --data {data} --arms 8",
-    "day": "study day --arms 12 --fast",
+    "day": "study day --arms 12",
     "poses": "study poses --arms 6",
     "measurements": "study measurements --arms 4",
     "realisable": "study realisable",
