@@ -238,7 +238,13 @@ class TrajectoryFollower:
         self._doubting = False
         assert self._way is not None and self._set is not None
         path = self._way.path
-        self._way_time = self._time_after(dt)
+        if self._turn is None:
+            self._way_time += dt
+        else:  # does not skip the end of a run-up
+            way, turn = self._way, self._turn
+            self._way_time = turn.time_after(
+                self._way_time, dt, lambda: not self._find_away(way.at(turn.time_s), turn.joints)
+            )
         bound = self._max_velocity * dt
         step = np.clip(self._way.at(self._way_time) - self._set, -bound, bound)
         self._set = self._set + step
@@ -252,18 +258,6 @@ class TrajectoryFollower:
             wanted[name] = self._config.joints[name].nearest_within_limits(wanted[name] + by)
         self._goals = {self._config.ids[name]: goal for name, goal in wanted.items()}
         return self._goals
-
-    def _time_after(self, dt: float) -> float:
-        """Return the time along the path, s, after a step, which does not skip a run-up's end."""
-        way, turn = self._way, self._turn
-        if turn is None:
-            return self._way_time + dt
-        assert way is not None
-
-        def have_come() -> bool:
-            return not self._find_away(way.at(turn.time_s), turn.joints)
-
-        return turn.time_after(self._way_time, dt, have_come)
 
     def _wanted_ticks(self) -> dict[str, int]:
         """Return the goals without trim, ticks by joint."""

@@ -104,10 +104,7 @@ def _ask_each(
     ids: Sequence[int],
     patience_s: float,
 ) -> dict[int, FoundServo]:
-    """Ask ids one after the other; return the servos that answer, by id.
-
-    ``tell`` is called with a text and the share done. ``patience_s``: longest wait per id, s.
-    """
+    """Ask ids one after the other; return the servos that answer, by id."""
     found = {}
     with closing(SerialPort(port, baudrate, patience_s)) as line:
         for n, servo_id in enumerate(ids):
@@ -188,8 +185,7 @@ def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None
 def _look_once(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundServo | None, bool]:
     """Ask an id once; return the servo or None, and whether the line was disturbed.
 
-    Both the model number and the state are read: two servos with the same id may have the same
-    model number, but their states differ.
+    States are read because those of two servos with the same id and model differ.
     """
     bus = SerialServoBus(line, dialect, {}, retries=1)
     counters, first = bus.counters, bus.ask([servo_id], dialect.model)
