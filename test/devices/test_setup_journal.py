@@ -135,6 +135,21 @@ def test_an_arm_keeps_what_it_has_to_write_back_in_its_own_folder(tmp_path: Path
     assert str(users.path) in said
 
 
+def test_scan_tells_a_setup_that_the_arms_own_folder_keeps(shell: Shell) -> None:
+    mine = folder(shell, "sts3215")
+    file, own = mine / "servo_driver.yaml", shell.folder / "own"
+    file.write_text(file.read_text().replace('state: ""', f'state: "{own}"'))
+    with geared_bus("feetech") as emulator:
+        killed = Terminal("servo", "setup", mine, "--ids", "1-3", "--port", emulator.port, "--yes")
+        killed.until("joint1: which way")
+        killed.kill()
+        scan = ("servo", "scan", "--port", emulator.port, "--ids", "1-3")
+        assert shell(*scan) == 0 and "broken off" not in shell.err
+        assert shell(*scan, "--arm", mine) == 0
+        assert f"a setup of {mine / 'arm.yaml'} was broken off: servos [1, 2, 3]" in shell.err
+        assert str(own) in shell.err
+
+
 def test_a_file_that_names_no_arm_is_told_at_its_port_and_kept(shell: Shell) -> None:
     """An earlier version wrote it."""
     mine = folder(shell, "sts3215")
