@@ -97,6 +97,7 @@ class ServoSetup:
         """
         try:
             self._bus.torque(self._ids, on=False)
+            self._journal.write_back(self._bus)  # else a change of the file since would lose it
             self._check_memory()
             self._set_turns()
             yield self

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from cli_shell import Shell
-from servo_bench import MODELS, configured, folder, limit, stored, two
+from servo_bench import MODELS, configured, direct, folder, limit, stored, two
 from servo_bench import bus as geared_bus
 from servo_terminal import RIGHT, Terminal
 
@@ -240,6 +240,20 @@ def test_what_somebody_set_meanwhile_is_left(shell: Shell) -> None:
             assert journal.write_back(bus) == []
             assert bus.memory([1])[1].goals == (100, 200)
             assert not os.path.exists(journal.path)
+
+
+def test_setup_after_a_kill_gives_back_limits_although_the_file_says_one_turn_now(
+    shell: Shell,
+) -> None:
+    mine = direct(shell, "sts3215")
+    with two("feetech") as emulator:
+        config = configured(mine, emulator)
+        limit(emulator, 1, 100, 3900)
+        journal = SetupJournal("", mine / "arm.yaml", config.bus)
+        with closing(config.open_bus()) as bus:
+            bus.set_turns({1: True}, journal.begin)  # killed, when the file said many turns
+            breaks_off(bus, config, journal)
+            assert bus.memory([1])[1].goals == (100, 3900)
 
 
 def test_an_entry_of_the_journal_goes_without_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
