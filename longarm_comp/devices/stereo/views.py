@@ -115,10 +115,7 @@ def list_gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
 def _ninths_with_corners(
     views: Sequence[BoardView], side: str, size: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Return (3, 3) True for each cell with corners, in the image of one camera.
-
-    The cells divide the part of the image that both cameras see.
-    """
+    """Return (3, 3) True for each cell with corners, of the part that both cameras see."""
     width, height = size
     shared = max(width - max(0.0, float(np.median([v.disparity_px for v in views]))), 1.0)
     start = width - shared if side == "left" else 0.0
