@@ -185,6 +185,12 @@ Target = TagBoard | CharucoTarget
 """A printed target. `detect` finds its corners in an image; `points` gives their positions."""
 
 
+def on_one_line(points: Array) -> bool:
+    """Tell whether points (N, 3) are nearly on one line, so that they have no pose."""
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return not extent[1] > 0.05 * extent[0]
+
+
 def _check_size(what: str, **sizes: float) -> None:
     for name, size in sizes.items():
         if not (np.isfinite(size) and size > 0.0):
