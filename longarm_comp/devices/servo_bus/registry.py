@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 
@@ -16,7 +16,7 @@ from longarm_comp.devices.servo_bus.dialect import Dialect
 from longarm_comp.devices.servo_bus.dynamixel import DynamixelX
 from longarm_comp.devices.servo_bus.feetech import FeetechSts
 from longarm_comp.devices.servo_bus.port import SerialPort
-from longarm_comp.devices.servo_bus.state import ServoModel
+from longarm_comp.devices.servo_bus.state import IncompleteReply, ServoFault, ServoModel
 
 GROUP = "longarm_comp.servo_protocols"
 """Entry-point group under which other packages register their protocols."""
@@ -197,9 +197,9 @@ def _look_once(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[Found
     reply = first.replies.get(servo_id)
     number = int.from_bytes(reply.data, "little") if reply else 0
     version = bus.ask([servo_id], dialect.firmware).replies.get(servo_id)
-    stored = bus.ask([servo_id], dialect.memory).replies.get(servo_id)
-    whole = stored is not None and len(stored.data) == dialect.memory.length
-    kept = dialect.memory_of(stored.data) if stored and whole else None
+    kept = None
+    with suppress(IncompleteReply, ServoFault):
+        kept = bus.memory([servo_id])[servo_id]
     alarms = bus.alarms([servo_id])
     found = FoundServo(
         servo_id,
