@@ -243,8 +243,9 @@ def change_servo_id(found: Scan, servo_id: int) -> int:
         if dialect.turns_lock is not None:
             line.send(dialect.sync_write(dialect.turns_lock, {old: b"\0"}))
         line.send(dialect.sync_write(dialect.identity, {old: bytes((servo_id,))}))
-        if dialect.turns_lock is not None:
-            line.send(dialect.sync_write(dialect.turns_lock, {servo_id: b"\1"}))
+        if dialect.turns_lock is not None:  # also of a servo that did not hear its new id
+            locked = dict.fromkeys((old, servo_id), b"\1")
+            line.send(dialect.sync_write(dialect.turns_lock, locked))
         for _ in range(3):
             if (renamed := look(line, dialect, servo_id)) is None:
                 continue
