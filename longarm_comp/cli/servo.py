@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @options.servo_line
+@options.path_option("--arm", "Folder of the arm: setups that its own state keeps are told, too.")
 @options.as_json
-def scan(port: str | None, **line: Any) -> None:
+def scan(port: str | None, arm: Path | None, **line: Any) -> None:
     """List the servos on a bus: id, model, firmware, ids that two servos share, alarms, and what
     their memory holds that is not as from the factory (--json: all that matters to commands).
 
@@ -38,11 +39,13 @@ def scan(port: str | None, **line: Any) -> None:
     from longarm_comp.devices.setup_journal import describe_left
     from longarm_comp.devices.state_folder import state_folder
 
+    kept = dict.fromkeys((state_folder(), state_folder(own_state(arm) if arm else "")))
     found = find_servos("servo scan", port, **line)
     print_json(asdict(found))
     show_servos(found)
-    for said in describe_left(state_folder(), found.port):
-        note(said)
+    for folder in kept:
+        for said in describe_left(folder, found.port):
+            note(said)
     if all(servo.model for servo in found.servos):
         note("next: longarm servo setup DIR writes each servo's model, zero and direction")
 

@@ -110,8 +110,8 @@ class ServoArm:
     def _open_bus(self, again: bool) -> SerialServoBus:
         """Open the port and check the servos.
 
-        ``again``: whether the port was open before. Then no setting of turns is changed, because
-        the port may lead to another arm now.
+        ``again``: whether it was open before. Then it may lead to another arm now, so servos that
+        are set for other turns than configured are refused.
         """
         bus = self.config.open_bus()
         try:
@@ -130,10 +130,7 @@ class ServoArm:
     def _check_servos(self, bus: SerialServoBus, turned: bool) -> None:
         """Refuse servos of other models, or with settings that give commands another meaning.
 
-        Their own speed limits are taken into account from now on.
-
-        Args:
-            turned: whether the servos must be set for one turn or many as configured already.
+        ``turned``: whether they must be set for one turn or many as configured already.
         """
         for name, joint in self.config.joints.items():
             number = bus.ping(joint.servo_id)
@@ -178,14 +175,10 @@ class ServoArm:
                 )
 
     def _set_turns(self, bus: SerialServoBus) -> None:
-        """Set the servos permanently for one turn or many, as configured.
-
-        Driven servos are refused, because the change switches their torque off.
-        """
+        """Set the servos permanently for one turn or many as configured; refuse driven ones."""
 
         def refuse_driven(changes: dict[int, Change]) -> None:
-            driven = [i for i, on in bus.driven(list(changes)).items() if on]
-            if driven:
+            if driven := [i for i, on in bus.driven(list(changes)).items() if on]:
                 raise JobError(
                     "servos hold the arm and have to be set for other turns, which lets go: "
                     "support the arm and cut their power once",
@@ -356,10 +349,11 @@ class ServoArm:
         for _ in range(3):
             try:
                 self.power(False)
-                why = ""
-                break
             except ServoBusError as error:
                 why = str(error)
+            else:
+                why = ""
+                break
         self.leave()
         return why
 
@@ -370,11 +364,11 @@ class ServoArm:
             self.bus = None
 
     def _convert_states(self, states: Mapping[int, ServoState]) -> dict[str, ServoReading]:
+        if not states.keys() >= set(self._ids):
+            return {}
         readings = {}
         for name, joint in self.config.joints.items():
-            state = states.get(joint.servo_id)
-            if state is None:
-                return {}
+            state = states[joint.servo_id]
             readings[name] = ServoReading(
                 joint.to_si(state.position_ticks),
                 joint.speed_to_si(state.velocity_ticks_s),

@@ -91,11 +91,8 @@ class FollowerConfig(ServoSettings):
 def _check_turns(where: str, joint: JointConfig, off_ticks: float) -> None:
     """Refuse limits that the servo cannot reach, or near which its encoder jumps within one turn.
 
-    A servo that its load pushes past the jump would turn round to its goal the other way.
-
-    Args:
-        where: name of the joint's section.
-        off_ticks: how far from its goal a servo may rest, ticks.
+    A servo that rests up to ``off_ticks`` from its goal, past the jump, would turn round to it the
+    other way.
     """
     (low, high), away = joint.goal_range, 0.0 if joint.multi_turn else off_ticks
     ticks = [joint.exact_ticks(limit) for limit in (joint.lower, joint.upper)]

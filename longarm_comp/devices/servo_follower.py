@@ -238,7 +238,13 @@ class TrajectoryFollower:
         self._doubting = False
         assert self._way is not None and self._set is not None
         path = self._way.path
-        self._way_time = self._time_after(dt)
+        if self._turn is None:
+            self._way_time += dt
+        else:  # does not skip the end of a run-up
+            way, turn = self._way, self._turn
+            self._way_time = turn.time_after(
+                self._way_time, dt, lambda: not self._find_away(way.at(turn.time_s), turn.joints)
+            )
         bound = self._max_velocity * dt
         step = np.clip(self._way.at(self._way_time) - self._set, -bound, bound)
         self._set = self._set + step
@@ -253,42 +259,13 @@ class TrajectoryFollower:
         self._goals = {self._config.ids[name]: goal for name, goal in wanted.items()}
         return self._goals
 
-    def _time_after(self, dt: float) -> float:
-        """Return the time along the path, s, after a step, which does not skip a run-up's end."""
-        way, turn = self._way, self._turn
-        if turn is None:
-            return self._way_time + dt
-        assert way is not None
-
-        def have_come() -> bool:
-            return not self._find_away(way.at(turn.time_s), turn.joints)
-
-        return turn.time_after(self._way_time, dt, have_come)
-
     def _wanted_ticks(self) -> dict[str, int]:
         """Return the goals without trim, ticks by joint."""
         joints = self._config.joints
         return {name: joints[name].to_ticks(value) for name, value in self.set_points.items()}
 
-    def _trim_resting(self, states: Mapping[str, ServoState]) -> str | None:
-        """Trim a resting arm by one step.
-
-        Returns:
-            None while trimming goes on; then the joints that could not be corrected, or "".
-        """
-        if not self._trims:
-            return self._untrimmed
-        if self._still_s < self._config.follower.trim_pause_s:
-            return None
-        if self._trim.take_step(self._wanted_ticks(), states):
-            self._still_s = 0.0
-            return None
-        self._trims = False
-        self._untrimmed = self._trim.describe_failure(self._wanted_ticks(), states)
-        return self._untrimmed
-
     def _settle_joints(self, dt: float) -> None:
-        """Report once that the arm rests, at the end of its trajectory or short of it."""
+        """Trim a resting arm step by step; then report once that it rests, at the end or short."""
         read = {name: self._watch.state(name) for name in self._names}
         states = {name: state for name, state in read.items() if state is not None}
         still = all(abs(s.velocity_ticks_s) < STILL_TICKS_S for s in states.values())
@@ -296,11 +273,16 @@ class TrajectoryFollower:
         self._still_s = self._still_s + dt if still else 0.0
         if self._settled or not still:
             return
-        untrimmed = self._trim_resting(states)
-        if untrimmed is None:
-            return
+        if self._trims:
+            if self._still_s < self._config.follower.trim_pause_s:
+                return
+            wanted = self._wanted_ticks()
+            if self._trim.take_step(wanted, states):
+                self._still_s = 0.0
+                return
+            self._trims, self._untrimmed = False, self._trim.describe_failure(wanted, states)
         assert self._set is not None
-        short = untrimmed or self._find_away(self._set, np.ones(len(self._set), bool))
+        short = self._untrimmed or self._find_away(self._set, np.ones(len(self._set), bool))
         if not short:
             self._note_event(EventKind.ARRIVED, "at rest at the end of the trajectory")
         elif self._still_s > self._config.follower.stall_time_s:
@@ -312,10 +294,7 @@ class TrajectoryFollower:
         self._settled = True
 
     def _find_away(self, wanted: Array, among: Array) -> str:
-        """Say which joints stand away from ``wanted`` (n,), rad and m, and how far; or "".
-
-        ``among``: (n,) bool, the joints that are checked.
-        """
+        """Say which joints of ``among`` (n,) stand away from ``wanted`` (n,), rad and m; or ""."""
         far = []
         for name, value in zip(np.array(self._names)[among], wanted[among].tolist(), strict=True):
             state, joint = self._watch.state(name), self._config.joints[name]
@@ -361,11 +340,8 @@ class TrajectoryFollower:
     def _start_path(self) -> Array:
         """Return the set-point (n,), rad and m, from which a trajectory starts.
 
-        While idle it is the goal that holds each joint. If this goal is not known, or does not
+        While idle it is the goal that holds each joint; where this is not known, or does not
         explain where the joint stands, it is the present position.
-
-        Raises:
-            InputError: a joint stands too far outside its limits.
         """
         if self._set is not None:
             return self._set

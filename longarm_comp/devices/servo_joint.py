@@ -127,9 +127,17 @@ class JointConfig(ServoSettings):
             same = self.zero_ticks - turn * math.floor((self.zero_ticks - low) / turn)
             allowed = (
                 f"{math.ceil(low)} to {math.floor(high)}, in the turn from which the servo counts "
-                f"after power-on: for instance {same:g}, the same place of its horn, if the joint "
-                f"is near {self.home:.4g} {self.unit} at every power-on"
+                "after power-on: "
             )
+            if same <= high:
+                allowed += (
+                    f"for instance {same:g}, the same place of its horn, if the joint is near "
+                    f"{self.home:.4g} {self.unit} at every power-on"
+                )
+            else:
+                allowed += (
+                    "set its homing_offset to 0 with the maker's tool, then `longarm servo setup`"
+                )
             raise Misdeclared("zero_ticks", self.zero_ticks, allowed)
         return self
 

@@ -53,7 +53,8 @@ def describe_power_on(joints: Mapping[str, JointConfig]) -> str:
     ]
     return (
         "the turns that servos have counted contradict the pose: cut the servos' power and give it "
-        f"back with {'; '.join(at)} (if they do so again, --pose, --direction or gearing is wrong)"
+        f"back with {'; '.join(at)} (if they do so again, --pose, --direction or gearing is wrong, "
+        "or a homing_offset has to be set to 0 with the maker's tool)"
     )
 
 
@@ -96,8 +97,18 @@ class ServoSetup:
         """
         try:
             self._bus.torque(self._ids, on=False)
-            self._check_memory()
-            self._set_turns()
+            self._journal.write_back(self._bus)  # else a change of the file since would lose it
+            alarms, kept = self._bus.alarms(self._ids), self._bus.memory(self._ids)
+            for name, joint in self._joints.items():
+                if alarm := alarms.get(joint.servo_id):
+                    who = f"servo {joint.servo_id} of {name}"
+                    raise JobError(f"{who} reports {alarm}: remove the cause")
+                check_memory(name, joint, kept[joint.servo_id])
+            many = {joint.servo_id: joint.multi_turn for joint in self._joints.values()}
+            self.said = self._journal.describe_others()
+            self.said += self._bus.set_turns(many, self._journal.begin)
+            kept = self._bus.memory(self._ids)
+            self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
             yield self
         finally:
             try:
@@ -114,22 +125,6 @@ class ServoSetup:
                     ids=sorted(left),
                     file=self._journal.path,
                 )
-
-    def _check_memory(self) -> None:
-        """Refuse servos with an alarm, or with settings that give commands another meaning."""
-        alarms, kept = self._bus.alarms(self._ids), self._bus.memory(self._ids)
-        for name, joint in self._joints.items():
-            if alarm := alarms.get(joint.servo_id):
-                who = f"servo {joint.servo_id} of {name}"
-                raise JobError(f"{who} reports {alarm}: remove the cause")
-            check_memory(name, joint, kept[joint.servo_id])
-
-    def _set_turns(self) -> None:
-        many = {j.servo_id: j.multi_turn for j in self._joints.values()}
-        self.said = self._journal.describe_others()
-        self.said += self._bus.set_turns(many, self._journal.begin)
-        kept = self._bus.memory(self._ids)
-        self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 
     def keep(self) -> None:
         """Keep the new settings of the servos: the old ones are not written back at the end."""
@@ -201,10 +196,8 @@ class ServoSetup:
     def _go_to(self, name: str, goal: int) -> None:
         """Lead one servo slowly to a goal, ticks, until it rests there or the time is over.
 
-        The goal moves in small steps, so that a servo that ignores the speed moves slowly too.
-
-        Raises:
-            JobError: the servo left the way on which it was led; its torque was switched off.
+        The goal moves in small steps, so that a servo that ignores the speed moves slowly too. The
+        torque of one that leaves the way on which it is led is switched off.
         """
         self._check()
         joint = self._joints[name]

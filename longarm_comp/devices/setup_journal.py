@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.files import write_text
@@ -16,16 +16,10 @@ from longarm_comp.devices.servo_bus.state import IncompleteReply
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import file_name
 
-_HELD = "have not stored again what they had before"
+if TYPE_CHECKING:
+    from longarm_comp.devices.servo_config import BusConfig
 
-
-class _Line(Protocol):
-    """A serial line: an open bus, or its configuration."""
-
-    @property
-    def port(self) -> str: ...
-    @property
-    def protocol(self) -> str: ...
+_FILES, _HELD = "servo_setup", "have not stored again what they had before"
 
 
 class SetupJournal:
@@ -40,10 +34,10 @@ class SetupJournal:
         line: port, as the user gave it, and protocol of the servos.
     """
 
-    def __init__(self, state: str, arm: str | Path, line: _Line) -> None:
+    def __init__(self, state: str, arm: str | Path, line: SerialServoBus | BusConfig) -> None:
         self._arm, self._line = os.path.realpath(arm) if str(arm) else "", line
         self._folder = state_folder(state)
-        self.path = _folder_of(self._folder) / f"{file_name(f'{line.protocol} {self._arm}')}.json"
+        self.path = self._folder / _FILES / f"{file_name(f'{line.protocol} {self._arm}')}.json"
 
     def read(self) -> dict[int, Change]:
         """Return the changes to undo, by servo id. Raises JobError if the file is damaged."""
@@ -75,14 +69,15 @@ class SetupJournal:
         entries = self.read()
         ended = sorted(entries.keys() & set(ids))
         left = {i: change for i, change in entries.items() if i not in ids}
-        if left:  # replaced, so that a process that is killed here loses none of them
-            self._write(left)
-            return _say_ended(ended)
         try:
-            self.path.unlink(missing_ok=True)
+            if left:  # replaced, so that a process that is killed here loses none of them
+                self._write(left)
+            else:
+                self.path.unlink(missing_ok=True)
         except OSError as error:
             raise JobError(f"{self.path} cannot be removed: {error.strerror}") from error
-        return _say_ended(ended)
+        said = f"a setup of servos {ended} was broken off; they are set as configured"
+        return [said] if ended else []
 
     def write_back(self, bus: SerialServoBus) -> list[int]:
         """Write the old values back to the servos that still hold the new ones.
@@ -119,7 +114,8 @@ def describe_left(folder: Path, port: str, own: Path | None = None) -> Iterator[
         own: a file to leave out.
     """
     device = os.path.realpath(port)
-    for file in sorted(_folder_of(folder).glob("*.json")):
+    slug = re.sub(r"[^A-Za-z0-9]+", "-", device).strip("-")
+    for file in sorted((folder / _FILES).glob("*.json")):
         if file == own:
             continue
         try:
@@ -135,7 +131,7 @@ def describe_left(folder: Path, port: str, own: Path | None = None) -> Iterator[
                 f"a setup of {data.get('arm')} was broken off: servos {ids} {_HELD} ({file}); its "
                 "next `longarm servo setup` or start of its driver sees to it"
             )
-        if at is None and file.stem.startswith(f"{_slug(device)}-"):  # named by its port alone
+        if at is None and file.stem.startswith(f"{slug}-"):  # version 0.1.0 wrote it
             yield (
                 f"a setup was broken off at this port: servos {ids} {_HELD}, and of which arm is "
                 f"not known; look at them with `longarm servo scan`, then delete {file}"
@@ -147,21 +143,8 @@ def _changes(data: Any) -> dict[int, Change]:
     return {int(i): (bytes.fromhex(had), bytes.fromhex(new)) for i, (had, new) in turns}
 
 
-def _say_ended(ids: Collection[int]) -> list[str]:
-    said = f"a setup of servos {ids} was broken off; they are set as configured"
-    return [said] if ids else []
-
-
 def _say_damaged(file: Path) -> str:
     return (
         f"{file} is damaged: it holds what servos had stored before a setup changed it; look at "
         "the servos with `longarm servo scan`, then delete it"
     )
-
-
-def _folder_of(folder: Path) -> Path:
-    return folder / "servo_setup"
-
-
-def _slug(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")

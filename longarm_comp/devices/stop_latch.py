@@ -183,10 +183,7 @@ def kept_stops(folder: Path) -> list[KeptStop]:
 
 
 def _read(file: Path, stop: Stop) -> KeptStop:
-    """Read the file of a stop; a damaged file tells only its kind and since when.
-
-    Raises FileNotFoundError if it does not exist.
-    """
+    """Read the file of a stop, if it exists; a damaged file tells only its kind and since when."""
     since, said = file.lstat().st_mtime, [""]
     with suppress(OSError):
         said = file.read_bytes()[:4096].decode("utf-8", "replace").splitlines()

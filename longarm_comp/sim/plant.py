@@ -227,11 +227,7 @@ def _servo_spec(
     effects: Sequence[ServoDroop | ServoDeadband],
     number: int,
 ) -> MotorSpec:
-    """Return a joint's servo by its data sheet, with the droop and dead band of `effects`.
-
-    Args:
-        number: index of the joint in q.
-    """
+    """Return joint `number`'s servo by its data sheet, with droop and dead band of `effects`."""
     spec = replace(spec, **joint.sheet)
     tick = abs(joint.travel)
     for effect in effects:

@@ -8,7 +8,6 @@ arm.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -218,30 +217,30 @@ class Ringing:
 
     def tip_ring(self, since_s: Array) -> Array:
         """Return the tip's displacement (N, 3), m, after times (N,), s, at which joints rest."""
-        return self._ring_later(since_s, lambda modes: modes.tip)
+        modes, waves = self._waves_after(since_s)
+        return waves @ modes.tip.T
 
     def joint_ring(self, since_s: Array) -> Array:
         """Return what encoders at the joints' output see of the vibration, (N, n), rad and m.
 
         The times are as in `tip_ring`.
         """
-        return self._ring_later(since_s, lambda modes: modes.turned)
+        modes, waves = self._waves_after(since_s)
+        return waves @ modes.turned.T
 
-    def _ring_later(self, since_s: Array, part: Callable[[_Vibration], Array]) -> Array:
+    def _waves_after(self, since_s: Array) -> tuple[_Vibration, Array]:
+        """Return the present modes, and their displacements (N, k) after times (N,), s."""
         assert self._about is not None
         modes = self._about[1]
         turns = np.exp(np.multiply.outer(since_s, self._complex_rate(modes)))
-        return np.real(self._wave * turns) @ part(modes).T
+        return modes, np.real(self._wave * turns)
 
     def _complex_rate(self, modes: _Vibration) -> Array:
         """Return the complex rates (k,), 1/s, of the modes: decay and angular frequency."""
         return modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
 
     def _find_modes(self, q: Array, speed: Array) -> _Vibration:
-        """Return the modes near a posture; if they are new, express the present vibration in them.
-
-        The masses keep their positions and velocities.
-        """
+        """Return the modes near a posture; if they are new, the vibration goes on in them."""
         span = self._true.arm.upper - self._true.arm.lower
         # of a joint's range: so far the modes are those of the posture before
         if self._about is not None and (np.abs(q - self._about[0]) <= 0.02 * span).all():

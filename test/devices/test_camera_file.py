@@ -52,8 +52,12 @@ def test_a_fisheye_and_numbers_that_are_missing_are_refused(tmp_path: Path) -> N
     whole = yaml.safe_load(file.read_text())
     for key in ("distortion_coefficients", "camera_matrix"):
         file.write_text(yaml.safe_dump({k: v for k, v in whole.items() if k != key}))
-        with pytest.raises(InputError, match=rf"{key}\.data"):
+        with pytest.raises(InputError, match=rf"{key}\.data: 'missing or no numbers'"):
             read_camera(file)
     file.write_text(yaml.safe_dump(whole | {"projection_matrix": {"data": [1.0] * 11}}))
-    with pytest.raises(InputError, match=r"projection_matrix\.data: 11; allowed: 12 numbers"):
+    with pytest.raises(InputError, match=r"projection_matrix\.data: \[.*; allowed: 12 finite"):
         read_camera(file)
+    for size in (0, -640, "wide"):
+        file.write_text(yaml.safe_dump(whole | {"image_width": size}))
+        with pytest.raises(InputError, match=r"image_width.*: \(.*; allowed: whole numbers"):
+            read_camera(file)

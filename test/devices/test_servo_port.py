@@ -60,6 +60,17 @@ def test_an_id_that_two_servos_have_at_the_end_is_an_error(protocol: str, shell:
         assert "two servos have this id now" in said and "before=1" in said
 
 
+def test_servo_that_did_not_hear_its_new_id_is_locked_again(shell: Shell) -> None:
+    with FaultyBus("feetech", {1: 1000.0}) as emulator:
+        lost = iter([False, False, True])  # torque off, lock open, the id
+        emulator.loses = lambda: next(lost, False)
+        line = ("--port", emulator.port, "--protocol", "feetech", "--ids", "1")
+        said = shell.refused("servo", "set-id", 3, *line, code=3)
+        assert "does not answer to its new id" in said
+        device = emulator._devices[1]
+        assert (device.servo_id, device.get(55, 1)) == (1, 1)
+
+
 def test_a_port_that_cannot_be_opened_says_what_to_do(shell: Shell, tmp_path: Path) -> None:
     def said(port: object) -> str:
         return shell.refused("servo", "scan", "--port", port, "--ids", "1", code=3)

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from cli_shell import Shell
 from faulty_bus import FaultyBus
-from servo_bench import MODELS, POSE, POSE_FLAGS, TRUE, bus, folder, off_by
+from servo_bench import MODELS, POSE, POSE_FLAGS, TRUE, bus, folder, off_by, store
 from servo_terminal import RIGHT, Terminal
 
 from longarm_comp.arm_folder.check import check_record
@@ -258,6 +258,33 @@ def test_turns_counted_from_another_turn_are_refused_where_nobody_can_cut_the_po
         assert "give it back with joint2 at 0.0 deg, less than 18.0 deg off (" in said
         assert "cut the servos' power" in said and "without --yes" in said
         assert not any(emulator.torques_on().values())
+
+
+@pytest.mark.parametrize("shifts", [True, False])
+@pytest.mark.parametrize("turns", [-1, 0, 1])
+def test_zero_with_a_stored_offset_is_not_a_turn_off_after_power_on(
+    shell: Shell, shifts: bool, turns: int
+) -> None:
+    """A Feetech servo may count from 0 to 4095 with the offset in it, or without."""
+    mine, offset = folder(shell, "sts3215"), 300
+
+    def turn_on(emulator: FaultyBus, encoder: float) -> None:
+        emulator.power_cycle(2)
+        emulator.push(2, encoder % 4096 if shifts else offset + (encoder - offset) % 4096)
+
+    with bus("feetech") as emulator:
+        store(emulator, 2, 31, 2, offset)
+        for encoder in (100.0, 1000.0, 4000.0):  # of joint2 at 0
+            turn_on(emulator, encoder)
+            emulator.push(2, emulator.positions()[2] + 4096 * turns)
+            pose = ("--pose", "joint1=-60", "--pose", "joint3=20")
+            if shell("servo", "setup", mine, "--port", emulator.port, *RIGHT, *pose) == 0:
+                joint = ServoConfig.load(mine / "servo_driver.yaml").joints["joint2"]
+                turn_on(emulator, encoder)
+                assert joint.to_si(emulator.positions()[2] - offset) == pytest.approx(0.0, abs=1e-3)
+            else:
+                assert turns or encoder != 1000.0, shell.err
+                assert "homing_offset has to be set to 0" in shell.err
 
 
 # ---- setup in a dialogue ------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from cli_shell import Shell
-from servo_bench import MODELS, configured, folder, limit, stored, two
+from servo_bench import MODELS, configured, direct, folder, limit, stored, two
 from servo_bench import bus as geared_bus
 from servo_terminal import RIGHT, Terminal
 
@@ -135,6 +135,21 @@ def test_an_arm_keeps_what_it_has_to_write_back_in_its_own_folder(tmp_path: Path
     assert str(users.path) in said
 
 
+def test_scan_tells_a_setup_that_the_arms_own_folder_keeps(shell: Shell) -> None:
+    mine = folder(shell, "sts3215")
+    file, own = mine / "servo_driver.yaml", shell.folder / "own"
+    file.write_text(file.read_text().replace('state: ""', f'state: "{own}"'))
+    with geared_bus("feetech") as emulator:
+        killed = Terminal("servo", "setup", mine, "--ids", "1-3", "--port", emulator.port, "--yes")
+        killed.until("joint1: which way")
+        killed.kill()
+        scan = ("servo", "scan", "--port", emulator.port, "--ids", "1-3")
+        assert shell(*scan) == 0 and "broken off" not in shell.err
+        assert shell(*scan, "--arm", mine) == 0
+        assert f"a setup of {mine / 'arm.yaml'} was broken off: servos [1, 2, 3]" in shell.err
+        assert str(own) in shell.err
+
+
 def test_a_file_that_names_no_arm_is_told_at_its_port_and_kept(shell: Shell) -> None:
     """An earlier version wrote it."""
     mine = folder(shell, "sts3215")
@@ -225,6 +240,20 @@ def test_what_somebody_set_meanwhile_is_left(shell: Shell) -> None:
             assert journal.write_back(bus) == []
             assert bus.memory([1])[1].goals == (100, 200)
             assert not os.path.exists(journal.path)
+
+
+def test_setup_after_a_kill_gives_back_limits_although_the_file_says_one_turn_now(
+    shell: Shell,
+) -> None:
+    mine = direct(shell, "sts3215")
+    with two("feetech") as emulator:
+        config = configured(mine, emulator)
+        limit(emulator, 1, 100, 3900)
+        journal = SetupJournal("", mine / "arm.yaml", config.bus)
+        with closing(config.open_bus()) as bus:
+            bus.set_turns({1: True}, journal.begin)  # killed, when the file said many turns
+            breaks_off(bus, config, journal)
+            assert bus.memory([1])[1].goals == (100, 3900)
 
 
 def test_an_entry_of_the_journal_goes_without_the_others(monkeypatch: pytest.MonkeyPatch) -> None:

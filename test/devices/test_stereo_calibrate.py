@@ -26,6 +26,7 @@ from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.eye import StereoEye
 from longarm_comp.devices.stereo.mounting import check_mounting
+from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.devices.stereo.views import BoardView, find_view, list_gaps
 from longarm_comp.sim.cameras import Conditions, charuco_plate, render, tag_plate
@@ -143,6 +144,17 @@ def test_views_that_do_not_cover_are_refused_in_words(shell: Shell, pictures: Pa
     assert "no folder" in shell.refused(*words, "nowhere")
     assert "--board" in shell.refused(*words, above, "--board", "7")
     assert "one of the two" in shell.refused("stereo", "calibrate", "mine")
+
+
+def test_view_of_one_row_of_corners_is_refused() -> None:
+    """Its distance and tilt were no numbers, and missing tilt was not told any more."""
+    tall, plate = CharucoTarget(0.03, 0.022, 5, 12), charuco_plate(0.03, 0.022, 5, 12)
+    covered = Conditions(covered=(0.6, 0.6))
+    images = render(marker_pose(HEAD, 1.0), plate, HEAD, np.random.default_rng(1), covered)
+    assert len(tall.detect(images[0])) == len(tall.detect(images[1])) == 11
+    with pytest.raises(StereoRefusal, match="too few corners are seen") as caught:
+        find_view(tall, *images)
+    assert caught.value.facts == {"corners": 11, "at_least": "8, not on one line"}
 
 
 def test_each_gap_is_named(pictures: Path) -> None:

@@ -85,6 +85,22 @@ def test_trim_brings_it_to_its_goal(spec: MotorSpec, value: float) -> None:
     assert took(steps) - took(plain) <= 0.6
 
 
+def test_corrections_are_as_far_apart_as_the_arm_has_to_rest() -> None:
+    rig, pause_s = Sagging(STICKS), 0.5
+    limits = CONFIG.follower.model_copy(update={"trim_pause_s": pause_s})
+    rig.follower = TrajectoryFollower(CONFIG.model_copy(update={"follower": limits}), trim=True)
+    rig.step()
+    rig.says = lambda ticks: min(ticks, TURN.to_ticks(0.5) - 30.0)  # no correction helps
+    rig.send((1.0, {"turn": 0.5}))
+    corrected, last, end = [], rig.follower.trim_by_joint, rig.now + 6.0
+    while rig.now < end:
+        rig.step()
+        if rig.follower.trim_by_joint != last:
+            corrected.append(rig.now)
+            last = rig.follower.trim_by_joint
+    assert len(corrected) > 1 and np.diff(corrected).min() >= pause_s
+
+
 def test_the_next_move_starts_with_what_the_last_one_found() -> None:
     rig = Sagging(SAGS)
     first, second = rig.move(0.5), rig.move(0.55)

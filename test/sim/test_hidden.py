@@ -11,7 +11,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
-from longarm_comp.sim.hidden import drives, geometry, loads
+from longarm_comp.sim.hidden import catalogue, drives, geometry, loads
 from longarm_comp.sim.hidden.catalogue import OUTSIDE_EVERY_LIBRARY, typical_context
 from studies import true_camera as camera
 from studies.random_arms import paper_mix, random_arm
@@ -282,6 +282,16 @@ def lever6() -> Arm:
     ]
     slide = {"id": 4, "type": "prismatic", "d_m": 0.3, "limits_m": [0, 0.1]}
     return lever(joints=[*joints, slide], tip={"frame": 4})
+
+
+@pytest.mark.parametrize("name", ["link_mass", "cable_drag", "loose_screw", "cogging_bump"])
+def test_effect_without_a_place_on_the_arm_is_refused(name: str) -> None:
+    slides = [
+        {"id": k, "type": "prismatic", "alpha_deg": 90 * (k - 1), "limits_m": [0, 0.3]}
+        for k in (1, 2)
+    ]
+    with pytest.raises(InputError, match=f"{name}.* allowed: an effect that moves this arm"):
+        catalogue.draw(name, lever(joints=slides), np.random.default_rng(0), 3.0)
 
 
 def test_paper_mix_errs_as_the_paper_did(twin: Arm) -> None:

@@ -71,20 +71,12 @@ class SerialServoBus:
         self._dialect = dialect
         self._models = dict(models)
         self._retries = retries
-        self.counters = _BusCounters()
+        self.port, self.protocol, self.counters = port.path, dialect.name, _BusCounters()
 
     def ping(self, servo_id: int) -> int:
         """Read the servo's model number. Raises IncompleteReply."""
-        reply = self._fetch_block([servo_id], self._dialect.model)[servo_id]
-        return int.from_bytes(reply.data, "little")
-
-    @property
-    def port(self) -> str:
-        return self._port.path
-
-    @property
-    def protocol(self) -> str:
-        return self._dialect.name
+        number = self._fetch_block([servo_id], self._dialect.model)[servo_id]
+        return int.from_bytes(number, "little")
 
     def model_name(self, number: int) -> str:
         """Return the name of the model with this number; empty if unknown."""
@@ -92,8 +84,8 @@ class SerialServoBus:
 
     def memory(self, ids: Sequence[int]) -> dict[int, ServoMemory]:
         """Read the registers that each servo keeps without power. Raises IncompleteReply."""
-        replies = self._fetch_block(ids, self._dialect.memory)
-        return {i: self._dialect.memory_of(reply.data) for i, reply in replies.items()}
+        read = self._fetch_block(ids, self._dialect.memory)
+        return {i: self._dialect.memory_of(data) for i, data in read.items()}
 
     def alarms(self, ids: Sequence[int]) -> dict[int, str]:
         """Read the present alarms, in words, with supply voltage and temperature.
@@ -159,8 +151,8 @@ class SerialServoBus:
 
     def goals(self, ids: Sequence[int]) -> dict[int, int]:
         """Read the goal positions, ticks. Raises IncompleteReply."""
-        replies = self._fetch_block(ids, self._dialect.goal_position)
-        return {i: self._dialect.ticks_of(reply.data) for i, reply in replies.items()}
+        read = self._fetch_block(ids, self._dialect.goal_position)
+        return {i: self._dialect.ticks_of(data) for i, data in read.items()}
 
     def torque(self, ids: Sequence[int], on: bool, kept: Container[int] = ()) -> None:
         """Switch the drives of ``ids`` on or off, and confirm it by reading back.
@@ -193,9 +185,6 @@ class SerialServoBus:
         """Read positions, ticks by id, until two successive readings of each servo agree.
 
         A damaged reply may pass its checksum, and the servo would move to a wrong goal.
-
-        Raises:
-            IncompleteReply: the readings of a servo do not agree after all repetitions.
         """
         before, agreed = self.read(ids), dict[int, int]()
         for _ in range(self._retries + 2):
@@ -214,12 +203,12 @@ class SerialServoBus:
 
         Raises: IncompleteReply.
         """
-        replies = self._fetch_block(ids, self._dialect.torque)
-        return {servo_id: reply.data == b"\1" for servo_id, reply in replies.items()}
+        read = self._fetch_block(ids, self._dialect.torque)
+        return {i: data == b"\1" for i, data in read.items()}
 
     def turns(self, ids: Sequence[int]) -> dict[int, bytes]:
         """Read the stored bytes that decide between one turn and many. Raises IncompleteReply."""
-        return {i: r.data for i, r in self._fetch_block(ids, self._dialect.turns).items()}
+        return self._fetch_block(ids, self._dialect.turns)
 
     def set_turns(
         self,
@@ -263,7 +252,7 @@ class SerialServoBus:
         if lock is None:
             self._write_checked(self._dialect.turns, stored)
             return
-        before = {i: reply.data for i, reply in self._fetch_block(list(stored), lock).items()}
+        before = self._fetch_block(list(stored), lock)
         self._write_checked(lock, dict.fromkeys(stored, b"\0"))
         try:
             self._write_checked(self._dialect.turns, stored)
@@ -293,16 +282,12 @@ class SerialServoBus:
     def _collect_replies(
         self, ids: Sequence[int], data_length: int, replies: dict[int, Reply]
     ) -> set[int]:
-        """Receive replies until every id has answered or the time is over.
-
-        Good replies are added to ``replies``. Return the ids with a damaged reply.
-        """
+        """Add good replies to ``replies`` until the time is over; return ids with a damaged one."""
         frame_length = self._dialect.overhead + data_length
         deadline = self._port.deadline(frame_length * len(ids))
         wanted = set(ids)
         damaged: set[int] = set()
-        buffer = bytearray()
-        final = False
+        buffer, final = bytearray(), False
         while wanted and not final:
             chunk = self._port.receive(max(1, frame_length * len(wanted) - len(buffer)))
             buffer += chunk
@@ -311,31 +296,28 @@ class SerialServoBus:
                 if not reply.intact:
                     damaged.add(reply.servo_id)
                     self.counters.checksum_errors += 1
-                elif reply.servo_id in wanted and self._answers(reply, data_length):
+                elif reply.servo_id in wanted and (
+                    len(reply.data) == data_length or self._dialect.refusal(reply.error)
+                ):
                     wanted.discard(reply.servo_id)
                     replies[reply.servo_id] = reply
                 else:
                     self.counters.stray_frames += 1
         return damaged
 
-    def _answers(self, reply: Reply, data_length: int) -> bool:
-        """Tell whether a reply has the expected number of bytes, or refuses the instruction."""
-        return len(reply.data) == data_length or self._dialect.refusal(reply.error) != 0
-
     def _send_frame(self, frame: bytes) -> None:
         self.counters.stale_bytes += self._port.send(frame)
 
-    def _fetch_block(self, ids: Sequence[int], block: Block) -> dict[int, Reply]:
+    def _fetch_block(self, ids: Sequence[int], block: Block) -> dict[int, bytes]:
         answers = self.ask(ids, block)
         self._check_refusals(answers.replies)
         if answers.silent or answers.corrupt:
-            raise _make_incomplete(answers, {})
-        return answers.replies
+            raise _make_incomplete(answers)
+        return {i: reply.data for i, reply in answers.replies.items()}
 
     def _check_refusals(self, replies: Mapping[int, Reply]) -> None:
         for servo_id, reply in replies.items():
-            code = self._dialect.refusal(reply.error)
-            if code:
+            if code := self._dialect.refusal(reply.error):
                 raise ServoFault("the servo refused the instruction", id=servo_id, code=code)
 
     def _read_alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
@@ -346,10 +328,8 @@ class SerialServoBus:
         if unread and block is not None:
             more = self.ask(unread, block).replies
             for i in unread:
-                read = more[i].data if i in more else b""
-                known[i] = (
-                    self._dialect.alarm_flags(int.from_bytes(read, "little")) or ServoAlarm.OTHER
-                )
+                bits = int.from_bytes(more[i].data, "little") if i in more else 0
+                known[i] = self._dialect.alarm_flags(bits) or ServoAlarm.OTHER
         return {i: flags for i, flags in known.items() if flags is not None}
 
     def _write_checked(
@@ -359,15 +339,11 @@ class SerialServoBus:
         harmless: bool = False,
         taken: Callable[[bytes, bytes], bool] = operator.eq,
     ) -> None:
-        """Write values by id and read them back; write again to servos that did not accept them.
+        """Write values by id; raise an error if a servo does not accept or confirm its value.
 
         Args:
-            harmless: whether alarms are ignored: they are then not looked for as the cause.
+            harmless: whether alarms are not looked for as the cause.
             taken: called with the bytes read and the bytes sent; tells whether they were accepted.
-
-        Raises:
-            ServoFault: a servo did not accept its value, and reports an alarm.
-            IncompleteReply: some servos did not accept or confirm their values.
         """
         wanted, answers = self._write_until(block, values, taken)
         if not wanted:
@@ -376,7 +352,7 @@ class SerialServoBus:
             for servo_id, flags in self._read_alarms(answers.replies).items():
                 if flags:
                     raise ServoFault("the servo reports an alarm", id=servo_id, alarm=flags.words)
-        raise _make_incomplete(answers, {}, unconfirmed=wanted)
+        raise _make_incomplete(answers, unconfirmed=wanted)
 
     def _write_until(
         self, block: Block, values: Mapping[int, bytes], taken: Callable[[bytes, bytes], bool]
@@ -394,14 +370,16 @@ class SerialServoBus:
 
 
 def _make_incomplete(
-    answers: Answers, states: Mapping[int, ServoState], unconfirmed: Iterable[int] = ()
+    answers: Answers,
+    states: Mapping[int, ServoState] | None = None,
+    unconfirmed: Iterable[int] = (),
 ) -> IncompleteReply:
     silent = sorted({*answers.silent, *unconfirmed} - set(answers.corrupt))
-    facts = {
-        "silent": silent,
-        "corrupt": list(answers.corrupt),
-        "answered": sorted(states),
-        "attempts": answers.attempts,
-    }
-    damaged = "answers of servos failed their checksum"
-    return IncompleteReply("servos did not answer in time" if silent else damaged, states, **facts)
+    return IncompleteReply(
+        "servos did not answer in time" if silent else "answers of servos failed their checksum",
+        states,
+        silent=silent,
+        corrupt=list(answers.corrupt),
+        answered=sorted(states or ()),
+        attempts=answers.attempts,
+    )

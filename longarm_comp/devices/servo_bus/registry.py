@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 
@@ -16,7 +16,7 @@ from longarm_comp.devices.servo_bus.dialect import Dialect
 from longarm_comp.devices.servo_bus.dynamixel import DynamixelX
 from longarm_comp.devices.servo_bus.feetech import FeetechSts
 from longarm_comp.devices.servo_bus.port import SerialPort
-from longarm_comp.devices.servo_bus.state import ServoModel
+from longarm_comp.devices.servo_bus.state import IncompleteReply, ServoFault, ServoModel
 
 GROUP = "longarm_comp.servo_protocols"
 """Entry-point group under which other packages register their protocols."""
@@ -104,10 +104,7 @@ def _ask_each(
     ids: Sequence[int],
     patience_s: float,
 ) -> dict[int, FoundServo]:
-    """Ask ids one after the other; return the servos that answer, by id.
-
-    ``tell`` is called with a text and the share done. ``patience_s``: longest wait per id, s.
-    """
+    """Ask ids one after the other; return the servos that answer, by id."""
     found = {}
     with closing(SerialPort(port, baudrate, patience_s)) as line:
         for n, servo_id in enumerate(ids):
@@ -188,8 +185,7 @@ def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None
 def _look_once(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundServo | None, bool]:
     """Ask an id once; return the servo or None, and whether the line was disturbed.
 
-    Both the model number and the state are read: two servos with the same id may have the same
-    model number, but their states differ.
+    States are read because those of two servos with the same id and model differ.
     """
     bus = SerialServoBus(line, dialect, {}, retries=1)
     counters, first = bus.counters, bus.ask([servo_id], dialect.model)
@@ -201,9 +197,9 @@ def _look_once(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[Found
     reply = first.replies.get(servo_id)
     number = int.from_bytes(reply.data, "little") if reply else 0
     version = bus.ask([servo_id], dialect.firmware).replies.get(servo_id)
-    stored = bus.ask([servo_id], dialect.memory).replies.get(servo_id)
-    whole = stored is not None and len(stored.data) == dialect.memory.length
-    kept = dialect.memory_of(stored.data) if stored and whole else None
+    kept = None
+    with suppress(IncompleteReply, ServoFault):
+        kept = bus.memory([servo_id])[servo_id]
     alarms = bus.alarms([servo_id])
     found = FoundServo(
         servo_id,
@@ -247,8 +243,9 @@ def change_servo_id(found: Scan, servo_id: int) -> int:
         if dialect.turns_lock is not None:
             line.send(dialect.sync_write(dialect.turns_lock, {old: b"\0"}))
         line.send(dialect.sync_write(dialect.identity, {old: bytes((servo_id,))}))
-        if dialect.turns_lock is not None:
-            line.send(dialect.sync_write(dialect.turns_lock, {servo_id: b"\1"}))
+        if dialect.turns_lock is not None:  # also of a servo that did not hear its new id
+            locked = dict.fromkeys((old, servo_id), b"\1")
+            line.send(dialect.sync_write(dialect.turns_lock, locked))
         for _ in range(3):
             if (renamed := look(line, dialect, servo_id)) is None:
                 continue

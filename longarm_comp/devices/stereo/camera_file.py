@@ -105,20 +105,19 @@ def read_camera(path: Path) -> CameraInfo:
     data = read_yaml(path)
     values: dict[str, tuple[float, ...]] = {}
     for key, (field, rows, columns) in _MATRICES.items():
+        allowed = "finite numbers" if columns is None else f"{rows * columns} finite numbers"
         try:
             numbers = tuple(float(v) for v in data[key]["data"])
-        except (KeyError, TypeError, ValueError):
-            numbers = (np.nan,)
-        wanted = len(numbers) if columns is None else rows * columns
-        if len(numbers) != wanted or not np.isfinite(numbers).all():
-            allowed = "numbers" if columns is None else f"{wanted} numbers"
-            raise InputError(path, f"{key}.data", len(numbers), allowed)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(path, f"{key}.data", "missing or no numbers", allowed) from error
+        count_fits = columns is None or len(numbers) == rows * columns
+        if not (count_fits and np.isfinite(numbers).all()):
+            raise InputError(path, f"{key}.data", list(numbers), allowed)
         values[field] = numbers
-    try:
-        width, height = int(data["image_width"]), int(data["image_height"])
-        model = str(data["distortion_model"])
-    except (KeyError, TypeError, ValueError) as error:
-        allowed = "image_width, image_height, distortion_model"
-        raise InputError(path, "camera", f"no {error.args[0]}", allowed) from error
+    sizes = data.get("image_width"), data.get("image_height")
+    if not all(isinstance(size, int) and size > 0 for size in sizes):
+        raise InputError(path, "image_width, image_height", sizes, "whole numbers of pixels")
+    model = str(data.get("distortion_model"))
     check_distortion(model, path)
+    width, height = sizes
     return CameraInfo(width, height, model, **values)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.found import Limits, find_corners
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
-from longarm_comp.devices.stereo.target import Grey, Target
+from longarm_comp.devices.stereo.target import Grey, Target, on_one_line
 from longarm_comp.devices.stereo.triangulate import (
     PixelNoise,
     epipolar_px,
@@ -79,7 +79,7 @@ class StereoEye:
         ids, left_px, right_px = in_left.shared_corners(in_right)
         corners = self.target.points(ids)
         fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))
-        if len(ids) < fewest or not _span_m(corners) > 0.0:
+        if len(ids) < fewest or on_one_line(corners):
             raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), of=self.target.n_corners)
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
         if not off <= self.limits.epipolar_px:
@@ -118,9 +118,3 @@ def _as_grey(image: Grey, camera: Camera, side: str) -> Grey:
         raise StereoRefusal(RefusalReason.WRONG_SIZE, image=side, size=size, calibrated=allowed)
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return np.ascontiguousarray(grey)
-
-
-def _span_m(corners: Array) -> float:
-    """Return the second-largest extent, m, of corners (N, 3); 0 if they are nearly on one line."""
-    extent = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
-    return float(extent[1]) if extent[1] > 0.05 * extent[0] else 0.0

@@ -55,9 +55,9 @@ def check_mounting(views: Sequence[BoardView]) -> None:
 def _off_px(views: Sequence[BoardView], shift: int) -> float:
     """Return the median distance, px, of right corners from the epipolar lines of the left ones.
 
-    Each left picture is paired with the right one that is ``shift`` later. The distance is infinite
-    if too few views have enough common corners. The lines are fitted to the corners, without a
-    calibration (Zhang, Determining the Epipolar Geometry, 1998), so lens distortion adds little.
+    Each left picture is paired with the right one that is ``shift`` later. Infinite: too few views
+    have enough common corners. The lines are fitted to the corners, without a calibration (Zhang,
+    Determining the Epipolar Geometry, 1998), so lens distortion adds little.
     """
     pairs = zip(views[max(-shift, 0) :], views[max(shift, 0) :], strict=False)
     common = [one.left.shared_corners(two.right)[1:] for one, two in pairs]

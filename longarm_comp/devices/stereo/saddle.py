@@ -45,11 +45,9 @@ def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
 
 
 def _intersect_sides(edge: Array, fallback: Array) -> Array:
-    """Return the corners (N, 4, 2) where the lines through neighbouring sides intersect.
+    """Return the corners (N, 4, 2) between sides through the points ``edge`` (N, 4, M, 2).
 
-    Args:
-        edge: (N, 4, M, 2) points on each side.
-        fallback: (N, 4, 2) corners to return for parallel sides or a result over 4 px away.
+    ``fallback``: corners to return for parallel sides or a result over 4 px away.
     """
     centre = edge.mean(axis=2)
     x, y = np.moveaxis(edge - centre[:, :, None], -1, 0)
@@ -110,11 +108,9 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
 def _guess_state(
     grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np.int64]
 ) -> Array:
-    """Return the initial parameters (N, 9) of the corner model.
+    """Return the initial parameters (N, 9) of the corner model, in the order of `_linearise_model`.
 
-    They are u, v, angle 1, angle 2, blur, contrast, level, slope x, slope y. The principal axes of
-    the smoothed image's curvature bisect the angles between the two edges. So both edges start at
-    45 degrees to these axes.
+    The principal axes of the smoothed image's curvature bisect the angles between the two edges.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), 2.0).astype(np.float64)
     picked = [

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from longarm_comp.devices.stereo.found import Limits, find_corners
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
-from longarm_comp.devices.stereo.target import Corners, Grey, Target
+from longarm_comp.devices.stereo.target import Corners, Grey, Target, on_one_line
 
 FEWEST_CORNERS = 8
 """Smallest number of corners seen by both cameras: four determine a plane's image, four more
@@ -68,13 +68,14 @@ def find_view(board: Target, left: Grey, right: Grey) -> BoardView:
     in_left = find_corners(board, left, "left", Limits())
     in_right = find_corners(board, right, "right", Limits())
     ids, left_px, right_px = in_left.shared_corners(in_right)
-    if len(ids) < FEWEST_CORNERS:
-        raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
+    points = board.points(ids)
+    if len(ids) < FEWEST_CORNERS or on_one_line(points):
+        wanted = f"{FEWEST_CORNERS}, not on one line"
+        raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=wanted)
     shift = np.median(left_px[:, 0] - right_px[:, 0])
     # Distance and tilt for a focal length that is guessed as a share of the image's width
     height, width = left.shape
     k = np.array([[1.2 * width, 0.0, width / 2], [0.0, 1.2 * width, height / 2], [0.0, 0.0, 1.0]])
-    points = board.points(ids)
     _, turn, move = cv2.solvePnP(points, left_px, k, None, flags=cv2.SOLVEPNP_IPPE)
     x, y, z = -cv2.Rodrigues(turn)[0][:, 2]  # towards the scene: z of the board is to the viewer
     tilt = (float(np.degrees(np.arctan2(y, z))), float(np.degrees(np.arctan2(x, z))))
@@ -115,10 +116,7 @@ def list_gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
 def _ninths_with_corners(
     views: Sequence[BoardView], side: str, size: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """Return (3, 3) True for each cell with corners, in the image of one camera.
-
-    The cells divide the part of the image that both cameras see.
-    """
+    """Return (3, 3) True for each cell with corners, of the part that both cameras see."""
     width, height = size
     shared = max(width - max(0.0, float(np.median([v.disparity_px for v in views]))), 1.0)
     start = width - shared if side == "left" else 0.0

@@ -126,11 +126,18 @@ OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
 def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> HiddenEffect:
     """Return an effect by name, `dose` times its typical size, at a random place.
 
-    Raises InputError if the name is not known.
+    Raises InputError if the name is not known, or the arm has too few joints for it.
     """
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
-    return HIDDEN[name](arm, rng).scale_by(dose)
+    try:
+        return HIDDEN[name](arm, rng).scale_by(dose)
+    except ValueError as error:  # no place left to choose from
+        raise _no_motion(name) from error
+
+
+def _no_motion(name: str) -> InputError:
+    return InputError("hidden effect", "name", name, "an effect that moves this arm")
 
 
 def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> HiddenEffect:
@@ -178,7 +185,7 @@ def scale_to_size(
         moved = seen(effect.scale_by(dose), arm, poses, context, sound) - sound
         size = 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
         if size == 0.0:
-            raise InputError("hidden effect", "name", effect.name, "an effect that moves this arm")
+            raise _no_motion(effect.name)
         if abs(size - size_mm) < 0.02 * size_mm:
             break
         dose *= size_mm / size

@@ -136,10 +136,7 @@ class Motor:
         return self.position + math.copysign(distance - left, error)
 
     def _rest_range(self) -> tuple[float, float]:
-        """Return the lowest and the highest position (ticks) at which the horn may rest.
-
-        There the controller holds the load, with friction for it or against it.
-        """
+        """Return the range (ticks) where controller and friction together hold the load."""
         spec = self.spec
 
         def balance_at(share: float, edge: float) -> float:
