@@ -233,9 +233,19 @@ def _check_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield declared(where, said)
 
 
+def _load_servos(path: Path) -> ServoConfig:
+    """Read the servos of a driver's file; refuse other parameters of it that the driver refuses."""
+    servos, given, own = ServoConfig.load(path), read_parameters(path), ServoConfig.model_fields
+    others = {name: v for name, v in given.items() if name.partition(".")[0] not in own}
+    for name, value, allowed in find_strangers("servo_driver", others):
+        raise InputError(path, name, value, allowed)
+    servos.check_rate((own_parameters("servo_driver") | others)["rate_hz"], path.name)
+    return servos
+
+
 def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
     path = folder / "servo_driver.yaml"
-    servos, found = _load_file(path, ServoConfig.load)
+    servos, found = _load_file(path, _load_servos)
     if servos is None:
         return found
     found += [

@@ -229,6 +229,10 @@ FAULTS = {
     "a camera elsewhere": ("stereo_bridge", r"xyz: \[[-\d.]+", "xyz: [0.5", "hand_eye"),
     "a number as text": ("stereo_bridge", r"tag_m: [\d.]+", "tag_m: big", "marker.tag_m"),
     "an unknown parameter": ("simulated_arm", "seed:", "sead:", "sead"),
+    "too few cycles": ("servo_driver", "rate_hz: [0-9.]+", "rate_hz: 2.0", "rate_hz"),
+    "no cycles": ("servo_driver", "rate_hz: [0-9.]+", "rate_hz: 0.0", "rate_hz"),
+    "a rate as text": ("servo_driver", "rate_hz: [0-9.]+", "rate_hz: fast", "rate_hz"),
+    "an unknown parameter of the driver": ("servo_driver", "trim:", "trimm:", "trimm"),
 }  # fmt: skip
 
 
