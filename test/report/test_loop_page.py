@@ -28,7 +28,7 @@ ROUND: dict[str, Any] = {
 )
 def test_the_loops_page_names_the_poses_that_were_not_driven(not_driven: dict[str, int]) -> None:
     errors = {"not compensated": np.full((3, 3), 2e-3), "before": np.full((3, 3), 1e-3)}
-    row = {key: 1.0 for key in ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")}
+    row = dict.fromkeys(("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm"), 1.0)
     data = {
         "arm": "boom",
         "rows": [{"run": name, "n": 3, "gain_ci95_mm": (None, None)} | row for name in errors],
