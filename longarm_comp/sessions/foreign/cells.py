@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import check_size, check_unpacked
 from longarm_comp.sessions.foreign.units import split_name, unit_of
@@ -86,6 +88,24 @@ class Cells:
         if (_COMMA if self.decimal == "," else _POINT).fullmatch(plain) is None:
             return None
         return float(plain.replace(",", "."))
+
+    def numbers(self, place: int, blanks: bool) -> np.ndarray:
+        """Return the (N,) numbers of a column; an empty cell is NaN if `blanks` are allowed.
+
+        Raises:
+            InputError: another cell holds no number.
+        """
+        values = np.empty(len(self.rows))
+        for k, (line, row) in enumerate(self.rows):
+            number = self.number(row[place])
+            if number is None and not (blanks and self.empty(row[place])):
+                sign = "comma" if self.decimal == "," else "point"
+                allowed = f"a number with a decimal {sign}" + (", or blank" if blanks else "")
+                raise InputError(
+                    self.where, f"line {line}, {self.names[place]}", row[place], allowed
+                )
+            values[k] = np.nan if number is None else number
+        return values
 
     @staticmethod
     def empty(text: str) -> bool:
