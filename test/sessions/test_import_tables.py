@@ -102,6 +102,26 @@ def test_days_follow_each_other_with_a_gap(shell: Shell) -> None:
     assert held.approach[1].any() and not held.approach[2].any()
 
 
+def test_times_of_day_of_a_further_file_are_of_the_next_day(shell: Shell) -> None:
+    """Nine hours back within a file would be rows out of order."""
+    head = "A1_deg,Time,X_mm,Y_mm,Z_mm\n"
+    Path("day1.csv").write_text(head + "1,08:00,1,2,3\n2,17:00,1,2,3\n")
+    Path("day2.csv").write_text(head + "3,08:00,1,2,3\n4,09:30,1,2,3\n")
+    assert shell("import-data", "day1.csv", "day2.csv") == 0, shell.err
+    assert session()["t_s"].tolist() == [0, 32400, 86400, 91800]
+    assert session()["index"].tolist() == [0, 1, 3, 4]
+
+
+def test_the_gap_between_files_is_sorted_with_their_rows(shell: Shell) -> None:
+    head = "A1_deg,No,X_mm,Y_mm,Z_mm\n"
+    Path("late.csv").write_text(head + "4,4,1,2,3\n5,5,1,2,3\n6,6,1,2,3\n")
+    Path("early.csv").write_text(head + "1,1,1,2,3\n2,2,1,2,3\n")
+    assert shell("import-data", "late.csv", "early.csv", "--sort", "No") == 0, shell.err
+    made = session()
+    np.testing.assert_allclose(np.degrees(made["q1"]), [1, 2, 4, 5, 6])
+    assert made["index"].tolist() == [0, 1, 3, 4, 5]
+
+
 def test_markers_side_by_side_are_rows(shell: Shell) -> None:
     Path("log.csv").write_text(
         "A1_deg,M1 X_mm,M1 Y_mm,M1 Z_mm,M2 X_mm,M2 Y_mm,M2 Z_mm\n1,1,2,3,4,5,6\n2,7,8,9,,,\n"

@@ -59,6 +59,11 @@ class Cells:
     index: tuple[int, ...] = ()
     """Number of each row in the session, where the rows do not simply follow each other."""
 
+    @property
+    def breaks(self) -> list[int]:
+        """Places of the rows with which further files begin."""
+        return (1 + np.flatnonzero(np.diff(self.index) > 1)).tolist()
+
     def column(self, place: int) -> list[str]:
         return [row[place] for _, row in self.rows]
 

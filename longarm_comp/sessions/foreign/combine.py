@@ -102,7 +102,12 @@ def sort_rows(cells: Cells, column: str) -> Cells:
     keys: Sequence[Any] = texts if None in numbers else numbers
     keys = keys if clock is None else clock.tolist()
     order = sorted(range(len(texts)), key=keys.__getitem__)
-    return replace(cells, rows=tuple(cells.rows[k] for k in order))
+    rows, index = tuple(cells.rows[k] for k in order), cells.index
+    if index:  # a gap stays wherever a row of another file follows
+        file = np.searchsorted(cells.breaks, order, side="right")
+        gaps = np.cumsum(np.diff(file, prepend=file[0]) != 0)
+        index = tuple((np.arange(len(rows)) + gaps).tolist())
+    return replace(cells, rows=rows, index=index)
 
 
 def find_marker_headings(cells: Cells, told: Collection[str]) -> tuple[str, ...]:

@@ -281,7 +281,7 @@ def _read_column(cells: Cells, column: Column) -> np.ndarray:
     texts = cells.column(column.place)
     if column.name in LABELS:
         return np.array(texts)
-    clock = seconds(texts) if column.name == "t_s" else None
+    clock = seconds(texts, cells.breaks) if column.name == "t_s" else None
     if clock is not None:
         return clock
     values = cells.numbers(column.place, bool(_MAY_BE_BLANK.fullmatch(column.name)))
