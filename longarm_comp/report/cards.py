@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from longarm_comp.core.effects.units import for_people
@@ -57,15 +57,18 @@ class _Card:
     figure: str = "mean error without → with it"
 
 
-def cards(report: record.DiagnosisReport) -> list[_Card]:
-    """Make a card of each finding, then of each cause without a name that is in the model."""
+def cards(report: record.DiagnosisReport, split: Collection[str] = ()) -> list[_Card]:
+    """Make a card of each finding, then of each cause without a name that is in the model.
+
+    Args:
+        split: findings whose names the poses of next_poses.csv would tell apart.
+    """
     unnamed = [_unnamed_card(found, report) for found in report.discovered if found.kept]
-    return [_card_of(finding, report) for finding in report.findings] + unnamed
+    return [_card_of(found, report, found.name in split) for found in report.findings] + unnamed
 
 
-def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
+def to_do(made: Sequence[_Card]) -> dict[str, list[_Card]]:
     """Return the cards by duty, in the order of `DUTIES`; duties without a card are left out."""
-    made = cards(report)
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
 
 
@@ -92,10 +95,10 @@ def _choose_duty(
     return DUTIES[0], f"{what} worth {millimetres(gain_mm)}. {action}"
 
 
-def _say_first(finding: Finding, report: record.DiagnosisReport) -> str:
+def _say_first(finding: Finding, split: bool) -> str:
     """Say what must be found out before a repair; empty if the finding is certain."""
     if len(finding.names) > 1:
-        poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
+        poses = "the poses of next_poses.csv show" if split else "a look at it shows"
         return f"{poses} that it is {finding.name}, not {join_names(finding.names[1:])}."
     if finding.unnamed:
         return f"a look at it shows the cause: {finding.unnamed}."
@@ -134,10 +137,10 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
     )
 
 
-def _card_of(finding: Finding, report: record.DiagnosisReport) -> _Card:
+def _card_of(finding: Finding, report: record.DiagnosisReport, split: bool) -> _Card:
     title, where = finding.title or finding.name.replace("_", " "), _join_places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
-    duty, advice = _choose_duty(before - after, _say_first(finding, report), finding.action, report)
+    duty, advice = _choose_duty(before - after, _say_first(finding, split), finding.action, report)
     sizes = []
     for p in finding.parameters[:MOST_SIZES]:
         times, unit = for_people(p.unit)
