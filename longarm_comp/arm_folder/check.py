@@ -35,22 +35,16 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.cameras import CameraPair
 
 LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
+"""The first two must be corrected. Unmeasured is an assumption, measured what a command measured,
+declared a value of arm.yaml to compare with the arm."""
 
 
 @dataclass(frozen=True)
 class _FolderFinding:
-    """A finding on an arm's folder.
-
-    Attributes:
-        level: one of `LEVELS`. missing and implausible must be corrected; unmeasured is an
-            assumption; measured is a value that a command measured; declared is a value of
-            arm.yaml, to compare with the arm.
-        where: file, and the key in it.
-        text: what was found, and what to do.
-    """
+    """A finding on an arm's folder, and what to do."""
 
     level: str
-    where: str
+    where: str  # file, and the key in it
     text: str
 
     @property
@@ -270,11 +264,9 @@ def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFindin
 
 
 def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_FolderFinding]:
-    """Check the parameter files of the camera nodes.
+    """Check the files of the camera nodes; if `look`, also how often they see the marker.
 
-    Args:
-        known: files with measured values.
-        look: also check at how many poses the cameras see the marker.
+    Values in the files `known` were measured.
     """
     read, found = {}, []
     for node in NODES[1:]:
@@ -328,11 +320,7 @@ def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[
 
 
 def _check_assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_FolderFinding]:
-    """Yield findings on values that are still as `longarm init` assumed them.
-
-    Args:
-        placed: whether the pose of the stereo head was measured.
-    """
+    """Yield findings on values that are still as assumed; `placed`: the head was measured."""
     file, made = "stereo_bridge.yaml", head_for(arm)["stereo_bridge"]
     own = own_parameters("stereo_bridge")
     if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):

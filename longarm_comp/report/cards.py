@@ -24,37 +24,23 @@ DUTIES = ("Do", "Do only if", "Leave alone")
 
 @dataclass(frozen=True)
 class _Card:
-    """A finding for people.
-
-    Attributes:
-        names: canonical name, with those that cannot be told from it; empty without a name.
-        sizes: the first of its parameters: place, name, value, interval.
-        more: number of further parameters.
-        reading: the effect's own description.
-        sure: how sure the finding is, in a word or two.
-        because: the figures behind `sure`.
-        duty: one of `DUTIES`.
-        advice: why it has this duty, and what to do at the arm.
-        software: what a command does about it.
-        improves: held-out error without and with it.
-        figure: which figure of the error `improves` gives.
-    """
+    """A finding for people."""
 
     title: str
     where: str
-    reading: str
+    reading: str  # the effect's own description
     tip: str
-    sure: str
-    because: str
+    sure: str  # in a word or two
+    because: str  # the figures behind `sure`
     doubts: tuple[str, ...]
-    duty: str
-    advice: str
-    software: str
-    improves: str
-    names: str = ""
-    sizes: tuple[tuple[str, ...], ...] = ()
-    more: int = 0
-    figure: str = "mean error without → with it"
+    duty: str  # one of `DUTIES`
+    advice: str  # why it has this duty, and what to do at the arm
+    software: str  # what a command does about it
+    improves: str  # held-out error without and with it
+    names: str = ""  # canonical name, with those that cannot be told from it
+    sizes: tuple[tuple[str, ...], ...] = ()  # the first parameters: place, name, value, interval
+    more: int = 0  # number of further parameters
+    figure: str = "mean error without → with it"  # that `improves` gives
 
 
 def cards(report: record.DiagnosisReport, split: Collection[str] = ()) -> list[_Card]:
@@ -79,12 +65,9 @@ def _choose_duty(
     report: record.DiagnosisReport,
     what: str = "It is",
 ) -> tuple[str, str]:
-    """Return the duty and the advice for a cause.
+    """Return the duty and the advice for a cause, by the gain of the held-out mean error.
 
-    Args:
-        gain_mm: by how much the held-out mean error falls with `what` in the model.
-        first: sentence on what must be known before, or "".
-        action: what to do at the arm.
+    `first` says what must be known before the `action` at the arm; it may be empty.
     """
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):

@@ -22,19 +22,15 @@ FIGURES = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm", "variance_m
 
 @dataclass(frozen=True)
 class _NoiseFloor:
-    """Errors that noise alone would show.
+    """Errors that noise alone would show."""
 
-    Attributes:
-        sigma_mm: (3,) standard deviation per axis.
-        limited: whether it is less than the estimate.
-        figures: errors of n rows of this noise, by the names in `FIGURES`, with the mean sigma for
-            all axes. ``max_mm`` is the median of the largest error, but never more than the
-            smallest ``max_mm`` of any model.
-    """
-
-    sigma_mm: tuple[float, float, float]
-    limited: bool
+    sigma_mm: tuple[float, float, float]  # standard deviation per axis
+    limited: bool  # whether it is less than the estimate
     figures: Mapping[str, float]
+    """Errors by the names in `FIGURES`, with the mean sigma for all axes.
+
+    ``max_mm`` is the median of the largest, but at most the smallest ``max_mm`` of any model.
+    """
 
 
 def floor_of(report: DiagnosisReport) -> _NoiseFloor | None:

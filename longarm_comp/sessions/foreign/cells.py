@@ -202,10 +202,8 @@ def _split_text(where: str, text: str) -> tuple[str, Lines]:
 def _split_lines(where: str, text: str, mark: str) -> Lines:
     """Return number and cells of each line that is not blank.
 
-    Comment signs are removed from the lines above the first numbers.
-
-    Raises:
-        InputError: a comment stands below the first numbers. It may be a row that was taken out.
+    Comment signs are removed from the lines above the first numbers. A comment below them is
+    refused: it may be a row that was taken out.
     """
     import pandas as pd
 
@@ -302,16 +300,10 @@ def _is_numeric(row: Sequence[str], number: re.Pattern[str]) -> bool:
 
 
 def _find_first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
-    """Find the first line of numbers, and the first line of numbers below the whole header.
+    """Return the indices of the first line of numbers, and of the first one below all headers.
 
-    The two differ if the header has a line of ids: whole numbers beside a word.
-
-    Returns:
-        The indices of both in `lines`.
-
-    Raises:
-        InputError: there is no line of numbers, measured numbers stand above a header line, or
-            the same header stands above and below numbers.
+    They differ if the header has a line of ids: whole numbers beside a word. Measured numbers above
+    a header, and one header above and below numbers, are refused.
     """
     number = _COMMA if decimal == "," else _POINT
     widths = Counter(len(row) for _, row in lines)
@@ -347,10 +339,8 @@ def _join_names(lines: Lines, width: int, ids: int) -> tuple[tuple[str, ...], tu
     """Join the names of the columns from the heading lines above the numbers.
 
     The lines are read upwards. Headings end at a blank line, at a line with fewer than two filled
-    cells, and, above the line with index `ids`, at a line that holds a number.
-
-    Returns:
-        The names, and the numbers of the lines that they come from.
+    cells, and, above the line with index `ids`, at a line that holds a number. Returns also the
+    numbers of the lines that the names come from.
     """
     headings: Lines = []
     for k in reversed(range(len(lines))):

@@ -196,9 +196,8 @@ def _read_clocks(tables: Sequence[Cells], places: Sequence[int], column: str) ->
 def _pair_nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
     """Pair each time of ``one`` with the nearest time of ``two`` that has no nearer one itself.
 
-    Returns:
-        The index in ``two`` for each time of ``one``, -1 if none is within the tolerance; and the
-        tolerance, which is half of the smaller of both median steps.
+    Returns the indices in ``two``, -1 if none is within the tolerance, and the tolerance: half of
+    the smaller of both median steps.
     """
     near, back = _find_closest(one, two), _find_closest(two, one)
     steps = [np.diff(np.unique(times)) for times in (one, two)]

@@ -299,12 +299,8 @@ def _read_orientation(
 ) -> dict[str, np.ndarray]:
     """Return the columns of the quaternion, (N,) each.
 
-    Args:
-        columns: session columns. With their joints and positions, an arm's model shows which
-            convention fits.
-
-    Raises:
-        InputError: the convention is not known, or the rows clearly fit another one.
+    With the joints and positions in `columns`, an arm's model shows which convention fits. One that
+    is not known, or that the rows clearly refute, is refused.
     """
     values = read_rotation(cells, rotation, defaults)
     fitting = None
