@@ -102,6 +102,15 @@ def test_days_follow_each_other_with_a_gap(shell: Shell) -> None:
     assert held.approach[1].any() and not held.approach[2].any()
 
 
+def test_rows_are_not_sorted_by_a_column_with_a_blank(shell: Shell) -> None:
+    """As texts, the numbers beside it would come in the order 10, 2, 9."""
+    Path("log.csv").write_text(
+        "A1_deg,No,x_m,y_m,z_m\n3,10,3,0,0\n1,2,1,0,0\n2,,2,0,0\n4,9,4,0,0\n"
+    )
+    said = shell.refused("import-data", "log.csv", "--sort", "No")
+    assert "line 4, No: ''; allowed: a value to sort by" in said
+
+
 def test_times_of_day_of_a_further_file_are_of_the_next_day(shell: Shell) -> None:
     """Nine hours back within a file would be rows out of order."""
     head = "A1_deg,Time,X_mm,Y_mm,Z_mm\n"

@@ -94,9 +94,16 @@ def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str,
 
 
 def sort_rows(cells: Cells, column: str) -> Cells:
-    """Sort the rows by a column: as times or numbers if all its cells are such, else as text."""
+    """Sort the rows by a column: as times or numbers if all its cells are such, else as text.
+
+    Raises:
+        InputError: a cell is blank, which alone would make texts of numbers: 10 before 9.
+    """
     place = cells.place(column, "--sort")
     texts = [row[place] for _, row in cells.rows]
+    for (line, _), text in zip(cells.rows, texts, strict=True):
+        if cells.empty(text):
+            raise InputError(cells.where, f"line {line}, {column}", text, "a value to sort by")
     numbers = [cells.number(text) for text in texts]
     clock = seconds(texts)
     keys: Sequence[Any] = texts if None in numbers else numbers
