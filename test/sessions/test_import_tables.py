@@ -56,6 +56,18 @@ def test_joints_and_points_are_joined_by_number(shell: Shell) -> None:
     assert "no row in common" in shell.refused(*call, "Point")
 
 
+def test_rows_without_a_number_have_no_partner(shell: Shell) -> None:
+    """A way-point of the arm is not what the tracker measured between its points."""
+    Path("arm.csv").write_text(joints() + ";40;50;60;7\n")
+    Path("tracker.csv").write_text("Point,X_mm,Y_mm,Z_mm\nP7,7,2,3\n,0,0,0\n,1,1,1\nP8,8,2,3\n")
+    assert shell("import-data", "arm.csv", "tracker.csv", "--join", "Point") == 0, shell.err
+    made = session()
+    assert made["point"].tolist() == ["P7", "P8"]
+    np.testing.assert_allclose(made["x"], [0.007, 0.008])
+    assert "arm.csv: no partner of Point P9, (blank)" in shell.err
+    assert "tracker.csv: no partner of Point (blank), (blank)" in shell.err
+
+
 def test_what_a_controller_measured_is_a_reading(shell: Shell) -> None:
     """Beside the command of each joint, in the unit of its column; blank is not read."""
     Path("log.csv").write_text(

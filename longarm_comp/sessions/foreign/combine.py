@@ -60,10 +60,11 @@ def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str,
         here, there = (t.place(column, "--join") for t in (made, table))
         one, two = ([row[k] for _, row in t.rows] for t, k in ((made, here), (table, there)))
         places: dict[object, int] = {}
-        for (line, _), text in zip(table.rows, two, strict=True):
+        for k, ((line, _), text) in enumerate(zip(table.rows, two, strict=True)):
             if _sort_key(text) in places:
                 raise InputError(table.where, f"line {line}, {column}", text, "each of them once")
-            places[_sort_key(text)] = len(places)
+            if not table.empty(text):  # rows without a number or name have no partner
+                places[_sort_key(text)] = k
         partner = [places.get(_sort_key(text), -1) for text in one]
         clocks, allowed = _read_clocks((made, table), (here, there), column), f"{one[0]}, ..."
         if clocks:
@@ -78,7 +79,8 @@ def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str,
             (table.where, [two[k] for k in left]),
         ):
             if keys:
-                notes.append(f"{where}: no partner of {column} {', '.join(keys[:20])}")
+                named = ", ".join(key or "(blank)" for key in keys[:20])
+                notes.append(f"{where}: no partner of {column} {named}")
         kept = [k for k in range(len(table.names)) if k != there]
         names = [table.names[k] for k in kept]
         names = [f"{Path(table.where).stem} {n}" if n in made.names else n for n in names]
