@@ -229,11 +229,14 @@ def _check_arm(arm: Arm) -> Iterator[_FolderFinding]:
 
 def _load_servos(path: Path) -> ServoConfig:
     """Read the servos of a driver's file; refuse other parameters of it that the driver refuses."""
-    servos, given, own = ServoConfig.load(path), read_parameters(path), ServoConfig.model_fields
-    others = {name: v for name, v in given.items() if name.partition(".")[0] not in own}
-    for name, value, allowed in find_strangers("servo_driver", others):
+    servos, sections = ServoConfig.load(path), ServoConfig.model_fields
+    known, given = (
+        {name: value for name, value in values.items() if name.partition(".")[0] not in sections}
+        for values in (own_parameters("servo_driver"), read_parameters(path))
+    )
+    for name, value, allowed in find_strangers(known, given):
         raise InputError(path, name, value, allowed)
-    servos.check_rate((own_parameters("servo_driver") | others)["rate_hz"], path.name)
+    servos.check_rate((known | given)["rate_hz"], path.name)
     return servos
 
 
@@ -271,17 +274,18 @@ def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[
     read, found = {}, []
     for node in NODES[1:]:
         given, faults = _load_file(folder / f"{node}.yaml", read_parameters)
+        own = own_parameters(node)
         found += faults
         if given is not None:
             found += [
                 implausible(f"{node}.yaml: {name}", f"{value!r}; allowed: {allowed}")
-                for name, value, allowed in find_strangers(node, given)
+                for name, value, allowed in find_strangers(own, given)
             ]
-            lacking = [name for name in own_parameters(node) if name not in given]
+            lacking = [name for name in own if name not in given]
             if lacking:
                 said = f"the file is incomplete: {', '.join(lacking)}; longarm init writes all"
                 found.append(missing(f"{node}.yaml", said))
-            read[node] = own_parameters(node) | given
+            read[node] = own | given
     if "stereo_bridge" not in read or any(finding.blocks for finding in found):
         return found
     bridge = read["stereo_bridge"]
