@@ -35,22 +35,16 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.cameras import CameraPair
 
 LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
+"""The first two must be corrected. Unmeasured is an assumption, measured what a command measured,
+declared a value of arm.yaml to compare with the arm."""
 
 
 @dataclass(frozen=True)
 class _FolderFinding:
-    """A finding on an arm's folder.
-
-    Attributes:
-        level: one of `LEVELS`. missing and implausible must be corrected; unmeasured is an
-            assumption; measured is a value that a command measured; declared is a value of
-            arm.yaml, to compare with the arm.
-        where: file, and the key in it.
-        text: what was found, and what to do.
-    """
+    """A finding on an arm's folder, and what to do."""
 
     level: str
-    where: str
+    where: str  # file, and the key in it
     text: str
 
     @property
@@ -233,9 +227,22 @@ def _check_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield declared(where, said)
 
 
+def _load_servos(path: Path) -> ServoConfig:
+    """Read the servos of a driver's file; refuse other parameters of it that the driver refuses."""
+    servos, sections = ServoConfig.load(path), ServoConfig.model_fields
+    known, given = (
+        {name: value for name, value in values.items() if name.partition(".")[0] not in sections}
+        for values in (own_parameters("servo_driver"), read_parameters(path))
+    )
+    for name, value, allowed in find_strangers(known, given):
+        raise InputError(path, name, value, allowed)
+    servos.check_rate((known | given)["rate_hz"], path.name)
+    return servos
+
+
 def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
     path = folder / "servo_driver.yaml"
-    servos, found = _load_file(path, ServoConfig.load)
+    servos, found = _load_file(path, _load_servos)
     if servos is None:
         return found
     found += [
@@ -260,26 +267,25 @@ def _check_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFindin
 
 
 def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_FolderFinding]:
-    """Check the parameter files of the camera nodes.
+    """Check the files of the camera nodes; if `look`, also how often they see the marker.
 
-    Args:
-        known: files with measured values.
-        look: also check at how many poses the cameras see the marker.
+    Values in the files `known` were measured.
     """
     read, found = {}, []
     for node in NODES[1:]:
         given, faults = _load_file(folder / f"{node}.yaml", read_parameters)
+        own = own_parameters(node)
         found += faults
         if given is not None:
             found += [
                 implausible(f"{node}.yaml: {name}", f"{value!r}; allowed: {allowed}")
-                for name, value, allowed in find_strangers(node, given)
+                for name, value, allowed in find_strangers(own, given)
             ]
-            lacking = [name for name in own_parameters(node) if name not in given]
+            lacking = [name for name in own if name not in given]
             if lacking:
                 said = f"the file is incomplete: {', '.join(lacking)}; longarm init writes all"
                 found.append(missing(f"{node}.yaml", said))
-            read[node] = own_parameters(node) | given
+            read[node] = own | given
     if "stereo_bridge" not in read or any(finding.blocks for finding in found):
         return found
     bridge = read["stereo_bridge"]
@@ -318,11 +324,7 @@ def _check_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[
 
 
 def _check_assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_FolderFinding]:
-    """Yield findings on values that are still as `longarm init` assumed them.
-
-    Args:
-        placed: whether the pose of the stereo head was measured.
-    """
+    """Yield findings on values that are still as assumed; `placed`: the head was measured."""
     file, made = "stereo_bridge.yaml", head_for(arm)["stereo_bridge"]
     own = own_parameters("stereo_bridge")
     if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):

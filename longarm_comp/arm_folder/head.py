@@ -89,14 +89,9 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
 def _choose_direction(
     turns: np.ndarray, axes: Iterable[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the best viewing direction (3,), and the marker's rotation vector (3,) on the tip.
+    """Return the best of some directions (3,), and the marker's rotation vector (3,) on the tip.
 
-    Args:
-        turns: (M, 3, 3) orientations of the tip, base frame.
-        axes: viewing directions to choose from, base frame.
-
-    Raises:
-        JobError: the tip turns so much that no direction shows the marker at most poses.
+    `turns` (M, 3, 3) are orientations of the tip. All are in the base frame.
     """
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for axis in axes:

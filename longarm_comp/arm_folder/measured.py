@@ -87,12 +87,7 @@ def _hash_values(folder: Path, file: str, written: Mapping[Path, str]) -> str:
     """Return a hash of the values in a folder that a measurement of a file finds or depends on.
 
     The place of the stereo head is that of a rectified camera, so it depends on the cameras.
-
-    Args:
-        written: texts by their files, for those that are not written yet.
-
-    Raises:
-        InputError: a file cannot be read.
+    `written` are texts by their files, for those that are not written yet.
     """
 
     def text_of(path: Path) -> str:
@@ -115,11 +110,7 @@ def _with_entry(
     facts: Mapping[str, Any],
     written: Mapping[Path, str] = MappingProxyType({}),
 ) -> str:
-    """Return the text of the record with a measurement added.
-
-    Args:
-        written: texts by their files that are written with the record.
-    """
+    """Return the text of the record with a measurement added; `written` as in `_hash_values`."""
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
     made = Measured(now, by, dict(facts), _hash_values(folder, file, written))
     known = {**read_measured(folder), file: made}

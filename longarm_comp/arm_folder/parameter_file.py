@@ -22,6 +22,8 @@ from longarm_comp.core.strict_yaml import parse_yaml, read_yaml
 from longarm_comp.share import folder
 
 Keys = tuple[str, ...]
+_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+"""Parameters that ROS gives every node."""
 
 
 def own_text(node: str) -> str:
@@ -46,19 +48,22 @@ def parameters_of(node: str, file: Path) -> dict[str, Any]:
     Raises:
         InputError: the file has a parameter that the node lacks, or one of another type.
     """
-    given = read_parameters(file)
-    for name, value, allowed in find_strangers(node, given):
+    known, given = own_parameters(node), read_parameters(file)
+    for name, value, allowed in find_strangers(known, given):
         raise InputError(file, name, value, allowed)
-    return own_parameters(node) | given
+    return known | given
 
 
-def find_strangers(node: str, given: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+def find_strangers(
+    known: Mapping[str, Any], given: Mapping[str, Any]
+) -> Iterator[tuple[str, Any, str]]:
     """Yield name, value and allowed values of parameters that a node cannot have.
 
-    The node lacks a parameter of this name, or has one of another type.
+    None of its `known` parameters has this name, or the one that has it is of another type.
     """
-    known = own_parameters(node)
     for name, value in given.items():
+        if name.partition(".")[0] in _ROS_OWN:
+            continue
         if name not in known:
             yield name, value, f"one of {', '.join(known)}"
         elif (kind := _kind_of(known[name])) not in (

@@ -126,9 +126,8 @@ def _fit_servo(
 ) -> dict[str, Any]:
     """Return the entry of a joint in the servo file.
 
-    Args:
-        reach_m: reach of the arm if the servos' horns turn the joints; 0 for geared servos.
-        fastest: highest velocity of the joint, rad/s or m/s.
+    `reach_m` is the arm's if the servos' horns turn the joints, and 0 for geared servos. `fastest`
+    is the highest velocity of the joint, rad/s or m/s.
     """
     horn = reach_m > 0.0 and joint.type == "revolute"
     low, high = model.multi_turn
@@ -164,9 +163,7 @@ def _fit_servo(
 def _fit_gearing(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
     """Return the keys of the gearing, and the joint's motion for one tick (rad or m).
 
-    Args:
-        least: smallest motion for one tick with which the joint's range fits.
-        turn: ticks of one turn of the servo.
+    With less than `least` for one tick the joint's range does not fit. `turn` is one of the servo.
     """
     own = own_parameters("servo_driver")  # the demonstration's gearing, assumed until it is told
     if joint.type == "prismatic":

@@ -42,7 +42,7 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
       longarm diagnose arm.yaml bag --model model.yaml -o diagnosis
       longarm diagnose arm.yaml samples.csv -o diagnosis --kind-of others/*.yaml
     """
-    from longarm_comp.report.cards import to_do
+    from longarm_comp.report.cards import cards, to_do
     from longarm_comp.workflows.diagnose import diagnose_files
 
     with progress("diagnose") as show:
@@ -59,7 +59,8 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
         for p in f.parameters
     ]
     print_effects("Effects added", report.called, added)
-    for duty, held in to_do(report.for_people()).items():
+    split = {by.between[0] for by in found.diagnosis.splits}
+    for duty, held in to_do(cards(report.for_people(), split)).items():
         for card in held:
             size = "; ".join(filter(None, (card.tip, card.sure, f"{card.figure} {card.improves}")))
             say(f"{duty.lower()}: {card.title} ({size}): {card.advice} {card.software}")

@@ -86,9 +86,9 @@ def undo(model: Path) -> None:
     Example:
       longarm undo model.yaml
     """
-    from longarm_comp.workflows import apply as workflow
+    from longarm_comp.workflows import model_in_use
 
-    back = workflow.undo(model)
+    back = model_in_use.undo(model)
     note(f"{model} is the previous version again")
     if back is not None:
         note(f"{back} is the predictor that belongs to it")

@@ -174,7 +174,7 @@ class ServoConfig(ServoSettings):
         """Refuse too few cycles a second for the follower: InputError, which names ``where``."""
         limits = self.follower
         for field, most in (("max_step_s", limits.max_step_s), ("blend_s", limits.blend_s / 2)):
-            if 1.0 / rate_hz > most * _ROUNDED:
+            if rate_hz * most * _ROUNDED < 1.0:
                 cycles = "a cycle within" if field == "max_step_s" else "two cycles within"
                 said = f"{cycles} follower.{field}, {getattr(limits, field):g}"
                 raise InputError(where, "rate_hz", rate_hz, f"at least {1.0 / most:.4g}: {said}")

@@ -12,8 +12,9 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Interrupted
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.workflows.apply import Applied, apply, undo
+from longarm_comp.workflows.apply import Applied, apply
 from longarm_comp.workflows.inputs import Note, log_note
+from longarm_comp.workflows.model_in_use import undo
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import describe_structure
 from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
 from longarm_comp.report import record
-from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
+from longarm_comp.report.noise_floor import FIGURES, excess, floor_of
 from longarm_comp.version import __version__
 
 
@@ -29,9 +29,10 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
     sigma = noise.sigma[:3]
     whole = diagnosis.train.blocks[0].kind in ("position", "touch") and np.isfinite(sigma).all()
     x, y, z = (1e3 * float(s) for s in sigma) if whole else (0.0, 0.0, 0.0)
-    sigma_mm = (x, y, z) if whole else None
     splitting = [q for by in diagnosis.splits for q in by.q]
-    return record.DiagnosisReport(
+    folds, rows = len(diagnosis.folds), len(diagnosis.held_out)
+    uses = f"{rows} rows once, {f'{folds} folds' if folds > 1 else 'none of them fitted'}"
+    report = record.DiagnosisReport(
         schema="longarm/diagnosis/1",
         verdict=diagnosis.verdict,
         summary=diagnosis.summary,
@@ -45,13 +46,12 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             inputs=structure.inputs,
             size_mm=1e3 * structure.size_m,
         ),
-        noise=record.ReportNoise(sigma_mm=sigma_mm, source=noise.source, rho=float(noise.rho)),
-        held_out=_held_out(diagnosis, sigma_mm),
+        noise=record.ReportNoise(
+            sigma_mm=(x, y, z) if whole else None, source=noise.source, rho=float(noise.rho)
+        ),
+        held_out=_held_out(diagnosis),
         proof=record.ReportProof(
-            folds=len(diagnosis.folds),
-            rows=len(diagnosis.held_out),
-            passed=not diagnosis.failed,
-            why=diagnosis.failed,
+            folds=folds, rows=rows, passed=not diagnosis.failed, why=diagnosis.failed
         ),
         set_aside=record.ReportSetAside.model_validate(diagnosis.set_aside.record),
         next_poses=[q.tolist() for q in (*splitting, *diagnosis.next_q)],
@@ -71,10 +71,11 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
             for f in diagnosis.search.doubtful
         ],
         called=diagnosis.arm.names_for_people,
-        provenance=_provenance_of(
-            diagnosis.seed, data_sha256, [_describe_holdout(diagnosis)], diagnosis.model_given
-        ),
+        provenance=_provenance_of(diagnosis.seed, data_sha256, [uses], diagnosis.model_given),
     )
+    held, floor = report.held_out, floor_of(report)
+    beyond = [row.model_copy(update={"excess_mm": excess(row.rms_mm, floor)}) for row in held.rows]
+    return report.model_copy(update={"held_out": held.model_copy(update={"rows": beyond})})
 
 
 def refused_report(
@@ -108,11 +109,6 @@ def _provenance_of(
     )
 
 
-def _describe_holdout(diagnosis: Diagnosis) -> str:
-    folds, rows = len(diagnosis.folds), len(diagnosis.held_out)
-    return f"{rows} rows once, " + (f"{folds} folds" if folds > 1 else "none of them fitted")
-
-
 def _describe_cause(cause: Cause, diagnosis: Diagnosis) -> record.ReportDiscovered:
     before, after = (diagnosis.proof.rows[k].rms for k in (WITH_EFFECTS, WITH_FUNCTIONS))
     at = [a.where.partition(", ") for a in cause.amounts]
@@ -139,23 +135,18 @@ def _describe_cause(cause: Cause, diagnosis: Diagnosis) -> record.ReportDiscover
     )
 
 
-def _held_out(diagnosis: Diagnosis, sigma_mm: tuple[float, float, float] | None) -> record.HeldOut:
-    proof, n, structure = diagnosis.proof, len(diagnosis.held_out), diagnosis.structure
-    errors = proof.rows
-    figures = {name: {key: e.mm[key] for key in FIGURES} for name, e in errors.items()}
-    floor = None
-    if sigma_mm is not None:
-        left = 1e3 * structure.size_m if structure.flag else 0.0
-        floor = noise_floor(sigma_mm, n, figures, diagnosis.written, left)
+def _held_out(diagnosis: Diagnosis) -> record.HeldOut:
+    """Return the errors on the held-out rows; what is beyond the noise floor is not known yet."""
+    proof = diagnosis.proof
     rows = [
         record.ErrorRow(
             model=name,
             commanded_mean_mm=1e3 * float(np.linalg.norm(proof.commanded[name], axis=1).mean()),
-            excess_mm=excess(figures[name]["rms_mm"], floor),
+            excess_mm=0.0,
             mean_mrad=None if e.angle is None else 1e3 * e.angle,
-            **figures[name],
+            **{key: e.mm[key] for key in FIGURES},
         )
-        for name, e in errors.items()
+        for name, e in proof.rows.items()
     ]
     before, after = diagnosis.compared_stages
     intervals = (diagnosis.seen_gain.ci95, diagnosis.commanded_gain.ci95)
@@ -168,7 +159,7 @@ def _held_out(diagnosis: Diagnosis, sigma_mm: tuple[float, float, float] | None)
     other = Counter(said for fold in folds for said in fold if said not in left_out)
     left_out = [*left_out, *(f"{said} in {k} of {len(folds)} folds" for said, k in other.items())]
     return record.HeldOut(
-        n=n,
+        n=len(diagnosis.held_out),
         rows=rows,
         before=before,
         after=after,

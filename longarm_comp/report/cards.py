@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from longarm_comp.core.effects.units import for_people
@@ -24,48 +24,37 @@ DUTIES = ("Do", "Do only if", "Leave alone")
 
 @dataclass(frozen=True)
 class _Card:
-    """A finding for people.
-
-    Attributes:
-        names: canonical name, with those that cannot be told from it; empty without a name.
-        sizes: the first of its parameters: place, name, value, interval.
-        more: number of further parameters.
-        reading: the effect's own description.
-        sure: how sure the finding is, in a word or two.
-        because: the figures behind `sure`.
-        duty: one of `DUTIES`.
-        advice: why it has this duty, and what to do at the arm.
-        software: what a command does about it.
-        improves: held-out error without and with it.
-        figure: which figure of the error `improves` gives.
-    """
+    """A finding for people."""
 
     title: str
     where: str
-    reading: str
+    reading: str  # the effect's own description
     tip: str
-    sure: str
-    because: str
+    sure: str  # in a word or two
+    because: str  # the figures behind `sure`
     doubts: tuple[str, ...]
-    duty: str
-    advice: str
-    software: str
-    improves: str
-    names: str = ""
-    sizes: tuple[tuple[str, ...], ...] = ()
-    more: int = 0
-    figure: str = "mean error without → with it"
+    duty: str  # one of `DUTIES`
+    advice: str  # why it has this duty, and what to do at the arm
+    software: str  # what a command does about it
+    improves: str  # held-out error without and with it
+    names: str = ""  # canonical name, with those that cannot be told from it
+    sizes: tuple[tuple[str, ...], ...] = ()  # the first parameters: place, name, value, interval
+    more: int = 0  # number of further parameters
+    figure: str = "mean error without → with it"  # that `improves` gives
 
 
-def cards(report: record.DiagnosisReport) -> list[_Card]:
-    """Make a card of each finding, then of each cause without a name that is in the model."""
+def cards(report: record.DiagnosisReport, split: Collection[str] = ()) -> list[_Card]:
+    """Make a card of each finding, then of each cause without a name that is in the model.
+
+    Args:
+        split: findings whose names the poses of next_poses.csv would tell apart.
+    """
     unnamed = [_unnamed_card(found, report) for found in report.discovered if found.kept]
-    return [_card_of(finding, report) for finding in report.findings] + unnamed
+    return [_card_of(found, report, found.name in split) for found in report.findings] + unnamed
 
 
-def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
+def to_do(made: Sequence[_Card]) -> dict[str, list[_Card]]:
     """Return the cards by duty, in the order of `DUTIES`; duties without a card are left out."""
-    made = cards(report)
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
 
 
@@ -76,12 +65,9 @@ def _choose_duty(
     report: record.DiagnosisReport,
     what: str = "It is",
 ) -> tuple[str, str]:
-    """Return the duty and the advice for a cause.
+    """Return the duty and the advice for a cause, by the gain of the held-out mean error.
 
-    Args:
-        gain_mm: by how much the held-out mean error falls with `what` in the model.
-        first: sentence on what must be known before, or "".
-        action: what to do at the arm.
+    `first` says what must be known before the `action` at the arm; it may be empty.
     """
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):
@@ -92,10 +78,10 @@ def _choose_duty(
     return DUTIES[0], f"{what} worth {millimetres(gain_mm)}. {action}"
 
 
-def _say_first(finding: Finding, report: record.DiagnosisReport) -> str:
+def _say_first(finding: Finding, split: bool) -> str:
     """Say what must be found out before a repair; empty if the finding is certain."""
     if len(finding.names) > 1:
-        poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
+        poses = "the poses of next_poses.csv show" if split else "a look at it shows"
         return f"{poses} that it is {finding.name}, not {join_names(finding.names[1:])}."
     if finding.unnamed:
         return f"a look at it shows the cause: {finding.unnamed}."
@@ -134,10 +120,10 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
     )
 
 
-def _card_of(finding: Finding, report: record.DiagnosisReport) -> _Card:
+def _card_of(finding: Finding, report: record.DiagnosisReport, split: bool) -> _Card:
     title, where = finding.title or finding.name.replace("_", " "), _join_places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
-    duty, advice = _choose_duty(before - after, _say_first(finding, report), finding.action, report)
+    duty, advice = _choose_duty(before - after, _say_first(finding, split), finding.action, report)
     sizes = []
     for p in finding.parameters[:MOST_SIZES]:
         times, unit = for_people(p.unit)

@@ -18,66 +18,47 @@ from longarm_comp.report.record import DiagnosisReport
 
 FIGURES = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
 """Names of the errors in a row of report.json: of 3-D lengths and of axes, mm and mm^2."""
-Figures = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class _NoiseFloor:
-    """Errors that noise alone would show.
+    """Errors that noise alone would show."""
 
-    Attributes:
-        sigma_mm: (3,) standard deviation per axis.
-        limited: whether it is less than the estimate.
-        figures: errors of n rows of this noise, by the names in `FIGURES`, with the mean sigma for
-            all axes. ``max_mm`` is the median of the largest error, but never more than the
-            smallest ``max_mm`` of any model.
+    sigma_mm: tuple[float, float, float]  # standard deviation per axis
+    limited: bool  # whether it is less than the estimate
+    figures: Mapping[str, float]
+    """Errors by the names in `FIGURES`, with the mean sigma for all axes.
+
+    ``max_mm`` is the median of the largest, but at most the smallest ``max_mm`` of any model.
     """
-
-    sigma_mm: tuple[float, float, float]
-    limited: bool
-    figures: Figures
 
 
 def floor_of(report: DiagnosisReport) -> _NoiseFloor | None:
     """Return a report's floor; None where no noise is known, or the errors leave no room for it."""
-    held, left = report.held_out, report.structure_left
-    if report.noise.sigma_mm is None or not held.n:
+    held, left, sigma_mm = report.held_out, report.structure_left, report.noise.sigma_mm
+    if sigma_mm is None or not held.n:
         return None
-    written = "calibrated" if report.written is None else report.written.model
-    size = left.size_mm or 0.0 if left.flag else 0.0
-    rows = {str(row.model): row.model_dump() for row in held.rows}
-    return noise_floor(report.noise.sigma_mm, held.n, rows, written, size)
-
-
-def noise_floor(
-    sigma_mm: Sequence[float], n: int, rows: Mapping[str, Figures], written: str, structure: float
-) -> _NoiseFloor | None:
-    """Return the floor; None if the errors leave no room for noise of that kind.
-
-    Args:
-        sigma_mm: (3,) estimated noise per axis of n held-out rows.
-        rows: the errors of every model on these rows, by name of the model.
-        written: name of the model in use.
-        structure: RMS of the structure that the model in use leaves, mm.
-    """
-    whole = _noise_of(sigma_mm, n)
+    whole = _noise_of(sigma_mm, held.n)
     if not whole["rms_mm"]:
         return None
-    ratios = [
-        sqrt(row[name] / full) if name == "variance_mm2" else row[name] / full
-        for row in rows.values()
-        for name, full in whole.items()
-        if name != "max_mm" and full
-    ]
-    if structure and written in rows:
-        room = rows[written]["rms_mm"] ** 2 - structure**2
-        ratios.append(sqrt(max(0.0, room)) / whole["rms_mm"])
+    ratios = []
+    for row in held.rows:
+        for name, full in whole.items():
+            if name != "max_mm" and full:
+                ratio = getattr(row, name) / full
+                ratios.append(sqrt(ratio) if name == "variance_mm2" else ratio)
+    # Structure that the model in use leaves is no noise
+    written = "calibrated" if report.written is None else report.written.model
+    structure = left.size_mm or 0.0 if left.flag else 0.0
+    rms = next((row.rms_mm for row in held.rows if row.model == written), None)
+    if structure and rms is not None:
+        ratios.append(sqrt(max(0.0, rms**2 - structure**2)) / whole["rms_mm"])
     share = min(1.0, *ratios) if ratios else 1.0
     # Where less of the estimate than this share has room, the noise is not known
     if share < 0.05:
         return None
     x, y, z = (share * s for s in sigma_mm)
-    figures = _noise_of((x, y, z), n, min((row["max_mm"] for row in rows.values()), default=np.inf))
+    figures = _noise_of((x, y, z), held.n, min((row.max_mm for row in held.rows), default=np.inf))
     return _NoiseFloor((x, y, z), share < 1.0, figures)
 
 

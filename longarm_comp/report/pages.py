@@ -111,11 +111,14 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
     stages = stages_of(rows) if rows else ()
     before = report.held_out.before
+    split = {by.members[0] for by in detail.splits if by.poses}
+    found = cards.cards(report, split)
     shown = before if before in stages else next(iter(stages), "")
     return template("report.html.j2").render(
         report=report,
         detail=detail,
-        cards=cards,
+        found=found,
+        to_do=cards.to_do(found),
         words=words,
         picture=place_name,
         significant=SIGNIFICANT,

@@ -335,11 +335,7 @@ def _topics_of_one_arm(
 ) -> list[Connection]:
     """Return the connections of the topics from which one arm's session is read.
 
-    Args:
-        tips: topic of the sightings.
-
-    Raises:
-        InputError: no topic is known, or known topics are in several namespaces.
+    A bag without known topics, or with known topics in several namespaces, is refused.
     """
     types = {tips if name == "tip_measured" else name: kind for name, kind in TYPES.items()}
     known = (c for c in reader.connections if types.get(last_part(c.topic)) == c.msgtype)

@@ -8,7 +8,7 @@ recording that fails before its first message leaves no folder.
 from __future__ import annotations
 
 import shutil
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +92,10 @@ class SegmentedBag:
             known = self._information
             empty = self._discarded or not (known and known["message_count"])
             if error is not None and self._new and empty:
-                shutil.rmtree(self._path, ignore_errors=True)
+                for name in (self._metadata.name, *(known or {}).get("relative_file_paths", ())):
+                    (self._path / name).unlink(missing_ok=True)
+                with suppress(OSError):  # what others put there stays
+                    self._path.rmdir()
 
     def discard(self) -> None:
         """Mark the recording as useless: if an error ends it, its new folder is removed."""

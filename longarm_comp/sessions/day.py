@@ -119,21 +119,19 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
         raise InputError(path, "tip_seen frame_id", seen_in, allowed)
     sent = [(t, m) for t, m in asked if m.accepted]
     t_s, at, error_mm = np.array([t for t, _ in sent]), session.columns["t_s"], []
-    for (t, message), until in zip(sent, [*t_s[1:], math.inf], strict=True):
+    for k, (t, message) in enumerate(sent):
+        until = t_s[k + 1] if k + 1 < len(sent) else math.inf
         off = np.abs(session.q - message.executed.position).max(axis=1)
         tips = session.xyz[(t <= at) & (at < until) & (off < SAME_POSE)]
-        errors = np.linalg.norm(tips - _target_in_base(message), axis=1)
+        # In the base; `target` is in the frame in which it came
+        pseudo, error = message.pseudo_target.pose.position, message.predicted_error
+        target = np.array([pseudo.x + error.x, pseudo.y + error.y, pseudo.z + error.z])
+        errors = np.linalg.norm(tips - target, axis=1)
         error_mm.append(1e3 * errors[0] if len(errors) else math.nan)
     reasons = {_without_numbers(m.message): m.message for _, m in asked if not m.accepted}
     refused = Counter(reasons[_without_numbers(m.message)] for _, m in asked if not m.accepted)
     said = tuple(sorted(told.values(), key=lambda s: s.first_s))
     return Day(hours, t_s, np.array(error_mm), refused, said)
-
-
-def _target_in_base(story: Any) -> np.ndarray:
-    """Return the target (3,), m, in the base; `story.target` is in the frame in which it came."""
-    pseudo, error = story.pseudo_target.pose.position, story.predicted_error
-    return np.array([pseudo.x + error.x, pseudo.y + error.y, pseudo.z + error.z])
 
 
 def _without_numbers(text: str) -> str:

@@ -37,16 +37,10 @@ def _is_bag(path: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _RecordedRing:
-    """A free vibration after a move.
+    """A free vibration after a move."""
 
-    Attributes:
-        times: (N,) s.
-        seen: tip (N, 3), m, or joints (N, n), rad and m, at these times.
-        of_joints: whether `seen` holds joints.
-    """
-
-    times: np.ndarray
-    seen: np.ndarray
+    times: np.ndarray  # (N,) s
+    seen: np.ndarray  # tip (N, 3), m, or joints (N, n), rad and m, at these times
     of_joints: bool
     at: np.ndarray | None = None  # (n,) joints that were commanded; None: the file does not say
 

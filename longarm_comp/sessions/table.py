@@ -78,7 +78,7 @@ class Table:
                 values[row] = math.nan
                 continue
             try:
-                values[row] = float(cell)
+                values[row] = _read_number(cell)
             except ValueError:
                 raise self.error(row, column, allowed) from None
             # Larger numbers are no measurement; their squares leave the range of numbers
@@ -113,10 +113,17 @@ class Table:
         """Tell whether every filled cell of a column reads as a number."""
         try:
             for cell in filter(None, self.cells[column]):
-                float(cell)
+                _read_number(cell)
         except ValueError:
             return False
         return True
+
+
+def _read_number(text: str) -> float:
+    """Return the number; ValueError if it is none, as ``1_5``, which Python would read as 15."""
+    if "_" in text:
+        raise ValueError(text)
+    return float(text)
 
 
 def read_table(path: str | Path) -> Table:

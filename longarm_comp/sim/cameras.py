@@ -114,7 +114,8 @@ class CameraPair:
         z = np.asarray(self.optical_axis, dtype=float)
         z = z / np.linalg.norm(z)
         x = np.cross(z, [0.0, 0.0, 1.0])
-        x = x / np.linalg.norm(x)
+        # Straight down or up every x is level
+        x = x / np.linalg.norm(x) if np.linalg.norm(x) > 1e-6 else np.array([1.0, 0.0, 0.0])
         pose = np.eye(4)
         pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
         pose[:3, 3] = self.position_m

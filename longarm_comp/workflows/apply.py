@@ -1,69 +1,31 @@
-"""Applies a diagnosis: replaces the model and the predictor in use together, and can undo this.
-
-A predictor belongs to one version of the model. `predictor.npz` is in use. Others are kept beside
-it as `predictor.of_<hash>.npz`, with the hash of the model that they were trained with. New files
-are written first, and a predictor that no longer fits is set aside last. So an interrupted change
-leaves a model with a predictor that fits, or a model alone, and the next change finishes it.
-"""
+"""Applies a diagnosis: checks that it fits the model in use, trains a predictor, uses both."""
 
 from __future__ import annotations
 
-import hashlib
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.effect import Bias
-from longarm_comp.core.effects.units import for_people
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.files import alone_in, follow_link, write_bytes
+from longarm_comp.core.files import alone_in, follow_link
 from longarm_comp.core.learn import predictor_file
-from longarm_comp.core.model import file_versions, model_file
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.model_file import AS_DECLARED, read_stored, restore, save_model, store
+from longarm_comp.core.model.model_file import (
+    AS_DECLARED,
+    StoredModel,
+    read_stored,
+    restore,
+    save_model,
+    store,
+)
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.workflows import inputs
-from longarm_comp.workflows.train import TrainedPredictor, train
-
-Key = tuple[str, str]
-Value = tuple[str, str, float, float]
-GEOMETRY, CAMERA = "geometry", "camera"
-
-
-@dataclass(frozen=True)
-class _Change:
-    """One effect of the new version that the old one lacks, or has with other values.
-
-    Attributes:
-        what, where: canonical name of the effect, and its place. `geometry` and `camera`, without a
-            place, stand for all effects of the geometry and of the measuring side.
-        kind: ``added``, ``changed`` or ``removed``.
-        values: (parameter, unit, before, after) of each changed parameter; NaN where the effect is
-            missing.
-        tip_mm: RMS displacement (3-D) of the measured tip by this change, over the given poses.
-    """
-
-    what: str
-    where: str
-    kind: str
-    values: tuple[Value, ...]
-    tip_mm: float
-
-    def __str__(self) -> str:
-        place = f" at {self.where}" if self.where else ""
-        shown = []
-        for name, unit, *values in self.values:
-            times, read = for_people(unit)
-            before, after = ("none" if np.isnan(v) else f"{times * v:.4g}" for v in values)
-            shown.append(f"{name} {before} -> {after} {read}")
-        listed = f" ({', '.join(shown)})" if shown else ""
-        return f"{self.what}{place} {self.kind}: {self.tip_mm:.3f} mm at the tip{listed}"
+from longarm_comp.workflows.model_changes import ModelChange, list_changes
+from longarm_comp.workflows.model_in_use import finish_change, put_to_work, undo
+from longarm_comp.workflows.train import train
 
 
 @dataclass(frozen=True)
@@ -82,7 +44,7 @@ class Applied:
 
     model: Path
     version: int
-    changes: tuple[_Change, ...]
+    changes: tuple[ModelChange, ...]
     predictor: Path | None
     refused: str
     set_aside: Path | None
@@ -129,9 +91,9 @@ def apply(
         if nothing:
             raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
         stored = read_stored(made)
-        diagnosed = stored.provenance.get("session_hash")
+        diagnosed = str(stored.provenance.get("session_hash"))
         if report.provenance.data_sha256 != diagnosed:
-            found = f"sessions {report.provenance.data_sha256[:12]} and {str(diagnosed)[:12]}"
+            found = f"sessions {report.provenance.data_sha256[:12]} and {diagnosed[:12]}"
             allowed = (
                 "files of one diagnosis: one was broken off, or two wrote here; diagnose again"
             )
@@ -140,25 +102,15 @@ def apply(
         target = follow_link(predictor or model.parent / inputs.PREDICTOR)
         if network:
             predictor_file.check_ending(target, of_others=False)
-        finish(model, target)
-        before = _read_before(stored.provenance, made, model, arm)
-        named = str(stored.provenance.get(inputs.SESSION, ""))
-        path = session or Path(os.path.normpath(diagnosis / named))
-        if (session is None and not named) or not path.exists():
-            allowed = "--session, the session diagnosed"
-            raise InputError(diagnosis, "session", named or "none named", allowed)
-        known = before if stored.provenance[inputs.MODEL_BEFORE] else None
-        rows = inputs.admit_session(path, arm, known, note=note)
-        if rows.hash != diagnosed:
-            wanted = f"the session diagnosed, {str(diagnosed)[:12]}"
-            raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
-        trained: TrainedPredictor | None = None
-        refused = ""
+        finish_change(model, target)
+        before = _read_before(stored, made, model, arm)
+        rows = _read_rows(stored, diagnosis, session, arm, before, note)
+        trained, refused = None, ""
         if network:
             trained = train(arm, rows, model=made, seed=seed, note=note, progress=progress)
-        if trained is not None and not trained.gain.helps:
-            refused, trained = str(trained.gain), None
-            note(f"physics only: {refused}")
+            if not trained.gain.helps:
+                refused, trained = str(trained.gain), None
+                note(f"physics only: {refused}")
         seen = rows.take(rows.seen)
         changed = list_changes(before, after, seen.q, seen.context())
         if not model.is_file():
@@ -193,10 +145,9 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
     return f"{report.summary} {said}"
 
 
-Pair = tuple[float, float]
-
-
-def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
+def _mean_errors(
+    report: DiagnosisReport,
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
     """Return the mean held-out error, mm, before and after, as commanded and as seen.
 
     A pair is None where it was not recorded.
@@ -212,177 +163,49 @@ def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
     return (before.commanded_mean_mm, after.commanded_mean_mm), seen
 
 
-def _read_before(
-    provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm
-) -> Model:
+def _read_before(made: StoredModel, file: Path, model: Path, arm: Arm) -> Model:
     """Return the model in use.
 
     Raises:
         InputError: it is not the model that was diagnosed, or the diagnosis is in use already.
     """
-    diagnosed = provenance.get(inputs.MODEL_BEFORE)
+    field = f"provenance.{inputs.MODEL_BEFORE}"
+    diagnosed = made.provenance.get(inputs.MODEL_BEFORE)
     if diagnosed is None:
-        raise InputError(made, f"provenance.{inputs.MODEL_BEFORE}", "missing", "diagnose again")
+        raise InputError(file, field, "missing", "diagnose again")
     at_work, now = declared_model(arm), ""
     if model.is_file():
         stored = read_stored(model)
         at_work = restore(stored, arm, str(model))
         now = inputs.file_hash(model)
-        if now == inputs.file_hash(made):
-            raise InputError(made, "model", "in use already", "another diagnosis")
+        if now == inputs.file_hash(file):
+            raise InputError(file, "model", "in use already", "another diagnosis")
         if stored.version == AS_DECLARED and not diagnosed:
             return at_work
     if diagnosed != now:
-        raise InputError(
-            made,
-            f"provenance.{inputs.MODEL_BEFORE}",
-            str(diagnosed)[:12] or "the declared arm",
-            f"the model in use, {now[:12] or 'the declared arm'}: diagnose with --model {model}",
-        )
+        declared = "the declared arm"
+        allowed = f"the model in use, {now[:12] or declared}: diagnose with --model {model}"
+        raise InputError(file, field, str(diagnosed)[:12] or declared, allowed)
     return at_work
 
 
-def list_changes(
-    before: Model, after: Model, q: np.ndarray, context: Context | None
-) -> list[_Change]:
-    """List the changes from one model to another of the same arm, the largest first.
-
-    The size of a change is the displacement of the tip when it alone is taken back from the new
-    model, at joints q (N, n), rad and m. Changes that hardly move the tip are left out.
-    """
-    old, new = ({(t.name, t.place): t for t in model.terms} for model in (before, after))
-    differing: dict[tuple[str, str], list[Key]] = {}
-    for key in dict.fromkeys((*new, *old)):
-        if old.get(key) != new.get(key):
-            term = new.get(key) or old[key]
-            together = CAMERA if isinstance(term, Bias) else GEOMETRY if term.geometry else ""
-            differing.setdefault((together, "") if together else key, []).append(key)
-    seen = after.measured(q, context)
-    found = []
-    for (name, _), keys in differing.items():
-        terms = {key: new[key] for key in new if key not in keys}
-        terms |= {key: old[key] for key in keys if key in old}
-        moved = after.with_terms(list(terms.values())).measured(q, context) - seen
-        tip_mm = 1e3 * float(np.sqrt((moved**2).sum(axis=1).mean()))
-        # A change that moves the tip by less than this is not reported
-        if tip_mm < 5e-4:
-            continue
-        if name in (GEOMETRY, CAMERA):
-            found.append(_Change(name, "", "changed", (), tip_mm))
-            continue
-        was, now = old.get(keys[0]), new.get(keys[0])
-        kind = "added" if was is None else "removed" if now is None else "changed"
-        term, values = now or old[keys[0]], []
-        for p in term.parameters(after.arm):
-            a, b = (np.nan if t is None else float(getattr(t, p.name)) for t in (was, now))
-            # Relative difference of two values that counts as none
-            if not np.isclose(a, b, rtol=1e-9, atol=0.0):
-                values.append((p.name, p.unit, a, b))
-        found.append(_Change(name, term.where, kind, tuple(values), tip_mm))
-    return sorted(found, key=lambda change: -change.tip_mm)
-
-
-_HASH = 12
-_KEPT = re.compile(rf"\.of_[0-9a-f]{{{_HASH}}}$")
-
-
-def put_to_work(
-    model: Path, content: bytes, predictor: Path, trained: TrainedPredictor | None = None
-) -> Path | None:
-    """Replace the model in use by a new version, and the predictor in use by the `trained` one.
-
-    Without a trained predictor, none is in use afterwards.
-
-    Args:
-        content: the new model file.
-
-    Returns:
-        The file that keeps the earlier predictor, if there was one.
-    """
-    finish(model, predictor)
-    aside = _keep_predictor(predictor)
-    new = hashlib.sha256(content).hexdigest()
-    if trained is not None:
-        trained.save(_kept_as(predictor, new))
-    else:
-        _kept_as(predictor, new).unlink(missing_ok=True)  # of an earlier time that was taken back
-    file_versions.write_version(model, content)
-    finish(model, predictor)
-    if aside is not None and trained is None:
-        os.replace(predictor, aside)
-    # Predictors of versions that `undo` no longer reaches
-    versions = [path for path in (model, file_versions.previous(model)) if path.is_file()]
-    needed = {aside, *(_kept_as(predictor, inputs.file_hash(path)) for path in versions)}
-    for path in predictor.parent.glob(f"{predictor.stem}.of_*{predictor.suffix}"):
-        if _KEPT.search(path.stem) and path not in needed and _trained_with(path):
-            path.unlink()
-    return aside
-
-
-def undo(model: Path, predictor: Path | None = None) -> Path | None:
-    """Restore the previous version of a model, byte for byte, and the predictor that belonged to
-    it.
-
-    Predictors are looked for beside the model. One that belonged to the undone version is set
-    aside. An interrupted undo is finished by calling it again.
-
-    Args:
-        predictor: file of the predictor in use, if it may be in another folder.
-
-    Returns:
-        The file of the predictor that was restored, if any.
-
-    Raises:
-        InputError: there is no previous version; another process changes the model.
-    """
-    with alone_in(follow_link(model).parent):
-        beside = [
-            follow_link(p)
-            for ending in predictor_file.ENDINGS
-            for p in model.parent.glob(f"[!.]*{ending}")
-            if p.is_symlink() or _trained_with(p) is not None
-        ]
-        beside += [] if predictor is None else [follow_link(predictor)]
-        names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in beside})
-        discarded = inputs.file_hash(model) if model.is_file() else ""
-        back = [name for name in names if finish(model, name)]
-        if not (back and not file_versions.previous(model).is_file()):
-            model_file.undo(model)
-            back = [name for name in names if finish(model, name)]
-            for name in names:
-                if name.is_file() and _trained_with(name) == discarded:
-                    os.replace(name, _kept_as(name, discarded))
-        return back[0] if back else None
-
-
-def finish(model: Path, predictor: Path) -> bool:
-    """Finish an interrupted change; return whether this puts a predictor that was kept to use."""
-    file_versions.settle(model)
-    fits = _kept_as(predictor, inputs.file_hash(model)) if model.is_file() else None
-    if fits is None or not fits.is_file():
-        return False
-    _keep_predictor(predictor)
-    os.replace(fits, predictor)
-    return True
-
-
-def _keep_predictor(predictor: Path) -> Path | None:
-    """Copy the predictor in use to a file named after its model, and return that; None if none."""
-    if not predictor.is_file():
-        return None
-    aside = _kept_as(predictor, _trained_with(predictor) or inputs.file_hash(predictor))
-    write_bytes(aside, predictor.read_bytes())
-    return aside
-
-
-def _kept_as(predictor: Path, of: str) -> Path:
-    return predictor.with_name(f"{predictor.stem}.of_{of[:_HASH]}{predictor.suffix}")
-
-
-def _trained_with(path: Path) -> str | None:
-    """Return the SHA-256 of the model that a predictor was trained with; None for another file."""
-    try:
-        settings = predictor_file.read_settings(path)
-    except InputError:
-        return None
-    return str(settings.get("model_hash", ""))
+def _read_rows(
+    made: StoredModel,
+    diagnosis: Path,
+    session: Path | None,
+    arm: Arm,
+    before: Model,
+    note: inputs.Note,
+) -> Session:
+    """Return the admitted rows that were diagnosed; InputError if the session has others."""
+    named, diagnosed = (str(made.provenance.get(k, "")) for k in (inputs.SESSION, "session_hash"))
+    path = session or Path(os.path.normpath(diagnosis / named))
+    if (session is None and not named) or not path.exists():
+        allowed = "--session, the session diagnosed"
+        raise InputError(diagnosis, "session", named or "none named", allowed)
+    known = before if made.provenance[inputs.MODEL_BEFORE] else None
+    rows = inputs.admit_session(path, arm, known, note=note)
+    if rows.hash != diagnosed:
+        wanted = f"the session diagnosed, {diagnosed[:12]}"
+        raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
+    return rows

@@ -63,13 +63,7 @@ def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, s
 
 @dataclass(frozen=True)
 class _FittedParameter:
-    """One fitted parameter with its 95 % interval.
-
-    Attributes:
-        effect, where: effect of the parameter, and its place.
-        value, ci95: in `unit`.
-        geometry: whether the effect belongs to the geometry.
-    """
+    """One fitted parameter with its 95 % interval, both in `unit`."""
 
     effect: str
     where: str
@@ -77,7 +71,7 @@ class _FittedParameter:
     value: float
     unit: str
     ci95: tuple[float, float]
-    geometry: bool
+    geometry: bool  # whether the effect belongs to the geometry
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -164,16 +158,6 @@ class Calibration:
         return tuple(made)
 
     @property
-    def _noise_by_kind(self) -> dict[str, float]:
-        """Noise by kind of measurement, m or rad: the root mean square over its channels."""
-        kinds = [b.kind for b in self.session.blocks for _ in b.channels]
-        squares: dict[str, list[float]] = {}
-        for kind, sigma in zip(kinds, self.fit.sigma, strict=True):
-            if np.isfinite(sigma):
-                squares.setdefault(kind, []).append(float(sigma) ** 2)
-        return {kind: float(np.sqrt(np.mean(held))) for kind, held in squares.items()}
-
-    @property
     def summary(self) -> str:
         """The result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
@@ -200,7 +184,13 @@ class Calibration:
             "longarm_comp": __version__,
         }
         provenance |= {"kind_of": self.kind_of} if self.kind_of else {}
-        provenance |= {f"noise_{kind}": sigma for kind, sigma in self._noise_by_kind.items()}
+        # Noise by kind of measurement, m or rad: the root mean square over its channels
+        squares: dict[str, list[float]] = {}
+        kinds = [b.kind for b in self.session.blocks for _ in b.channels]
+        for kind, sigma in zip(kinds, self.fit.sigma, strict=True):
+            if np.isfinite(sigma):
+                squares.setdefault(kind, []).append(float(sigma) ** 2)
+        provenance |= {f"noise_{k}": float(np.sqrt(np.mean(v))) for k, v in squares.items()}
         save_model(path, store(self.model, self.fit.standard_errors, provenance=provenance))
         return Path(path)
 

@@ -186,15 +186,12 @@ def compensate(
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
     chosen = method_of(method, predictor)
-    goals, told, numbers = goals_of(model, targets, context)
-    contexts = told.each(len(goals))
-    placements = placements_of(model, targets, contexts, frame or "")
+    numbers, placements, goals, told = place_targets(model, targets, context, frame or "")
     seeds = None
     if seed is not None:
         starts = np.asarray(seed, dtype=float)
         seeds = ik.checked_seed(model, starts, len(goals), "compensate")
     options = CompensationOptions(chosen, locked, run_up, realisable, **settling)
-    to = [placed.carry_to_model(goal) for placed, goal in zip(placements, goals, strict=True)]
     unknown = History.unknown(model.arm.n)
     if history is None and not (
         any(map(np.any, told.approach)) or history_joints(physics_of(model, chosen))
@@ -208,7 +205,7 @@ def compensate(
             outcomes = compensate_each(
                 placements[ids[0]].promising(model),
                 predictor,
-                np.array([to[k] for k in ids]),
+                np.array([goals[k] for k in ids]),
                 context=context,
                 seed=None if seeds is None else seeds[ids],
                 position_only=position_only,
@@ -217,18 +214,18 @@ def compensate(
             for k, outcome, here in zip(ids, outcomes, context.each(len(ids)), strict=True):
                 move = Move(outcome.command, None, still, still > 0)
                 made[k] = Arrival(outcome, move, here, unknown)
-        return Commands(numbers, tuple(made[k] for k in range(len(to))), placements)
+        return Commands(numbers, tuple(made[k] for k in range(len(goals))), placements)
     at, came = (None, unknown) if history is None else find_last_rest(history, model)
     arrivals: list[Arrival] = []
-    for k, target in enumerate(to):
-        sides = np.sign(np.broadcast_to(contexts[k].approach or 0.0, model.arm.n)).astype(float)
+    for k, (target, given) in enumerate(zip(goals, told.each(len(goals)), strict=True)):
+        sides = np.sign(np.broadcast_to(given.approach or 0.0, model.arm.n)).astype(float)
         arrival = compensate_move(
             placements[k].promising(model),
             predictor,
             target,
             start=at,
             history=came,
-            context_after=partial(complete_after_move, contexts[k]),
+            context_after=partial(complete_after_move, given),
             sides=sides if sides.any() else None,
             seed=None if seeds is None else seeds[k],
             position_only=position_only or target.ndim == 1,
@@ -240,26 +237,58 @@ def compensate(
     return Commands(numbers, tuple(arrivals), placements)
 
 
-def placements_of(
-    model: Model, targets: ArrayLike | Targets, contexts: list[Context], frame: str
-) -> tuple[Placement, ...]:
-    """Return the placement of each target, for the frame that the target or the call states.
+def place_targets(
+    model: Model, targets: ArrayLike | Targets, context: Context | None, frame: str
+) -> tuple[np.ndarray, tuple[Placement, ...], list[np.ndarray], Context]:
+    """Return targets in the frame of the model, with the circumstances that a command may use.
+
+    Times of the targets are not used: a command comes after the model's session, whose clock has
+    stopped (`Context.as_left`).
+
+    Returns:
+        Numbers (N,) and placements of the targets; the targets, each (3,) or (4, 4); and their
+        common circumstances.
 
     Raises:
-        InputError: both state a frame and these differ, or the frame is needed and not stated.
+        InputError: a shape is wrong; circumstances are given twice, or the arm cannot have them;
+            targets and call state different frames, or the frame is needed and not stated.
     """
-    own = targets.frame if isinstance(targets, Targets) else ()
-    where = targets.source if isinstance(targets, Targets) else "targets"
+    own: tuple[str, ...] = ()
+    where = "targets"
+    if isinstance(targets, Targets):
+        if context is not None:
+            raise InputError("compensate", "context", "given", "None: the targets have their own")
+        numbers, told = targets.index, targets.context(model.arm.n)
+        own, where = targets.frame, targets.source
+        goals = [
+            xyz if np.isnan(turn[0]) else quaternion.compute_pose(xyz, turn)
+            for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
+        ]
+    else:
+        try:
+            given = np.asarray(targets, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError("compensate", "targets", str(error), "numbers, m") from error
+        given = given[None] if given.shape in ((3,), (4, 4)) else given
+        if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
+            allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
+            raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
+        numbers, told = np.arange(len(given)), context or Context()
+        goals = list(given)
+    for name, values in told.columns.items():
+        check_circumstance(model.arm, name, values, where if context is None else "context")
+    told = told.as_left(model.ended_s)
     other = next((said for said in own if said and frame and said != frame), "")
     if other:
         raise InputError(where, "frame", other, f"{frame}, as asked for, or none")
-    said = own or ("",) * len(contexts)
     keys = [
-        (name or frame, str(context.labels.get("group", "")))
-        for name, context in zip(said, contexts, strict=True)
+        (name or frame, str(here.labels.get("group", "")))
+        for name, here in zip(own or ("",) * len(goals), told.each(len(goals)), strict=True)
     ]
     found = {key: find_placement(model, *key, where) for key in dict.fromkeys(keys)}
-    return tuple(found[key] for key in keys)
+    placements = tuple(found[key] for key in keys)
+    carried = [placed.carry_to_model(goal) for placed, goal in zip(placements, goals, strict=True)]
+    return numbers, placements, carried, told
 
 
 def complete_after_move(given: Context, arrived: History) -> Context:
@@ -298,62 +327,20 @@ def method_of(given: Method | str | None, predictor: Predictor | None) -> Method
     return chosen
 
 
-def goals_of(
-    model: Model, targets: ArrayLike | Targets, context: Context | None
-) -> tuple[list[np.ndarray], Context, np.ndarray]:
-    """Return the targets, each (3,) or (4, 4), their common circumstances, and their numbers (N,).
-
-    Times of the targets are not used: a command comes after the model's session, whose clock has
-    stopped (`Context.as_left`). Raises InputError for a wrong shape, or circumstances that the arm
-    cannot have or that are given twice.
-    """
-    if isinstance(targets, Targets):
-        if context is not None:
-            raise InputError("compensate", "context", "given", "None: the targets have their own")
-        told = _usable_context(targets.context(model.arm.n), model, targets.source)
-        goals = [
-            xyz if np.isnan(turn[0]) else quaternion.compute_pose(xyz, turn)
-            for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
-        ]
-        return goals, told, targets.index
-    try:
-        given = np.asarray(targets, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError("compensate", "targets", str(error), "numbers, m") from error
-    given = given[None] if given.shape in ((3,), (4, 4)) else given
-    if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
-        allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
-        raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
-    return (
-        list(given),
-        _usable_context(context or Context(), model, "context"),
-        np.arange(len(given)),
-    )
-
-
-def _usable_context(told: Context, model: Model, where: str) -> Context:
-    """Return the circumstances that a command may use; refuse values that the arm cannot have."""
-    for name, values in told.columns.items():
-        check_circumstance(model.arm, name, values, where)
-    return told.as_left(model.ended_s)
-
-
 def _line_of(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
     found, move = arrival.outcome, arrival.move
     ideal = found.ideal if found.realisable is None else found.realisable.ideal
-    sigma = float(np.max(found.sigma))
     joints = joint_names(len(found.command))
     error = placed.turn_from_model(found.predicted_error)
+    bound = float(np.max(found.sigma))
+    sizes = (bound, found.expected_m, found.p90_m)
+    sigma, expected, within = (1e3 * v if np.isfinite(bound) else None for v in sizes)
 
     def cells(
-        what: str, names: Sequence[str], values: np.ndarray | None, told: bool
+        what: str, names: Sequence[str], values: np.ndarray | None, known: bool
     ) -> dict[str, Any]:
-        columns = [f"{what}{name}" for name in names]
-        held = values if told and values is not None else [None] * len(columns)
-        return dict(zip(columns, held, strict=True))
-
-    def millimetres(value: float) -> float | None:
-        return 1e3 * value if np.isfinite(sigma) else None
+        shown = values if known and values is not None else [None] * len(names)
+        return {f"{what}{name}": value for name, value in zip(names, shown, strict=True)}
 
     return {
         "index": index,
@@ -362,10 +349,10 @@ def _line_of(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
         **cells("", joints, found.command, found.success),
         **cells("target_", XYZ, placed.carry_from_model(found.position), True),
         **cells("predicted_error_", XYZ, error, found.in_domain),
-        "sigma_mm": millimetres(sigma),
+        "sigma_mm": sigma,
         "passes": found.passes,
-        "expected_mm": millimetres(found.expected_m),
-        "p90_mm": millimetres(found.p90_m),
+        "expected_mm": expected,
+        "p90_mm": within,
         "frame": placed.frame,
         **cells("approach_", joints, move.side, found.success),
         **cells("run_up_", joints, move.run_up, found.success),

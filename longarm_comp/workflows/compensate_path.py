@@ -97,14 +97,13 @@ def compensate_path(
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
     chosen = points.method_of(method, predictor)
-    goals, told, numbers = points.goals_of(model, path, context)
-    placements = points.placements_of(model, path, told.each(len(goals)), frame or "")
+    numbers, placements, goals, told = points.place_targets(model, path, context, frame or "")
     if len({goal.ndim for goal in goals}) > 1:
         raise InputError("path", "qx", "at some way-points", "at every way-point or at none")
     if times is None and isinstance(path, Targets):
         times = path.columns.get("t_s")
     n = model.arm.n
-    carried = np.array([p.carry_to_model(goal) for p, goal in zip(placements, goals, strict=True)])
+    carried = np.array(goals)
     motion = MotionLimits(
         _per_joint(max_velocity, n, "max_velocity"),
         _per_joint(max_acceleration, n, "max_acceleration"),

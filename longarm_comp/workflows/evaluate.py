@@ -104,8 +104,8 @@ class Evaluation(ErrorTable):
     def notes(self) -> list[str]:
         """Sentences to show with the table: the worst rows, and how the models were used."""
         last = list(self)[-1]
-        worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
-        said = [f"worst rows of {last}, by index: {', '.join(worst)}"]
+        worst = [f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst]
+        said = [f"worst rows of {last}, by index: {', '.join(worst)}"] if worst else []
         if self.placed:
             why = "because they see it elsewhere"
             said.append(f"the declared arm was placed by these rows first, {why}")

@@ -10,6 +10,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
@@ -20,7 +21,7 @@ from pydantic import TypeAdapter
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.kind_of_arm import describe_table
 from longarm_comp.core.data.kinds import KINDS
-from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.files import check_regular, write_text
 from longarm_comp.version import __version__
 from longarm_comp.workflows.cluster import run_tasks
@@ -257,6 +258,9 @@ def _diagnose_each(
             begun = {pool.submit(look, *one) for one in left}
             for done in as_completed(begun):
                 yield done.result()
+    except BrokenProcessPool as error:
+        why = "fleet: a process was killed, perhaps for want of memory"
+        raise JobError(f"{why}: call again, with fewer --jobs") from error
     finally:
         if before is None:
             os.environ.pop("PYTHONSAFEPATH", None)

@@ -133,6 +133,8 @@ def plan(
             note(f"{len(asked) - len(free)} poses of the diagnosis are not allowed: left out")
         return asked.take(free)
     if kind not in _FILLING:
-        raise InputError("plan", "kind", kind, ", ".join((*_FILLING, *_OPTIMAL)))
+        raise InputError("plan", "kind", kind, ", ".join((*_FILLING, "next", *_OPTIMAL)))
     make, most = _FILLING[kind]
+    if n < 1:
+        raise InputError("plan", "n", n, f"1 to {most(arm)}")
     return fill_plan(make, arm, n, seed, lambda poses: allowed_poses(poses, where), most(arm))

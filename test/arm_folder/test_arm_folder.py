@@ -21,6 +21,7 @@ from urdf_robots import example
 from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.marker_sheet import PAPERS, lay_out_sheet
 from longarm_comp.arm_folder.parameter_file import own_parameters, parameters_of, read_parameters
+from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.model.declared_model import declared_model
@@ -138,6 +139,20 @@ def test_a_camera_that_the_arm_declares_stays_where_it_is(shell: Shell) -> None:
     assert "arm.yaml: camera" not in shell.out
 
 
+@pytest.mark.parametrize("down", [-1.0, 1.0])
+def test_a_camera_may_look_straight_down_or_up(shell: Shell, down: float) -> None:
+    """No direction is level then by itself: the pose of the head was not a number."""
+    data = yaml.safe_load((made(shell, "first", *UR5, "--only-arm") / "arm.yaml").read_text())
+    data["camera"] = {"position_m": [0.4, 0.0, -3.0 * down], "optical_axis": [0.0, 0.0, down]}
+    (shell.folder / "mine.yaml").write_text(yaml.safe_dump(data))
+    bridge = parameters_of(
+        "stereo_bridge", made(shell, "second", "--arm", "mine.yaml") / "stereo_bridge.yaml"
+    )
+    axis = quaternion.compute_rotation(np.array(bridge["hand_eye.quaternion"]))[:, 2]
+    assert bridge["hand_eye.xyz"] == data["camera"]["position_m"]
+    np.testing.assert_allclose(axis, [0.0, 0.0, down], atol=1e-9)
+
+
 def test_gearing_and_cameras_are_those_of_the_packages_own_files(shell: Shell) -> None:
     words = "type=prismatic alpha=90 d=0.1 limits=0..0.1", "a=0.3 limits=-30..30"
     folder = made(shell, "mine", *(word for row in words for word in ("--joint", row)))
@@ -229,6 +244,10 @@ FAULTS = {
     "a camera elsewhere": ("stereo_bridge", r"xyz: \[[-\d.]+", "xyz: [0.5", "hand_eye"),
     "a number as text": ("stereo_bridge", r"tag_m: [\d.]+", "tag_m: big", "marker.tag_m"),
     "an unknown parameter": ("simulated_arm", "seed:", "sead:", "sead"),
+    "too few cycles": ("servo_driver", "rate_hz: [0-9.]+", "rate_hz: 2.0", "rate_hz"),
+    "no cycles": ("servo_driver", "rate_hz: [0-9.]+", "rate_hz: 0.0", "rate_hz"),
+    "a rate as text": ("servo_driver", "rate_hz: [0-9.]+", "rate_hz: fast", "rate_hz"),
+    "an unknown parameter of the driver": ("servo_driver", "trim:", "trimm:", "trimm"),
 }  # fmt: skip
 
 

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from longarm_comp.arm_folder.check import check_folder
+from longarm_comp.arm_folder.make import demonstration
+from longarm_comp.arm_folder.parameter_file import parameters_of
 
 
 def box(width: float = 0.02, height: float = 0.04) -> str:
@@ -78,3 +80,11 @@ def test_a_joint_with_ends_turns_twice_at_most(joint: str, ends: list[str], tmp_
     assert [f.where for f in check_folder(tmp_path) if f.level == "implausible"] == [
         f"arm.yaml: {name}.limits_deg" for name in ends
     ]
+
+
+def test_parameters_that_ros_gives_every_node_are_no_strangers(tmp_path: Path) -> None:
+    section = "  ros__parameters:\n"
+    for name, text in demonstration().items():
+        (tmp_path / name).write_text(text.replace(section, f"{section}    use_sim_time: true\n"))
+    assert not [finding for finding in check_folder(tmp_path) if finding.blocks]
+    assert parameters_of("stereo_bridge", tmp_path / "stereo_bridge.yaml")["use_sim_time"] is True

@@ -65,6 +65,18 @@ def test_a_joint_is_said_by_the_number_that_a_mechanic_knows() -> None:
     assert card.title == "Play, luff (q2)" and said.summary == "play at luff (q2), joint 41"
 
 
+def test_only_poses_that_tell_the_names_apart_are_said_to_do_so(tmp_path: Path) -> None:
+    """next_poses.csv may hold poses for another finding, or for a doubt about a function."""
+    report, detail = sample("set")
+    shows = "poses of next_poses.csv show that it is backlash, not friction_hysteresis"
+    (split,) = detail.splits
+    for name, by in (("some", split), ("none", split._replace(poses=0, reason="No pose does."))):
+        write_sample(report, dataclasses.replace(detail, splits=(by,)), tmp_path / name)
+        said = (tmp_path / name / "report.html").read_text("utf-8")
+        assert (shows in said) == bool(by.poses)
+        assert ("a look at it shows that it is backlash" in said) == (not by.poses)
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_json_holds_what_was_handed_in(verdict: str, reports: Path) -> None:
     report, _ = sample(verdict)

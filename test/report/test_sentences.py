@@ -331,7 +331,7 @@ def test_what_is_to_do_follows_from_the_numbers(told: list[Told]) -> None:
     """Done is what is certain, above the noise and worth it; nothing in doubt is dismantled."""
     for report, page in told:
         noise = np.linalg.norm(report.noise.sigma_mm or 0.0)
-        listed = cards.to_do(report.for_people())
+        listed = cards.to_do(cards.cards(report.for_people()))
         assert sum(map(len, listed.values())) == len(cards.cards(report))
         for finding, card in zip(report.findings, named(report), strict=True):
             assert finding.seen_mm is not None

@@ -114,6 +114,14 @@ def test_other_columns_are_context_and_text_is_a_label(tmp_path: Path) -> None:
     assert session.sigma.tolist() == [[0.001, 0.002, 0.003]]
 
 
+def test_digits_with_a_line_between_them_are_no_number(tmp_path: Path) -> None:
+    """Python reads 1_5 as 15."""
+    path = written(tmp_path / "s.csv", f"{HEADER},station", f"{ROW},1_1", f"{SECOND},1_2")
+    assert read_csv(path, ARM).labels["station"].tolist() == ["1_1", "1_2"]
+    with pytest.raises(InputError, match="line 2, x: '1_5'"):
+        read_csv(written(tmp_path / "x.csv", "q1,q2,q3,q4,x,y,z", "0,0,0,0,1_5,0,0"), ARM)
+
+
 def test_times_count_from_the_first_row_by_any_clock(tmp_path: Path) -> None:
     rows = [f"{row},{since}" for row, since in ((ROW, 1.7e9), (SECOND, 1.7e9 + 30.5))]
     session = read_csv(written(tmp_path / "a.csv", HEADER + ",t_s", *rows), ARM)

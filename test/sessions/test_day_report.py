@@ -97,6 +97,19 @@ def test_a_bag_without_targets_is_refused(tmp_path: Path) -> None:
         read_day(tmp_path / "bag", ARM, None, ())
 
 
+def test_a_day_may_have_refused_targets_alone(tmp_path: Path, shell: Shell) -> None:
+    with robot(tmp_path / "bag") as put:
+        command(put, 1.0, ARM.mid.tolist())
+        state(put, 3.0, ARM.mid.tolist())
+        state(put, 5.0, ARM.mid.tolist())
+        sighting(put, 4.0, [0.0, 0.0, 0.5], topic="tip_seen")
+        asked(put, 6.0, ARM.mid, np.zeros(3), "out of reach")
+    Path("arm.yaml").write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_none=True)))
+    told = shell.json("day-report", "arm.yaml", tmp_path / "bag")
+    assert [(row["targets"], row["seen"]) for row in told["rows"]] == [(0, 0)]
+    assert "1 target refused: out of reach" in Path("day.html").read_text()
+
+
 def served(path: Path, tips: str, frame: str = "base", base: str = "base") -> Path:
     """A bag of one target that came in the frame of a tracker, with a learned error."""
     target = np.array([0.3, 0.1, 0.2])

@@ -21,6 +21,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sessions.foreign.convert import Options, import_table
+from longarm_comp.sessions.foreign.written import Like
+from longarm_comp.sessions.targets import Targets, read_targets
 
 N = 5
 NOA = "nx ny nz ox oy oz ax ay az"
@@ -350,3 +352,31 @@ def test_rows_of_no_convention(work: Path, shell: Shell) -> None:
     assert "the rows fit" not in shell.refused(*call)
     Path("log.csv").write_text("\n".join(text[:11]))
     assert "the rows fit rotvec:" in shell.refused(*call)
+
+
+@pytest.mark.parametrize("heads", ["A [deg]|B [deg]|C [deg]", "A|B|C"])
+def test_targets_in_the_users_table_keep_their_orientation(heads: str, shell: Shell) -> None:
+    """It was left free without a word."""
+    turn = Turn.from_quat(POSE[:, 3:])
+    rows = np.hstack([POSE[:, :3], turn.as_euler("ZYX", degrees=True)])
+    Path("log.csv").write_text(line("x|y|z|A [deg]|B [deg]|C [deg]", rows))
+    call = ("import-data", "log.csv", "--units", "m,deg", "--rotation", "ZYX:A,B,C")
+    assert shell(*call) == 0, shell.err
+    form = Like(Path("samples.mapping.yaml"))
+
+    def read(names: str, cells: np.ndarray) -> Targets:
+        table = pd.DataFrame(cells, columns=names.split("|"))
+        table.to_csv("targets.csv", index=False)
+        return read_targets("targets.csv", form.read)
+
+    rows[1, 3:] = np.nan  # free
+    found = read(f"x|y|z|{heads}", rows)
+    assert np.isnan(found.quaternion).all(axis=1).tolist() == [False, True]
+    assert (Turn.from_quat(found.quaternion[0]).inv() * turn[0]).magnitude() < 1e-7
+    assert not found.columns
+    assert np.isnan(read("x|y|z", rows[:, :3]).quaternion).all()
+    with pytest.raises(InputError, match=r"targets\.csv: orientation: 'C'"):
+        read("x|y|z|A|B", rows[:, :5])
+    rows[0, 4] = np.nan
+    with pytest.raises(InputError, match="orientation: 'row 1: partly blank'"):
+        read(f"x|y|z|{heads}", rows)

@@ -56,6 +56,18 @@ def test_joints_and_points_are_joined_by_number(shell: Shell) -> None:
     assert "no row in common" in shell.refused(*call, "Point")
 
 
+def test_rows_without_a_number_have_no_partner(shell: Shell) -> None:
+    """A way-point of the arm is not what the tracker measured between its points."""
+    Path("arm.csv").write_text(joints() + ";40;50;60;7\n")
+    Path("tracker.csv").write_text("Point,X_mm,Y_mm,Z_mm\nP7,7,2,3\n,0,0,0\n,1,1,1\nP8,8,2,3\n")
+    assert shell("import-data", "arm.csv", "tracker.csv", "--join", "Point") == 0, shell.err
+    made = session()
+    assert made["point"].tolist() == ["P7", "P8"]
+    np.testing.assert_allclose(made["x"], [0.007, 0.008])
+    assert "arm.csv: no partner of Point P9, (blank)" in shell.err
+    assert "tracker.csv: no partner of Point (blank), (blank)" in shell.err
+
+
 def test_what_a_controller_measured_is_a_reading(shell: Shell) -> None:
     """Beside the command of each joint, in the unit of its column; blank is not read."""
     Path("log.csv").write_text(
@@ -100,6 +112,35 @@ def test_days_follow_each_other_with_a_gap(shell: Shell) -> None:
     held = read_csv("samples.csv", ARM)
     assert held.labels["point"].tolist() == ["P7", "P8", "P9", "P7"]
     assert held.approach[1].any() and not held.approach[2].any()
+
+
+def test_rows_are_not_sorted_by_a_column_with_a_blank(shell: Shell) -> None:
+    """As texts, the numbers beside it would come in the order 10, 2, 9."""
+    Path("log.csv").write_text(
+        "A1_deg,No,x_m,y_m,z_m\n3,10,3,0,0\n1,2,1,0,0\n2,,2,0,0\n4,9,4,0,0\n"
+    )
+    said = shell.refused("import-data", "log.csv", "--sort", "No")
+    assert "line 4, No: ''; allowed: a value to sort by" in said
+
+
+def test_times_of_day_of_a_further_file_are_of_the_next_day(shell: Shell) -> None:
+    """Nine hours back within a file would be rows out of order."""
+    head = "A1_deg,Time,X_mm,Y_mm,Z_mm\n"
+    Path("day1.csv").write_text(head + "1,08:00,1,2,3\n2,17:00,1,2,3\n")
+    Path("day2.csv").write_text(head + "3,08:00,1,2,3\n4,09:30,1,2,3\n")
+    assert shell("import-data", "day1.csv", "day2.csv") == 0, shell.err
+    assert session()["t_s"].tolist() == [0, 32400, 86400, 91800]
+    assert session()["index"].tolist() == [0, 1, 3, 4]
+
+
+def test_the_gap_between_files_is_sorted_with_their_rows(shell: Shell) -> None:
+    head = "A1_deg,No,X_mm,Y_mm,Z_mm\n"
+    Path("late.csv").write_text(head + "4,4,1,2,3\n5,5,1,2,3\n6,6,1,2,3\n")
+    Path("early.csv").write_text(head + "1,1,1,2,3\n2,2,1,2,3\n")
+    assert shell("import-data", "late.csv", "early.csv", "--sort", "No") == 0, shell.err
+    made = session()
+    np.testing.assert_allclose(np.degrees(made["q1"]), [1, 2, 4, 5, 6])
+    assert made["index"].tolist() == [0, 1, 3, 4, 5]
 
 
 def test_markers_side_by_side_are_rows(shell: Shell) -> None:

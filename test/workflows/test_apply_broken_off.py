@@ -19,8 +19,9 @@ from small_arm import ARM
 
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.model_file import load_model
-from longarm_comp.workflows.apply import apply, undo
+from longarm_comp.workflows.apply import apply
 from longarm_comp.workflows.inputs import admit_session, load_predictor
+from longarm_comp.workflows.model_in_use import undo
 
 STEPS = ("replace", "unlink")
 """Of `os`: what changes a folder. Bytes are written to files that nobody reads yet."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from cli_shell import Shell
 from hidden_arm import at, session, tip
+from scipy.spatial.transform import Rotation
 from small_arm import ARM
 
 import longarm_comp as la
@@ -97,6 +99,27 @@ def test_rows_that_hardly_tell_more_than_a_place_judge_nothing(
     shell, words = Shell(tmp_path, capsys), words_of(tmp_path, arm, rows)
     assert shell.json(*words)["rows"][0]["mean_mm"] == pytest.approx(500.0 * 3**0.5, rel=0.1)
     assert shell(*words) == 0 and "it is judged where it is declared" in shell.err
+
+
+def test_orientations_alone_have_no_worst_rows(rng: np.random.Generator) -> None:
+    q = ARM.lower + rng.random((12, ARM.n)) * (ARM.upper - ARM.lower)
+    turns = Rotation.from_matrix(la.Model(ARM).pose(q)[:, :3, :3]).as_quat()
+    rows = la.Session.record(q, np.full((12, 3), np.nan), readings={"orientation": turns})
+    made = la.evaluate(ARM, rows)
+    assert made["rigid"].angle == pytest.approx(0.0, abs=1e-6) and made.notes == []
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"n": -1}, r"plan: n: -1; allowed: 1 to 1048576"),
+        ({"n": 0, "kind": "grid"}, r"plan: n: 0; allowed: 1 to 81"),
+        ({"n": 3, "kind": "best"}, r"kind: 'best'; allowed: grid, sobol, next, i-optimal"),
+    ],
+)
+def test_a_plan_says_what_it_may_be(how: dict[str, Any], said: str) -> None:
+    with pytest.raises(la.InputError, match=said):
+        la.plan(ARM, **how)
 
 
 def test_touched_points_are_no_place_of_the_arm(rng: np.random.Generator) -> None:

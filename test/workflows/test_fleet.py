@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from longarm_comp.cli.diagnose import fleet as command
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.report.pages import fleet_page
 from longarm_comp.sessions.csv import write_csv
+from longarm_comp.workflows import fleet as workflow
 from longarm_comp.workflows.fleet import Diagnosed, FleetFinding, compare_arms, fleet, list_members
 from studies.fleet import command as study
 
@@ -177,6 +179,13 @@ def test_a_diagnosis_that_breaks_ends_no_other(
         for name in ("broken", "knocked", "sound")
     ]
     assert {a.verdict for a in told} == {"failed"}
+
+
+def test_a_process_that_is_killed_ends_the_call_with_advice() -> None:
+    """As on a machine without memory; what was diagnosed is in fleet.json already."""
+    killed: Any = [(1,)]
+    with pytest.raises(JobError, match=r"a process was killed.*fewer --jobs"):
+        list(workflow._diagnose_each(os._exit, killed, 2, None))
 
 
 @pytest.mark.long

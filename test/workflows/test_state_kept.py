@@ -26,9 +26,10 @@ from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.report.style import save
 from longarm_comp.sessions import table
 from longarm_comp.sessions.csv import write_csv
-from longarm_comp.workflows.apply import apply, take_back, undo
+from longarm_comp.workflows.apply import apply, take_back
 from longarm_comp.workflows.fleet import fleet, list_members
 from longarm_comp.workflows.inputs import file_hash
+from longarm_comp.workflows.model_in_use import undo
 
 
 @contextmanager

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import check_size, check_unpacked
 from longarm_comp.sessions.foreign.units import split_name, unit_of
@@ -57,6 +59,11 @@ class Cells:
     index: tuple[int, ...] = ()
     """Number of each row in the session, where the rows do not simply follow each other."""
 
+    @property
+    def breaks(self) -> list[int]:
+        """Places of the rows with which further files begin."""
+        return (1 + np.flatnonzero(np.diff(self.index) > 1)).tolist()
+
     def column(self, place: int) -> list[str]:
         return [row[place] for _, row in self.rows]
 
@@ -86,6 +93,24 @@ class Cells:
         if (_COMMA if self.decimal == "," else _POINT).fullmatch(plain) is None:
             return None
         return float(plain.replace(",", "."))
+
+    def numbers(self, place: int, blanks: bool) -> np.ndarray:
+        """Return the (N,) numbers of a column; an empty cell is NaN if `blanks` are allowed.
+
+        Raises:
+            InputError: another cell holds no number.
+        """
+        values = np.empty(len(self.rows))
+        for k, (line, row) in enumerate(self.rows):
+            number = self.number(row[place])
+            if number is None and not (blanks and self.empty(row[place])):
+                sign = "comma" if self.decimal == "," else "point"
+                allowed = f"a number with a decimal {sign}" + (", or blank" if blanks else "")
+                raise InputError(
+                    self.where, f"line {line}, {self.names[place]}", row[place], allowed
+                )
+            values[k] = np.nan if number is None else number
+        return values
 
     @staticmethod
     def empty(text: str) -> bool:
@@ -177,10 +202,8 @@ def _split_text(where: str, text: str) -> tuple[str, Lines]:
 def _split_lines(where: str, text: str, mark: str) -> Lines:
     """Return number and cells of each line that is not blank.
 
-    Comment signs are removed from the lines above the first numbers.
-
-    Raises:
-        InputError: a comment stands below the first numbers. It may be a row that was taken out.
+    Comment signs are removed from the lines above the first numbers. A comment below them is
+    refused: it may be a row that was taken out.
     """
     import pandas as pd
 
@@ -277,16 +300,10 @@ def _is_numeric(row: Sequence[str], number: re.Pattern[str]) -> bool:
 
 
 def _find_first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
-    """Find the first line of numbers, and the first line of numbers below the whole header.
+    """Return the indices of the first line of numbers, and of the first one below all headers.
 
-    The two differ if the header has a line of ids: whole numbers beside a word.
-
-    Returns:
-        The indices of both in `lines`.
-
-    Raises:
-        InputError: there is no line of numbers, measured numbers stand above a header line, or
-            the same header stands above and below numbers.
+    They differ if the header has a line of ids: whole numbers beside a word. Measured numbers above
+    a header, and one header above and below numbers, are refused.
     """
     number = _COMMA if decimal == "," else _POINT
     widths = Counter(len(row) for _, row in lines)
@@ -322,10 +339,8 @@ def _join_names(lines: Lines, width: int, ids: int) -> tuple[tuple[str, ...], tu
     """Join the names of the columns from the heading lines above the numbers.
 
     The lines are read upwards. Headings end at a blank line, at a line with fewer than two filled
-    cells, and, above the line with index `ids`, at a line that holds a number.
-
-    Returns:
-        The names, and the numbers of the lines that they come from.
+    cells, and, above the line with index `ids`, at a line that holds a number. Returns also the
+    numbers of the lines that the names come from.
     """
     headings: Lines = []
     for k in reversed(range(len(lines))):

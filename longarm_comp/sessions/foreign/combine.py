@@ -60,10 +60,11 @@ def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str,
         here, there = (t.place(column, "--join") for t in (made, table))
         one, two = ([row[k] for _, row in t.rows] for t, k in ((made, here), (table, there)))
         places: dict[object, int] = {}
-        for (line, _), text in zip(table.rows, two, strict=True):
+        for k, ((line, _), text) in enumerate(zip(table.rows, two, strict=True)):
             if _sort_key(text) in places:
                 raise InputError(table.where, f"line {line}, {column}", text, "each of them once")
-            places[_sort_key(text)] = len(places)
+            if not table.empty(text):  # rows without a number or name have no partner
+                places[_sort_key(text)] = k
         partner = [places.get(_sort_key(text), -1) for text in one]
         clocks, allowed = _read_clocks((made, table), (here, there), column), f"{one[0]}, ..."
         if clocks:
@@ -78,7 +79,8 @@ def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str,
             (table.where, [two[k] for k in left]),
         ):
             if keys:
-                notes.append(f"{where}: no partner of {column} {', '.join(keys[:20])}")
+                named = ", ".join(key or "(blank)" for key in keys[:20])
+                notes.append(f"{where}: no partner of {column} {named}")
         kept = [k for k in range(len(table.names)) if k != there]
         names = [table.names[k] for k in kept]
         names = [f"{Path(table.where).stem} {n}" if n in made.names else n for n in names]
@@ -94,15 +96,27 @@ def join_tables(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str,
 
 
 def sort_rows(cells: Cells, column: str) -> Cells:
-    """Sort the rows by a column: as times or numbers if all its cells are such, else as text."""
+    """Sort the rows by a column: as times or numbers if all its cells are such, else as text.
+
+    Raises:
+        InputError: a cell is blank, which alone would make texts of numbers: 10 before 9.
+    """
     place = cells.place(column, "--sort")
     texts = [row[place] for _, row in cells.rows]
+    for (line, _), text in zip(cells.rows, texts, strict=True):
+        if cells.empty(text):
+            raise InputError(cells.where, f"line {line}, {column}", text, "a value to sort by")
     numbers = [cells.number(text) for text in texts]
     clock = seconds(texts)
     keys: Sequence[Any] = texts if None in numbers else numbers
     keys = keys if clock is None else clock.tolist()
     order = sorted(range(len(texts)), key=keys.__getitem__)
-    return replace(cells, rows=tuple(cells.rows[k] for k in order))
+    rows, index = tuple(cells.rows[k] for k in order), cells.index
+    if index:  # a gap stays wherever a row of another file follows
+        file = np.searchsorted(cells.breaks, order, side="right")
+        gaps = np.cumsum(np.diff(file, prepend=file[0]) != 0)
+        index = tuple((np.arange(len(rows)) + gaps).tolist())
+    return replace(cells, rows=rows, index=index)
 
 
 def find_marker_headings(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
@@ -191,9 +205,8 @@ def _read_clocks(tables: Sequence[Cells], places: Sequence[int], column: str) ->
 def _pair_nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
     """Pair each time of ``one`` with the nearest time of ``two`` that has no nearer one itself.
 
-    Returns:
-        The index in ``two`` for each time of ``one``, -1 if none is within the tolerance; and the
-        tolerance, which is half of the smaller of both median steps.
+    Returns the indices in ``two``, -1 if none is within the tolerance, and the tolerance: half of
+    the smaller of both median steps.
     """
     near, back = _find_closest(one, two), _find_closest(two, one)
     steps = [np.diff(np.unique(times)) for times in (one, two)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,10 +31,14 @@ from longarm_comp.sessions.foreign.combine import (
     sort_rows,
 )
 from longarm_comp.sessions.foreign.conventions import try_conventions
-from longarm_comp.sessions.foreign.poses import Found, find_forms, find_orientations, unit_in
+from longarm_comp.sessions.foreign.poses import (
+    Found,
+    find_forms,
+    find_orientations,
+    read_rotation,
+)
 from longarm_comp.sessions.foreign.units import (
     ALLOWED,
-    ANGLE,
     UNIT_LENGTH,
     UNITS,
     Rotation,
@@ -278,26 +281,13 @@ def _read_column(cells: Cells, column: Column) -> np.ndarray:
     texts = cells.column(column.place)
     if column.name in LABELS:
         return np.array(texts)
-    clock = seconds(texts) if column.name == "t_s" else None
+    clock = seconds(texts, cells.breaks) if column.name == "t_s" else None
     if clock is not None:
         return clock
-    values = _read_numbers(cells, column.place, bool(_MAY_BE_BLANK.fullmatch(column.name)))
+    values = cells.numbers(column.place, bool(_MAY_BE_BLANK.fullmatch(column.name)))
     power = 2 if column.name.startswith("cov_") else 1
     unit = column.unit
     return values if unit is None else values * unit.factor**power + unit.offset
-
-
-def _read_numbers(cells: Cells, place: int, blanks: bool) -> np.ndarray:
-    values = np.empty(len(cells.rows))
-    for k, (line, row) in enumerate(cells.rows):
-        number = cells.number(row[place])
-        if number is None and not (blanks and cells.empty(row[place])):
-            sign = "comma" if cells.decimal == "," else "point"
-            allowed = f"a number with a decimal {sign}" + (", or blank" if blanks else "")
-            field = f"line {line}, {cells.names[place]}"
-            raise InputError(cells.where, field, row[place], allowed)
-        values[k] = np.nan if number is None else number
-    return values
 
 
 def _read_orientation(
@@ -309,24 +299,10 @@ def _read_orientation(
 ) -> dict[str, np.ndarray]:
     """Return the columns of the quaternion, (N,) each.
 
-    Args:
-        columns: session columns. With their joints and positions, an arm's model shows which
-            convention fits.
-
-    Raises:
-        InputError: the convention is not known, or the rows clearly fit another one.
+    With the joints and positions in `columns`, an arm's model shows which convention fits. One that
+    is not known, or that the rows clearly refute, is refused.
     """
-    parts = []
-    for name in rotation.columns:
-        numbers = _read_numbers(cells, cells.names.index(name), True)
-        if rotation.angles:
-            unit = unit_in(name) or defaults.get(ANGLE)
-            if rotation.convention and (unit is None or unit.kind != ANGLE):
-                field = f"column {name}"
-                raise InputError(cells.where, field, "no angle's unit", "--units deg or rad")
-            numbers = numbers * (unit.factor if unit else math.nan)
-        parts.append(numbers)
-    values = np.stack(parts, axis=-1)
+    values = read_rotation(cells, rotation, defaults)
     fitting = None
     if arm is not None:
         q = np.stack([columns[f"q{j + 1}"] for j in range(arm.n)], axis=-1)

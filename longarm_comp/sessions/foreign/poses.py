@@ -1,13 +1,25 @@
-"""Finds the columns of a table that hold a marker's pose. `FORMS` lists the names they may have."""
+"""Finds the columns of a table that hold a marker's pose, by the names in `FORMS`; reads turns."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from longarm_comp.sessions.foreign.units import MATRIX, ROTATION_VECTOR, Unit, split_name
+import numpy as np
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.foreign.cells import Cells
+from longarm_comp.sessions.foreign.units import (
+    ANGLE,
+    MATRIX,
+    ROTATION_VECTOR,
+    Rotation,
+    Unit,
+    split_name,
+)
 
 POSITION = "position"
 _APART, _BEGIN = r"[\s_.:,/\-\[(]*", r"(?:^|(?<=[\s_.:,/\-]))"
@@ -131,6 +143,28 @@ def unit_in(name: str) -> Unit | None:
     A name that is a part of a form has none: ``q_k`` is not in kelvin, ``tool C`` not in Celsius.
     """
     return None if any(form.read(name) for form in FORMS) else split_name(name)[1]
+
+
+def read_rotation(cells: Cells, rotation: Rotation, defaults: Mapping[str, Unit]) -> np.ndarray:
+    """Return the numbers (N, 3, 4 or 9) of an orientation, angles in rad.
+
+    Args:
+        defaults: unit of columns that state none, by kind.
+
+    Raises:
+        InputError: a cell holds no number, or the unit of an angle is not known.
+    """
+    parts = []
+    for name in rotation.columns:
+        numbers = cells.numbers(cells.names.index(name), True)
+        if rotation.angles:
+            unit = unit_in(name) or defaults.get(ANGLE)
+            if rotation.convention and (unit is None or unit.kind != ANGLE):
+                field = f"column {name}"
+                raise InputError(cells.where, field, "no angle's unit", "--units deg or rad")
+            numbers = numbers * (unit.factor if unit else math.nan)
+        parts.append(numbers)
+    return np.stack(parts, axis=-1)
 
 
 def _find_all(form: Form, names: Sequence[str]) -> Iterable[Found]:

@@ -17,8 +17,12 @@ _PLAIN = re.compile(r"[-+]?[\d.,]+([eE][-+]?\d+)?")
 _OF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?")
 
 
-def seconds(texts: Sequence[str]) -> np.ndarray | None:
-    """Return (N,) seconds since the first of N wall-clock times; None if a text is not a time."""
+def seconds(texts: Sequence[str], breaks: Sequence[int] = ()) -> np.ndarray | None:
+    """Return (N,) seconds since the first of N wall-clock times; None if a text is not a time.
+
+    A time of day that falls by more than 12 hours is of the next day; if it is the first time of a
+    further file, whose places are `breaks`, any fall is.
+    """
     import pandas as pd
 
     texts = [text.strip() for text in texts]
@@ -30,7 +34,9 @@ def seconds(texts: Sequence[str]) -> np.ndarray | None:
         elif all(map(_OF_DAY.fullmatch, texts)):
             whole = [f"{t}:00" if t.count(":") == 1 else t.replace(",", ".") for t in texts]
             passed = pd.to_timedelta(pd.Series(whole)).dt.total_seconds().to_numpy()
-            days = np.cumsum(np.diff(passed, prepend=passed[:1]) < -12 * 3600)  # past midnight
+            least = np.full(len(passed), 12 * 3600.0)
+            least[list(breaks)] = 0.0
+            days = np.cumsum(np.diff(passed, prepend=passed[:1]) < -least)
             return np.asarray(passed - passed[0] + 86400.0 * days)
         else:
             when = pd.to_datetime(pd.Series(texts), format="mixed", utc=True)

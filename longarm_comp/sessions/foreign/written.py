@@ -6,8 +6,10 @@ Names, units and the kind of file are those of the table from which a session wa
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,11 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_bytes, write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.csv import LABELS
-from longarm_comp.sessions.foreign.cells import WORKBOOK, read_cells
-from longarm_comp.sessions.foreign.units import UNITS, Unit, split_name
+from longarm_comp.sessions.foreign.cells import WORKBOOK, Cells, read_cells
+from longarm_comp.sessions.foreign.poses import read_rotation
+from longarm_comp.sessions.foreign.units import UNITS, Rotation, Unit, split_name
 from longarm_comp.sessions.table import Table
+from longarm_comp.sessions.targets import QUATERNION
 
 _POINT = re.compile(r"(.+_)?([xyz])")
 _JOINT = re.compile(r"(run_up_|ideal_)?(q\d+)")
@@ -62,13 +66,18 @@ class Like:
     def read(self, path: str | Path) -> Table:
         """Read a table in this format and return it with session names, in SI units.
 
-        Columns that the mapping does not know keep their names.
+        Orientations become quaternions. Columns that the mapping does not know keep their names.
+
+        Raises:
+            InputError: the table cannot be read, or holds a part of an orientation.
         """
         cells = read_cells(Path(path))
         known = {s: (n, u) for n, (s, u) in self.columns.items()}
         known = {split_name(s)[0]: form for s, form in known.items()} | known
-        made: dict[str, list[str]] = {}
+        turned, made = self._read_orientation(cells)
         for place, source in enumerate(cells.names):
+            if source in turned:
+                continue
             stem, stated = split_name(source)
             name, unit = known.get(source) or known.get(stem) or (source, None)
             unit, texts = stated or unit, cells.column(place)
@@ -80,6 +89,27 @@ class Like:
                 ]
             made[name] = texts
         return Table(str(path), tuple(made), tuple(line for line, _ in cells.rows), made)
+
+    def _read_orientation(self, cells: Cells) -> tuple[tuple[str, ...], dict[str, list[str]]]:
+        """Return the names of the columns of an orientation, and the columns of its quaternion.
+
+        Both are empty if the table has none of the columns.
+        """
+        if self.rotation in (None, "none"):
+            return (), {}
+        rotation = Rotation.parse(str(self.rotation), cells.where)
+        keys = [name if name in cells.names else split_name(name)[0] for name in rotation.columns]
+        if not {*cells.names, *(split_name(name)[0] for name in cells.names)} & {*keys}:
+            return (), {}
+        names = tuple(cells.names[cells.place(key, "orientation")] for key in keys)
+        defaults = {UNITS[name].kind: UNITS[name] for name in self.units if name in UNITS}
+        values = read_rotation(cells, replace(rotation, columns=names), defaults)
+        try:
+            turns = rotation.quaternions(values).T
+        except ValueError as error:
+            raise InputError(cells.where, "orientation", str(error), "one rotation a row") from None
+        texts = [["" if math.isnan(v) else repr(float(v)) for v in column] for column in turns]
+        return names, dict(zip(QUATERNION, texts, strict=True))
 
     def write(self, path: str | Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """Write rows, given in SI units, with the user's names and units.
