@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import KnownDistance
@@ -60,9 +61,13 @@ class MeasuredRows:
         return self.labels.get(label, np.full(len(self.xyz), ""))
 
     @cached_property
+    def _channel_kinds(self) -> list[Kind]:
+        return [KINDS[b.kind] for b in self.blocks for _ in b.channels]
+
+    @cached_property
     def seen(self) -> np.ndarray:
         """(N,) True for rows with any measurement of the tip."""
-        of_tip = [not KINDS[b.kind].of_joint for b in self.blocks for _ in b.channels]
+        of_tip = [not kind.of_joint for kind in self._channel_kinds]
         return np.asarray(self.measured[:, of_tip].any(axis=1))
 
     @cached_property
@@ -78,8 +83,7 @@ class MeasuredRows:
     @cached_property
     def placed(self) -> np.ndarray:
         """(N,) True for rows with a measurement that depends on the tip's position."""
-        kinds = [KINDS[b.kind] for b in self.blocks for _ in b.channels]
-        where = [not kind.turns and not kind.of_joint for kind in kinds]
+        where = [not kind.turns and not kind.of_joint for kind in self._channel_kinds]
         return np.asarray(self.measured[:, where].any(axis=1))
 
     @cached_property
@@ -105,8 +109,7 @@ class MeasuredRows:
     @cached_property
     def read_joints(self) -> tuple[int, ...]:
         """Indices (0-based, among the commanded joints) of the joints with encoder readings."""
-        kinds = (KINDS[b.kind] for b in self.blocks)
-        return tuple(kind.number - 1 for kind in kinds if isinstance(kind, EncoderReading))
+        return tuple(kind.number - 1 for kind in self.kinds if kind.of_joint)
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
@@ -116,7 +119,7 @@ class MeasuredRows:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """The unit of each of the d channels, ``m`` or ``rad``."""
-        return tuple(KINDS[b.kind].unit for b in self.blocks for _ in b.channels)
+        return tuple(kind.unit for kind in self._channel_kinds)
 
     @cached_property
     def measured(self) -> np.ndarray:
@@ -144,12 +147,11 @@ class MeasuredRows:
     @cached_property
     def stated_sigma(self) -> np.ndarray:
         """(N, d) standard deviations recorded in the rows, m or rad; NaN where there is none."""
-        made = []
-        for block in self.blocks:
-            own = self.sigmas.get(block.kind)
-            given = self.sigma if block.kind == "position" else own if own is None else own[:, None]
-            shape = len(self.xyz), len(block.channels)
-            made.append(np.broadcast_to(np.nan if given is None else given, shape))
+        stated = {name: values[:, None] for name, values in self.sigmas.items()}
+        if self.sigma is not None:
+            stated["position"] = self.sigma
+        shapes = ((b.kind, (len(self.xyz), len(b.channels))) for b in self.blocks)
+        made = [np.broadcast_to(stated.get(kind, np.nan), shape) for kind, shape in shapes]
         whole = np.concatenate(made, axis=1)
         told = self.measured & np.isfinite(whole) & (whole > 0)
         return np.where(told, whole, np.nan)
@@ -223,8 +225,7 @@ class MeasuredRows:
                 allowed = ", ".join([*known, "read_q1", "..."])
                 raise self.error(f"readings {name}", "unknown kind", allowed)
             kind = KINDS[name]
-            values = np.asarray(given, dtype=float)
-            check_shape(self.source, name, values, (n_rows, len(kind.cells)))
+            values = freeze(self.source, name, given, float, (n_rows, len(kind.cells)))
             if isinstance(kind, EncoderReading) and kind.number > self.q.shape[1]:
                 raise self.error(name, "unknown", f"read_q1..q{self.q.shape[1]}")
             wrong, allowed = kind.wrong(values)
@@ -232,19 +233,21 @@ class MeasuredRows:
             for row in np.flatnonzero(wrong | partly | np.isinf(values).any(axis=1)):
                 field = f"row {row + 1}, {', '.join(kind.cells)}"
                 said = ", ".join(f"{v:g}" for v in values[row])
-                raise self.error(field, said, allowed or "numbers, or all blank")
+                raise self.error(field, said, allowed if wrong[row] else "numbers, or all blank")
             rows = kind.find_measured(values).any(axis=1)
-            if kind.label and rows.any():
-                for row in np.flatnonzero(rows & (self.texts(kind.label) == "")):
-                    field = f"row {row + 1}, {kind.label}"
-                    raise self.error(field, "blank", f"a name beside {kind.name}")
-            if rows.any():
-                readings[name] = values
-                values.flags.writeable = False
+            if not rows.any():
+                continue
+            readings[name] = values
+            unnamed = rows & (self.texts(kind.label) == "") & bool(kind.label)
+            for row in np.flatnonzero(unnamed):
+                field = f"row {row + 1}, {kind.label}"
+                raise self.error(field, "blank", f"a name beside {kind.name}")
         object.__setattr__(self, "readings", readings)
-        sigmas = {k: np.asarray(v, dtype=float) for k, v in self.sigmas.items() if k in readings}
-        for name, values in sigmas.items():
-            check_shape(self.source, KINDS[name].sigma, values, (n_rows,))
+        sigmas = {
+            name: freeze(self.source, KINDS[name].sigma, given, float, (n_rows,))
+            for name, given in self.sigmas.items()
+            if name in readings
+        }
         object.__setattr__(self, "sigmas", sigmas)
 
     def _blocks(self) -> tuple[ChannelBlock, ...]:
@@ -261,7 +264,12 @@ class MeasuredRows:
         return (*(ChannelBlock(k, s) for k, s in sensed), *read)
 
 
-def check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Raise `InputError` if an array does not have a given shape."""
-    if values.shape != shape:
-        raise InputError(where, name, f"shape {values.shape}", f"shape {shape}")
+def freeze(
+    where: str, name: str, values: ArrayLike, kind: type, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Return a read-only view of values; raise `InputError` if they do not have a given shape."""
+    frozen = np.asarray(values, dtype=kind).view()
+    if frozen.shape != shape:
+        raise InputError(where, name, f"shape {frozen.shape}", f"shape {shape}")
+    frozen.flags.writeable = False
+    return frozen

@@ -26,11 +26,12 @@ from longarm_comp.core.arm.history import (
     straight_ways,
 )
 from longarm_comp.core.arm.measuring import KnownDistance
-from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
+from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, freeze
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 
 _Rows = np.ndarray | Sequence[int] | slice
+_BY_NAME = ("columns", "labels", "readings", "sigmas")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,43 +86,36 @@ class Session(MeasuredRows):
     begun_s: float = 0.0
 
     def __post_init__(self) -> None:
-        q = _joints(self.source, self.q)
-        n_rows, n = q.shape
-        xyz = np.asarray(self.xyz, dtype=float)
-        if xyz.shape == (n_rows, 3) and np.isinf(xyz).any():
+        n_rows, n = _joints(self.source, self.q).shape
+        if np.isinf(self.xyz).any():
             raise self.error("xyz", "not finite", "numbers in m, or NaN")
-        legs = self.legs if len(self.legs) == n_rows else np.zeros((n_rows, n, LEGS))
-        last_way = self.last_way if len(self.last_way) == n_rows else np.zeros((n_rows, n))
-        told = self.told if len(self.told) == n_rows else np.zeros((n_rows, n))
-        self._set("index", self.index, np.int64, (n_rows,))
-        self._set("q", q, float, (n_rows, n))
-        self._set("xyz", xyz, float, (n_rows, 3))
-        self._set("approach", self.approach, np.int8, (n_rows, n))
-        self._set("legs", legs, float, (n_rows, n, LEGS))
-        self._set("last_way", last_way, float, (n_rows, n))
-        self._set("told", told, np.int8, (n_rows, n))
-        self._set("repeat_id", self.repeat_id, np.int64, (n_rows,))
-        if self.sigma is not None:
-            self._set("sigma", self.sigma, float, (n_rows, 3))
-        columns = {k: np.asarray(v, dtype=float) for k, v in self.columns.items()}
-        labels = {k: np.asarray(v, dtype=str) for k, v in self.labels.items()}
-        for kind, by_name in (("columns", columns), ("labels", labels)):
-            for name, values in by_name.items():
-                check_shape(self.source, name, values, (n_rows,))
-                values.flags.writeable = False
-            object.__setattr__(self, kind, by_name)
-        for name, values in columns.items():
+        shapes: dict[str, tuple[type, tuple[int, ...]]] = {
+            "index": (np.int64, (n_rows,)),
+            "q": (float, (n_rows, n)),
+            "xyz": (float, (n_rows, 3)),
+            "approach": (np.int8, (n_rows, n)),
+            "legs": (float, (n_rows, n, LEGS)),
+            "last_way": (float, (n_rows, n)),
+            "told": (np.int8, (n_rows, n)),
+            "repeat_id": (np.int64, (n_rows,)),
+            "sigma": (float, (n_rows, 3)),
+        }
+        for name, (kind, shape) in shapes.items():
+            values = getattr(self, name)
+            if name in ("legs", "last_way", "told") and len(values) != n_rows:
+                values = np.zeros(shape)  # unknown
+            if values is not None:
+                object.__setattr__(self, name, freeze(self.source, name, values, kind, shape))
+        for field_name, kind in (("columns", float), ("labels", str)):
+            given = getattr(self, field_name).items()
+            made = {k: freeze(self.source, k, v, kind, (n_rows,)) for k, v in given}
+            object.__setattr__(self, field_name, made)
+        for name, values in self.columns.items():
             if np.isinf(values).any() or (np.isnan(values).any() and not INCLINATION.match(name)):
                 raise self.error(name, "not finite", "a finite number in every row")
         self._check_readings(n_rows)
         if not self.blocks:
             object.__setattr__(self, "blocks", self._blocks())
-
-    def _set(self, name: str, values: np.ndarray, kind: type, shape: tuple[int, ...]) -> None:
-        frozen = np.asarray(values, dtype=kind).view()
-        check_shape(self.source, name, frozen, shape)
-        frozen.flags.writeable = False
-        object.__setattr__(self, name, frozen)
 
     @classmethod
     def record(
@@ -150,19 +144,14 @@ class Session(MeasuredRows):
             further: other attributes of a session; those that are None are ignored.
         """
         q = _joints(source, q)
-        n_rows = len(q)
-        index = np.arange(n_rows) if index is None else np.asarray(index)
-        check_shape(source, "index", index, (n_rows,))
-        repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
-        begun = np.full(q.shape, np.nan) if run_up is None else np.asarray(run_up, dtype=float)
-        check_shape(source, "run_up", begun, q.shape)
+        index = np.arange(len(q)) if index is None else index
+        index = freeze(source, "index", index, np.int64, q.shape[:1])
+        repeat_id = np.full(len(q), -1) if repeat_id is None else repeat_id
+        begun = np.full(q.shape, np.nan) if run_up is None else run_up
+        begun = freeze(source, "run_up", begun, float, q.shape)
         history = recorded_history(q, index, approach, begun)
         return cls(
-            index,
-            q,
-            xyz,
-            history.approach,
-            repeat_id,
+            *(index, q, xyz, history.approach, repeat_id),
             source=source,
             legs=history.legs,
             last_way=history.last_way,
@@ -277,9 +266,9 @@ class Session(MeasuredRows):
             *(("index", self.index), ("q", self.q), ("xyz", self.xyz)),
             *(("approach", self.approach), ("run_up", run_up)),
             *(("repeat_id", self.repeat_id), ("sigma", self.sigma)),
-            *((name, self.columns[name]) for name in sorted(self.columns)),
-            *((name, self.readings[name]) for name in sorted(self.readings)),
-            *((f"sigma {name}", self.sigmas[name]) for name in sorted(self.sigmas)),
+            *sorted(self.columns.items()),
+            *sorted(self.readings.items()),
+            *((f"sigma {name}", values) for name, values in sorted(self.sigmas.items())),
         ]
         for name, values in parts:
             if values is not None:
@@ -309,12 +298,14 @@ class Session(MeasuredRows):
 
     def take(self, rows: _Rows) -> Session:
         """Return some of the rows: a mask (N,), indices or a slice."""
-        arrays = ("index", "q", "xyz", "approach", "legs", "last_way", "told", "repeat_id")
-        taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}
-        for kind in ("columns", "labels", "readings", "sigmas"):
-            taken[kind] = {name: values[rows] for name, values in getattr(self, kind).items()}
-        sigma = None if self.sigma is None else self.sigma[rows]
-        return dataclasses.replace(self, sigma=sigma, **taken)
+        taken: dict[str, Any] = {}
+        for each in dataclasses.fields(self):
+            held = getattr(self, each.name)
+            if isinstance(held, np.ndarray):
+                taken[each.name] = held[rows]
+            elif each.name in _BY_NAME:
+                taken[each.name] = {name: values[rows] for name, values in held.items()}
+        return dataclasses.replace(self, **taken)
 
     def followed_by(self, more: Session) -> Session:
         """Return the session with more rows after its own, numbered on from its last one.
@@ -324,27 +315,26 @@ class Session(MeasuredRows):
         Raises:
             InputError: only one of both has a number that every row needs, such as `payload_kg`.
         """
-        both = {}
-        for kind in ("columns", "labels", "readings", "sigmas"):
-            mine, theirs = getattr(self, kind), getattr(more, kind)
+        both: dict[str, Any] = {}
+        for kind in _BY_NAME:
+            pair = getattr(self, kind), getattr(more, kind)
             both[kind] = {
                 name: np.concatenate(
                     [
-                        mine[name] if name in mine else _blank(theirs[name], len(self)),
-                        theirs[name] if name in theirs else _blank(mine[name], len(more)),
+                        held[name] if name in held else _blank(like, len(rows))
+                        for held, rows in zip(pair, (self, more), strict=True)
                     ]
                 )
-                for name in {**mine, **theirs}
+                for name, like in {**pair[0], **pair[1]}.items()
             }
-        sigmas = [s.xyz * np.nan if s.sigma is None else s.sigma for s in (self, more)]
+        if self.sigma is not None or more.sigma is not None:
+            sigmas = [s.xyz * np.nan if s.sigma is None else s.sigma for s in (self, more)]
+            both["sigma"] = np.concatenate(sigmas)
+        for name in ("q", "xyz", "run_up", "repeat_id"):
+            both[name] = np.concatenate([getattr(self, name), getattr(more, name)])
         return Session.record(
-            np.concatenate([self.q, more.q]),
-            np.concatenate([self.xyz, more.xyz]),
             index=np.concatenate([self.index, self.index[-1] + 1 + np.arange(len(more))]),
             approach=np.concatenate([self.told, more.told]),
-            run_up=np.concatenate([self.run_up, more.run_up]),
-            repeat_id=np.concatenate([self.repeat_id, more.repeat_id]),
-            sigma=None if self.sigma is None and more.sigma is None else np.concatenate(sigmas),
             source=self.source,
             touch_distances=tuple(dict.fromkeys((*self.touch_distances, *more.touch_distances))),
             begun_s=self.begun_s,

@@ -68,6 +68,22 @@ def test_arrays_cannot_be_changed(rng: np.random.Generator) -> None:
         session.q[0, 0] = 1.0
 
 
+def test_the_arrays_that_a_session_is_made_of_stay_the_callers(rng: np.random.Generator) -> None:
+    warmth, distance = np.full(3, 20.0), np.ones((3, 1))
+    labels = {"anchor": np.array(["p", "p", "p"])}
+    readings = {"distance": distance}
+    measured(3, rng, columns={"temperature_c": warmth}, labels=labels, readings=readings)
+    for values in (warmth, distance, labels["anchor"]):
+        assert values.flags.writeable
+
+
+def test_a_reading_that_is_partly_blank_is_called_so(rng: np.random.Generator) -> None:
+    ray = np.array([[0.0, 0.0, 1.0], [0.0, np.nan, 1.0], [np.nan, np.nan, np.nan]])
+    labels = {"sensor": np.array(["left"] * 3)}
+    with pytest.raises(InputError, match=r"row 2, ray_x.*allowed: numbers, or all blank"):
+        measured(3, rng, labels=labels, readings={"ray": ray})
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
