@@ -171,30 +171,31 @@ class _Ray(Kind):
         return Equations(residual, pull @ columns, pull)
 
 
-class _Touch(Kind):
-    """The tip touched a point: the same one in all rows of one name, at an unknown place."""
+class _Contact(Kind):
+    """The tip touched something: the same in all rows of one name, at an unknown place."""
 
-    name = "touch"
     cells = ()
-    scalars = ("touch_x", "touch_y", "touch_z")
-    label = "touch"
-    takes = 1
     outside = False
+
+
+class _Touch(_Contact):
+    """A point that the tip touched."""
+
+    name = label = "touch"
+    scalars = ("touch_x", "touch_y", "touch_z")
+    takes = 1
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         away, columns = tip.point(self.name)
         return Equations(-away, columns, np.broadcast_to(np.eye(3), (*away.shape, 3)))
 
 
-class _Plane(Kind):
-    """The tip touched a plane: the same one in all rows of one name, at an unknown place."""
+class _Plane(_Contact):
+    """A plane that the tip touched."""
 
-    name = "plane"
-    cells = ()
+    name = label = "plane"
     scalars = ("plane_z",)
-    label = "plane"
     takes = 3
-    outside = False
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         point, columns = tip.point(self.name)
@@ -257,12 +258,7 @@ def compute_rotations(quaternions: np.ndarray) -> np.ndarray:
 
 
 def by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:
-    """Return the declared value of each name, (N, ...).
-
-    Args:
-        declared: returns the value of one name.
-        names: (N,).
-    """
+    """Return the declared value of each of N names, (N, ...); `declared` returns that of one."""
     known, which = np.unique(names, return_inverse=True)
     return np.array([declared(str(name)) for name in known])[which]
 

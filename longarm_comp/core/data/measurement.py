@@ -71,9 +71,8 @@ def compute_unit_lengths(model: Model, session: Session) -> np.ndarray:
     """
     units = np.array(session.units)
     made = (units == "m").astype(float)
-    rows = [model.arm.commanded[k] for k in session.read_joints]
-    if rows:
-        zeros = [JointZero(row, offset=1.0) for row in rows]
+    if session.read_joints:
+        zeros = [JointZero(model.arm.commanded[k], offset=1.0) for k in session.read_joints]
         moved = model.motion_with(compute_posture(model, session), zeros).point()[1]
         levers = np.median(np.linalg.norm(moved, axis=1), axis=0)
         made[[session.channels.index(f"read_q{k + 1}") for k in session.read_joints]] = levers
@@ -148,12 +147,9 @@ def _stack(motion: TipMotion, session: Session) -> Equations:
     if session.plain:
         point, columns = motion.point()
         return Equations(session.xyz - point, columns, np.zeros((0, 3, 3)))
-    made = {
-        kind.name: kind.equations(motion, session.reading(kind), session.labels)
-        for kind in session.kinds
-    }
-    parts = [made[channel.kind] for channel in session.blocks]
-    kept = session.measured
+    labels, kept = session.labels, session.measured
+    made = {k.name: k.equations(motion, session.reading(k), labels) for k in session.kinds}
+    parts = [made[block.kind] for block in session.blocks]
 
     def of(name: str) -> np.ndarray:
         whole = np.concatenate([getattr(part, name) for part in parts], axis=1)

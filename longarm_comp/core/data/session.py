@@ -49,10 +49,7 @@ class Session(MeasuredRows):
             `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
         labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
         source: file or bag from which it was read, for messages.
-        legs: (N, n, LEGS) signed displacements of each joint between reversals, rad and m, the
-            latest first (`core/arm/history.py`); 0 where unknown.
-        last_way: (N, n) signed displacement of each joint since it last stood still or reversed,
-            rad and m; 0 where it did not move or this is not known.
+        legs, last_way: (N, n, LEGS) and (N, n) rad and m, as of a `History`.
         told: (N, n) side (+-1) of joints of which only the side of arrival was recorded, with a
             run-up of unknown length; 0 for others.
         readings: further measurements by kind (`core/data/kinds.py`), (N, c) each; NaN in rows

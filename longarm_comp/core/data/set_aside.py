@@ -155,12 +155,8 @@ def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Fou
 def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
     """Return the text that is most significant for the visits set aside, with rows and p-value.
 
-    None if all texts are the same, or fewer than `FEW` visits are set aside.
-
-    Args:
-        texts: text of each visit.
-        spoilt: whether a row of the visit is set aside.
-        rows: number of rows set aside in the visit.
+    None if all texts are the same, or fewer than `FEW` visits are set aside.  `spoilt` says of
+    each visit whether any row of it is set aside, and `rows` how many are.
     """
     names = np.unique(texts)
     if len(names) < 2 or spoilt.sum() < FEW:
@@ -180,8 +176,7 @@ def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> 
 def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
     """Return the interval of a number in which the visits set aside are most significantly dense.
 
-    The number of rows in it and the p-value come with it.  None if the number is constant, or fewer
-    than `FEW` visits are set aside.  The arguments are as in `_commonest_text`.
+    Arguments and result are those of `_commonest_text`, with numbers instead of texts.
     """
     order = np.argsort(values, kind="stable")
     values, spoilt, rows = values[order], spoilt[order], rows[order]
