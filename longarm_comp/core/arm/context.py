@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -120,10 +121,7 @@ class Context:
         return self.column("payload_kg", declared)
 
     def of_joint(self, name: str, joint: int) -> tuple[Scalar, ...]:
-        """Return the scalars of a per-joint field at commanded joint `joint` (0-based).
-
-        They are 0 where the history is unknown.
-        """
+        """Return the scalars of a per-joint field at a commanded joint (0-based); 0: unknown."""
         width = WIDTH[name]
         values: tuple[Scalar, ...] = getattr(self, name)
         return values[width * joint : width * (joint + 1)] if values else (0.0,) * width
@@ -158,14 +156,13 @@ class Context:
         return Context(**history, columns=columns, labels=labels)
 
     def each(self, count: int) -> list[Context]:
-        """Return the N contexts of N postures, each as `take` would return it.
-
-        Args:
-            count: N.
+        """Return the N (`count`) contexts of N postures, each as `take` would return it.
 
         Raises:
             InputError: a quantity has more or fewer than N values.
         """
+        if not self.differs:
+            return [self] * count
 
         def rows(name: str, value: Any) -> list[Any]:
             if not _of_each(value):
@@ -177,8 +174,6 @@ class Context:
             return every
 
         fields: dict[str, Iterable[Any]] = {}
-        if not self.differs:
-            return [self] * count
         for f in dataclasses.fields(self):
             held = getattr(self, f.name)
             named = f.name not in PER_JOINT
@@ -243,21 +238,14 @@ class Layout:
 
     def unpack(self, values: Sequence[Any]) -> Context:
         """Return the context that holds `values`, which are `count` numbers in `pack` order."""
-        fields: dict[str, Any] = {}
-        first = 0
-        for name, count in zip(PER_JOINT, self.joints, strict=True):
-            fields[name] = tuple(values[first : first + count])
-            first += count
-        columns = dict(zip(self.columns, values[first:], strict=True))
+        ahead = iter(values)
+        sizes = zip(PER_JOINT, self.joints, strict=True)
+        fields: dict[str, Any] = {name: tuple(islice(ahead, count)) for name, count in sizes}
+        columns = dict(zip(self.columns, ahead, strict=True))
         return Context(**fields, columns=columns, labels=dict(self.labels))
 
     def pack(self, context: Context, count: int) -> np.ndarray:
-        """Return the numbers of a context as rows (N, `self.count`).
-
-        Args:
-            context: the circumstances of N targets, or of one, which is then repeated.
-            count: N.
-        """
+        """Return the numbers of a context of N (`count`) targets, or one, as (N, `self.count`)."""
         values = [value for name in PER_JOINT for value in getattr(context, name)]
         values += [context.columns[name] for name in self.columns]
         rows = np.empty((count, len(values)))

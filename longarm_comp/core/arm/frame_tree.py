@@ -25,17 +25,13 @@ class NotYet(UnknownPlace):
 
 @dataclass
 class _Child:
-    """The poses of a frame in its parent frame.
-
-    Attributes:
-        times: ns, ascending.
-        places: position (m) and quaternion x, y, z, w at each time.
-    """
+    """The poses of a frame in its parent frame."""
 
     parent: str
     static: bool
-    times: list[int] = field(default_factory=list)
+    times: list[int] = field(default_factory=list)  # ns, ascending
     places: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
+    """Position (m) and quaternion x, y, z, w at each time."""
 
     def store(self, t_ns: int, place: tuple[np.ndarray, np.ndarray]) -> None:
         """Store a pose (m; x, y, z, w) at a time (ns), and delete poses more than 10 s older.
@@ -52,15 +48,7 @@ class _Child:
         del self.times[:old], self.places[:old]
 
     def at(self, name: str, t_ns: int) -> np.ndarray:
-        """Return the pose (4, 4) in the parent frame at a time (ns).
-
-        Args:
-            name: the frame, as errors call it.
-
-        Raises:
-            NotYet: no pose of this time or later was published yet.
-            UnknownPlace: the oldest stored pose is later.
-        """
+        """Return the pose (4, 4) in the parent frame at a time (ns); errors quote its `name`."""
         if self.static:
             return quaternion.compute_pose(*self.places[0])
         if t_ns > self.times[-1]:

@@ -34,8 +34,7 @@ class Move:
 
 
 def run_up_lengths(arm: Arm) -> np.ndarray:
-    """Return the (n,) shortest allowed length of a run-up of every joint (rad, m)."""
-    # As a fraction of each joint's range: longer than the play of most joints
+    """Return the (n,) shortest run-up of every joint (rad, m): longer than most joints' play."""
     return 0.06 * (arm.upper - arm.lower)
 
 
@@ -85,11 +84,7 @@ def plan_move(
 
 
 def _room(arm: Arm, q: np.ndarray, sides: np.ndarray | float) -> np.ndarray:
-    """Return the (n,) longest run-up (rad, m) to q that the limits allow from given sides.
-
-    Args:
-        sides: (n,) or one for all: +1 from below, -1 from above.
-    """
+    """Return the (n,) longest run-up (rad, m) to q that the limits allow from given sides (+-1)."""
     lower, upper = arm.bounds
     return np.where(np.greater(sides, 0.0), q - lower, upper - q)
 

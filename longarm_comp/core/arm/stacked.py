@@ -52,12 +52,8 @@ def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
     Args:
         size: numbers in an array of one item.
     """
-    each, count = list(keys), max(1, _NEAR // size)
+    each, count = list(keys), max(1, 32768 // size)
     return (each[n : n + count] for n in range(0, len(each), count))
-
-
-_NEAR = 32768
-"""Largest number of elements of a stacked array, so that it fits into the processor's cache."""
 
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:

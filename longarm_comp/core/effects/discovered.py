@@ -20,7 +20,7 @@ from longarm_comp.core.arm.context import ORDER, Context
 from longarm_comp.core.arm.posture import BASE, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
-from longarm_comp.core.effects.link_deflection import bent, elements
+from longarm_comp.core.effects.link_deflection import bent
 from longarm_comp.core.effects.quantities import (
     AXES,
     JointSide,
@@ -130,7 +130,7 @@ class Wrench(_Component):
         """Bend every element as a cantilever under the load at its end, to first order."""
         pushed, turned = self.loads(posture, frame, amount)
         made: dict[int, Twist] = {}
-        for element in elements(posture):
+        for element in posture.chain.elements:
             if element.station <= station:
                 end = posture.frames[element.station]
                 lever = spatial.sub(frame.p, end.p)
