@@ -98,10 +98,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def follow_link(path: str | os.PathLike[str]) -> Path:
-    """Return the path itself, or the file that a symbolic link leads to, which need not exist.
-
-    Raises InputError if links lead in a circle.
-    """
+    """Return the file that a path or symbolic link leads to; InputError for links in a circle."""
     target = Path(path)
     if not os.path.islink(target):
         return target
@@ -128,8 +125,7 @@ def atomic_paths(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Write bytes to ``path``, whole or not at all.
 
-    For formats of other libraries, let the library write into memory first: on a full disk some
-    raise errors of any kind.
+    Let other libraries write into memory first: on a full disk some raise errors of any kind.
     """
     with atomic_path(path) as partial:
         partial.write_bytes(content)
@@ -199,11 +195,7 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def check_writable(folder: Path) -> None:
-    """Make a folder if it is missing, and write a file there to see whether that is possible.
-
-    Raises:
-        InputError: nothing can be written there.
-    """
+    """Make a folder if it is missing; InputError if no file can be written there."""
     handle, partial = _partial_beside(folder / "file")
     partial.unlink()
     os.close(handle)

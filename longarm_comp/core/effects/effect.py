@@ -146,10 +146,7 @@ class _Term:
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
-        """Return, by place field, the function of an arm that lists the allowed values.
-
-        Fields that allow any text are left out.
-        """
+        """Return the function of an arm that lists a place field's values, if not any text."""
         return {name: known for name, known in metadata(cls, PLACE).items() if known}  # type: ignore[arg-type]
 
     @classmethod
@@ -159,19 +156,16 @@ class _Term:
 
     @property
     def places(self) -> dict[str, Any]:
-        return self._values(PLACE)
+        return {name: getattr(self, name) for name in metadata(type(self), PLACE)}  # type: ignore[arg-type]
 
     @property
     def forms(self) -> dict[str, Any]:
-        return self._values(FORM)
+        return {name: getattr(self, name) for name in metadata(type(self), FORM)}  # type: ignore[arg-type]
 
     @property
     def placement(self) -> dict[str, Any]:
         """Values of the place and form fields."""
         return {**self.places, **self.forms}
-
-    def _values(self, role: str) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in metadata(type(self), role)}  # type: ignore[arg-type]
 
     @property
     def where(self) -> str:
@@ -211,10 +205,10 @@ class _Term:
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Return the places on an arm, each as values by place field.
+        """Return the places on an arm, each as values by place field (one `{}` if it has none).
 
-        For an effect without place fields it is one empty mapping. The list is empty if the arm
-        lacks the `part`, or if a place may be any text: then the rows of a session name the places.
+        The list is empty if the arm lacks the `part`, or if a place may be any text: then the rows
+        of a session name the places.
         """
         allowed = cls.allowed_places()
         absent = cls.part and not getattr(arm, cls.part)
@@ -256,17 +250,13 @@ class _Term:
     def price(self, arm: Arm) -> float:
         """Return the log of the number of alternatives from which this instance was chosen.
 
-        Alternatives that `candidates` lists one by one do not count. The result is subtracted from
-        the log prior of the instance.
+        Those that `candidates` lists do not count. It is subtracted from the log prior.
         """
         return 0.0
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the circumstances that this instance reads: per-joint fields and columns.
-
-        What it explains varies with them and with its joints.
-        """
+        """Names of the circumstances that this instance reads: per-joint fields and columns."""
         return self.needs
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
@@ -305,10 +295,7 @@ class Effect(_Term, ABC):
         return [()] * posture.count
 
     def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
-        """Return the side of arrival at which the effect is known best, by commanded joint.
-
-        Joints are 0-based. +1: from below, -1: from above, 0: either.
-        """
+        """Return the surest side of arrival (+-1; 0: either) by commanded joint (0-based)."""
         return {}
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
@@ -316,11 +303,7 @@ class Effect(_Term, ABC):
         return ()
 
     def gravity(self, gravity: Vec) -> Vec:
-        """Return gravity in the base frame (m/s^2) with this effect.
-
-        Args:
-            gravity: gravity without this effect.
-        """
+        """Return gravity (m/s^2, base frame) with this effect, from that without it."""
         return gravity
 
     def base(self, arm: Arm) -> Frame | None:
@@ -367,29 +350,20 @@ class Bias(_Term, ABC):
         """Return the point that is reported for a tip at `point`, both (3,) m in the base frame."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """Return the reading of the encoder of a row's joint.
-
-        Args:
-            value: the joint value that the encoder would read without this cause, rad or m.
-            row: row id.
-        """
+        """Return what the encoder of a row's joint reads instead of `value`, rad or m."""
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
         """Return the reported pose of a tip.
 
-        By default its axes move with the points around the tip. They may have other lengths and
-        angles than unit vectors, because a scale error stretches them.
+        By default its axes move with the points 10 mm around the tip. They may have other lengths
+        and angles than unit vectors, because a scale error stretches them.
         """
 
         def axis(direction: Vec) -> Vec:
-            half = spatial.scale(_AROUND, direction)
+            half = spatial.scale(0.01, direction)
             ahead = self.seen(spatial.add(tip.p, half), context, arm)
             behind = self.seen(spatial.sub(tip.p, half), context, arm)
-            return spatial.scale(0.5 / _AROUND, spatial.sub(ahead, behind))
+            return spatial.scale(0.5 / 0.01, spatial.sub(ahead, behind))
 
         return Frame(axis(tip.n), axis(tip.o), axis(tip.a), self.seen(tip.p, context, arm))
-
-
-_AROUND = 0.01
-"""Distance (m) from the tip of the two points that define a seen axis."""

@@ -11,9 +11,6 @@ from typing import Any
 
 from longarm_comp.core.arm.arm import Arm
 
-_FLAT = 1000.0
-"""Width of the fit's prior of an unknown parameter over `prior`: 50 m and 50 rad for a base."""
-
 ALIKE = 0.95
 """Prior correlation of parameters that are like each other: they differ by a third of their size.
 
@@ -50,8 +47,8 @@ class Parameter:
 
     @property
     def width(self) -> float:
-        """Standard deviation of the fit's prior."""
-        return _FLAT * self.prior if self.unknown else self.prior
+        """Standard deviation of the fit's prior: 50 m and 50 rad for a base of unknown place."""
+        return 1000.0 * self.prior if self.unknown else self.prior
 
 
 PARAMETER, PLACE, FORM, TRIED = "parameter", "place", "form", "tried"
@@ -60,14 +57,8 @@ Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 
 @cache
 def metadata(kind: type[Any], role: str) -> dict[str, Any]:
-    """Return the declarations of the fields of one role, by field name.
-
-    Args:
-        kind: class of the effect.
-        role: `PARAMETER`, `PLACE`, `FORM` or `TRIED`.
-    """
-    declared = dataclasses.fields(kind)
-    return {f.name: f.metadata[role] for f in declared if role in f.metadata}
+    """Return what an effect's class declares of the fields of one role, by field name."""
+    return {f.name: f.metadata[role] for f in dataclasses.fields(kind) if role in f.metadata}
 
 
 def parameter(

@@ -18,9 +18,6 @@ _POSES = 64
 _PAYLOAD = 0.3
 """Assumed payload over the arm's own weight: WAM and Panda have 0.15, iiwa and Gen3 0.5."""
 
-_LEAST = 0.01
-"""Smallest moment for which a place is assumed to be built, over the largest one."""
-
 
 class TypicalLoads(NamedTuple):
     """The size of an arm's loads.
@@ -72,7 +69,7 @@ def typical_loads(arm: Arm) -> TypicalLoads:
             own = np.array([_rms(posture.moment(at)) for at in bearings])
             torque = min(torque, max(own[row - 1] for row in arm.commanded))
             built = built + own
-        shares = np.maximum(built / max(built.max(), 1e-12), _LEAST)
+        shares = np.maximum(built / max(built.max(), 1e-12), 0.01)  # no place is built for less
         loads = TypicalLoads(max(force, 1e-9), max(torque, 1e-9), tuple(shares.tolist()))
         _loads_of[arm.hash] = loads
     return _loads_of[arm.hash]
