@@ -150,7 +150,7 @@ def lock_beside(path: Path) -> IO[bytes] | None:
     ends.
 
     Returns:
-        The hidden file; None if it cannot be made, and then nothing is locked.
+        The hidden file; None if it cannot be made or locked, and then nothing is locked.
 
     Raises:
         InputError: another process holds the lock.
@@ -165,6 +165,9 @@ def lock_beside(path: Path) -> IO[bytes] | None:
     except BlockingIOError:
         lock.close()
         raise InputError(path, "file", "in use by another process", "one file each") from None
+    except OSError:  # a file system without locks
+        lock.close()
+        return None
     return lock
 
 
@@ -216,7 +219,8 @@ def _partial_beside(target: Path) -> tuple[int, Path]:
                     left.unlink()
         while True:
             handle, name = tempfile.mkstemp(dir=target.parent, prefix=begin, suffix=target.suffix)
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(handle, fcntl.LOCK_EX)
             if os.fstat(handle).st_nlink:  # nobody removed it before it was locked
                 return handle, Path(name)
             os.close(handle)
