@@ -157,8 +157,8 @@ def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) ->
     drawn = with_random_sides(arm, plan, rng).approach
     first = np.where(plan.approach == 0, drawn, plan.approach)
     sides = np.stack([with_room(arm, plan.q, first), with_room(arm, plan.q, -first)], axis=1)
-    payload = None if plan.payload_kg is None else np.repeat(plan.payload_kg, 2)
-    return Plan(np.repeat(plan.q, 2, axis=0), sides.reshape(-1, arm.n), payload)
+    twice = plan.take(np.repeat(np.arange(len(plan)), 2))
+    return dataclasses.replace(twice, approach=sides.reshape(-1, arm.n))
 
 
 def _with_sides(arm: Arm, q: np.ndarray, rng: np.random.Generator) -> Plan:
