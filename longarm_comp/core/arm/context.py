@@ -40,10 +40,7 @@ def is_told(name: str) -> bool:
 
 
 def name_tilt(frame_id: str, about_x: float, about_y: float) -> dict[str, float]:
-    """Return the tilt (rad) that a sensor on a frame measures, as columns by name.
-
-    An empty `frame_id` and ``base`` mean the base, which is row 0.
-    """
+    """Return a tilt (rad) measured on a frame, as columns by name; "" and ``base`` are row 0."""
     frame = re.sub(r"\W+", "_", frame_id)
     frame = "0" if frame in ("", "base") else frame
     return {f"incl_{frame}_x": about_x, f"incl_{frame}_y": about_y}

@@ -151,23 +151,13 @@ class FrameTree:
 
 
 def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Rotate a covariance (6, 6) of position and rotation from a frame's axes to its parent's.
-
-    Args:
-        pose: (4, 4) pose of the frame in the parent.
-        covariance: in the axes of the frame.
-    """
+    """Rotate a covariance (6, 6) of position and rotation from a frame of a pose to its parent."""
     turn = np.kron(np.eye(2), pose[:3, :3])
     return np.asarray(turn @ covariance @ turn.T)
 
 
 def carry_place(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Transform points (..., 3), m, or poses (..., 4, 4) from a frame to its parent.
-
-    Args:
-        pose: (4, 4) pose of the frame in the parent.
-        target: the points or poses, given in the frame.
-    """
+    """Transform points (..., 3), m, or poses (..., 4, 4) from a frame of a pose to its parent."""
     if target.shape[-2:] == (4, 4):
         return np.asarray(pose @ target)
     return np.asarray(target @ pose[:3, :3].T + pose[:3, 3])

@@ -42,12 +42,9 @@ def add_way(legs: Sequence[float], way: float) -> list[float]:
 
 
 def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
-    """Return the side of arrival and the legs of a joint after several displacements.
+    """Return side of arrival (-1, 0: unknown, +1) and legs after displacements, the oldest first.
 
-    Args:
-        side: side of arrival before them: -1, 0 (unknown) or +1.
-        legs: legs before them (`add_way`).
-        ways: signed displacements (rad, m), the oldest first.
+    `side` and `legs` are those before them; `ways` are signed (rad, m).
     """
     for way in ways:
         if abs(way) >= SAME_POSE:
@@ -57,11 +54,7 @@ def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[f
 
 
 def last_way(ways: Sequence[float]) -> float:
-    """Return a joint's displacement since it last reversed in one motion.
-
-    Args:
-        ways: signed displacements (rad, m) of the motion, the oldest first.
-    """
+    """Return a joint's displacement since it last reversed in a motion of `ways`, oldest first."""
     run = 0.0
     for way in reversed(ways):
         if run * way < 0.0:
@@ -235,10 +228,7 @@ def recorded_history(
 
 
 def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the (N, n) displacements from the row before, rad and m.
-
-    They are NaN in the first row and after a gap of the index.
-    """
+    """Return (N, n) displacements (rad, m) from the row before; NaN after a gap of the index."""
     ways = np.full(q.shape, np.nan)
     known = np.isin(np.diff(index), (0, 1))
     ways[1:][known] = np.diff(q, axis=0)[known]
@@ -246,24 +236,16 @@ def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
 
 
 def first_of_stand(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return for each row (N,) the number of the first row of the same stop of the arm.
-
-    Successive rows of equal index and equal joints belong to one stop.
-    """
+    """Return for each row (N,) the first row of its stop: successive ones of equal index and q."""
     moved = np.ones(len(q), dtype=bool)
     moved[1:] = (np.diff(index) != 0) | (np.abs(np.diff(q, axis=0)) >= SAME_POSE).any(axis=1)
     return np.maximum.accumulate(np.where(moved, np.arange(len(q)), 0))
 
 
 def read_sides(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
-    """Return the recorded side of arrival, (N, n) of -1, 0, +1.
+    """Return the recorded side of arrival, (N, n) of -1, 0, +1; 0 if the run-up is recorded.
 
-    It is 0 for a joint whose run-up is recorded, or if no side was recorded.
-
-    Args:
-        q: (N, n) commanded joints.
-        approach: (N,) or (N, n) recorded sides; NaN counts as 0.
-        run_up: (N, n) where the run-up began; NaN if it is not recorded.
+    Arguments as of `recorded_history`.
     """
     if approach is None:
         return np.zeros(q.shape)

@@ -12,20 +12,14 @@ from longarm_comp.core.arm.history import SAME_POSE
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """A motion of the joints to a command.
+    """A motion of the joints to a command."""
 
-    Attributes:
-        q: (n,) joint values of the command (rad, m).
-        run_up: (n,) joints where the last approach begins; None if the direct move is enough.
-        side: (n,) of -1, 0, +1: the side from which each joint arrives; 0: it does not move.
-        doubtful: (n,) bool: joints that may not arrive as wanted: they need a run-up and have no
-            room for it.
-    """
-
-    q: np.ndarray
-    run_up: np.ndarray | None
-    side: np.ndarray
-    doubtful: np.ndarray
+    q: np.ndarray  # (n,) joint values of the command (rad, m)
+    run_up: (
+        np.ndarray | None
+    )  # (n,) where the last approach begins; None: the direct move is enough
+    side: np.ndarray  # (n,) of -1, 0, +1: the side from which each joint arrives; 0: it stays
+    doubtful: np.ndarray  # (n,) bool: joints that need a run-up and have no room for it
 
     @property
     def points(self) -> np.ndarray:

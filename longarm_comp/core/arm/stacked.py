@@ -47,11 +47,7 @@ def _zero(x: Scalar) -> bool:
 
 
 def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
-    """Split the keys of items into lists whose stacked arrays fit into the processor's cache.
-
-    Args:
-        size: numbers in an array of one item.
-    """
+    """Split keys of items into lists whose stacked arrays, each of `size`, fit into the cache."""
     each, count = list(keys), max(1, 32768 // size)
     return (each[n : n + count] for n in range(0, len(each), count))
 

@@ -22,17 +22,11 @@ _Labels = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Equations:
-    """N rows of k scalar equations.
+    """N rows of k scalar equations."""
 
-    Attributes:
-        residual: (N, k) measured - predicted, m or rad.
-        columns: (N, k, p) derivative of the prediction by each of p parameters.
-        pull: (N, k, 3) derivative of the prediction by the position of the tip.
-    """
-
-    residual: np.ndarray
-    columns: np.ndarray
-    pull: np.ndarray
+    residual: np.ndarray  # (N, k) measured - predicted, m or rad
+    columns: np.ndarray  # (N, k, p) derivative of the prediction by each of p parameters
+    pull: np.ndarray  # (N, k, 3) derivative of the prediction by the position of the tip
 
 
 class Kind(ABC):
@@ -70,9 +64,7 @@ class Kind(ABC):
 
     @abstractmethod
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
-        """Return the equations of readings (N, c).
-
-        Their values are arbitrary in rows where nothing was measured.
+        """Return the equations of readings (N, c); arbitrary in rows where nothing was measured.
 
         Args:
             tip: the model's tip at the N rows.

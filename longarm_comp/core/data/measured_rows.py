@@ -17,15 +17,10 @@ from longarm_comp.core.errors import InputError
 
 @dataclass(frozen=True)
 class ChannelBlock:
-    """The channels of one kind of measurement.
-
-    Attributes:
-        kind: name of the kind.
-        sensor: the text in the column `sensor` of its rows; None: all rows.
-    """
+    """The channels of one kind of measurement."""
 
     kind: str
-    sensor: str | None = None
+    sensor: str | None = None  # the text in the column `sensor` of its rows; None: all rows
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -47,13 +42,7 @@ class MeasuredRows:
     blocks: tuple[ChannelBlock, ...]
 
     def error(self, field: str, value: object, allowed: str) -> InputError:
-        """Return an error about the rows, with their source.
-
-        Args:
-            field: the column or input that is wrong.
-            value: its value.
-            allowed: what is allowed instead.
-        """
+        """Return an `InputError` about the rows, with their source."""
         return InputError(self.source, field, value, allowed)
 
     def texts(self, label: str) -> np.ndarray:
@@ -134,10 +123,7 @@ class MeasuredRows:
 
     @cached_property
     def frames(self) -> np.ndarray:
-        """(N,) name of the frame in which each row was measured.
-
-        It is the row's group; if there are several sensors, group and sensor.
-        """
+        """(N,) name of each row's frame: its group; with several sensors, group and sensor."""
         group = self.texts("group")
         if len({block.sensor for block in self.blocks}) < 2:
             return group
@@ -157,10 +143,7 @@ class MeasuredRows:
         return np.where(told, whole, np.nan)
 
     def names_of(self, kind: Kind) -> tuple[str, ...]:
-        """Return the names in the label column of one kind of measurement, each once.
-
-        They are the anchors, touched points, planes or cameras of the rows that measured it.
-        """
+        """Return the names (anchors, points, ...) in the rows that one kind measured, each once."""
         if kind.label not in self.labels:
             return ()
         rows = kind.find_measured(self.reading(kind)).any(axis=1)
@@ -174,12 +157,9 @@ class MeasuredRows:
         return {name: float(np.median(values)) for name, values in stated if len(values)}
 
     def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
-        """Return (N,) ratio of the noise that each row states to the usual noise.
+        """Return (N,) ratio of the noise that each row states to the usual noise (by channel name).
 
         It is the geometric mean over the row's channels; 1 where it states none.
-
-        Args:
-            usual: noise by channel name, m or rad.
         """
         share = self.stated_sigma / np.array([usual.get(name, np.nan) for name in self.channels])
         known = np.isfinite(share)

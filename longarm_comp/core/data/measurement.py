@@ -102,11 +102,7 @@ def compute_tip_errors(model: Model, session: Session, near: Posture | None = No
 
 
 def tip_errors_at(model: Model, placed: Session, at: Posture) -> np.ndarray:
-    """Compute `compute_tip_errors` of rows that all measure the tip's position.
-
-    Args:
-        at: posture of the arm at these rows.
-    """
+    """Compute `compute_tip_errors` of rows that all measure the position, from their posture."""
     positions = np.asarray(placed.xyz - model.measured_at(at))
     if placed.plain:
         return positions
@@ -131,10 +127,7 @@ def compute_touch_errors(model: Model, session: Session) -> np.ndarray:
 
 
 def compute_turn_errors(model: Model, session: Session) -> np.ndarray:
-    """Compute the rotation vectors (M, 3), rad, from predicted to measured tip orientation.
-
-    M is the number of rows with a measured orientation.
-    """
+    """Compute the rotation vectors (M, 3), rad, from predicted to M measured orientations."""
     turned = session.take(session.has_orientation)
     if not len(turned):
         return np.zeros((0, 3))

@@ -140,10 +140,7 @@ def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
 
 
 def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
-    """Return the same poses with a random side of arrival for each joint of each pose.
-
-    Where one side has no room for a run-up, it is the other one.
-    """
+    """Return the same poses with random sides of arrival; where one has no room, the other one."""
     drawn = np.random.default_rng(rng).choice(np.array([-1, 1]), size=plan.q.shape)
     return dataclasses.replace(plan, approach=with_room(arm, plan.q, drawn))
 
@@ -190,10 +187,7 @@ def with_floor(arm: Arm, height_m: float) -> Arm:
 
 
 def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
-    """Return (M,) True for poses at which the arm is outside all keep-out boxes.
-
-    The start of the run-up to a pose must be outside too.
-    """
+    """Return (M,) True for poses at which, and at whose run-up, the arm is outside all boxes."""
     if not model.arm.keep_out:
         return np.ones(len(plan), dtype=bool)
     start = plan.q - plan.approach * run_up_lengths(model.arm)

@@ -41,15 +41,10 @@ class RestPose:
 
 @dataclass
 class RestWatch:
-    """Finds rest poses in a stream; each command gives at most one.
+    """Finds rest poses in a stream; each command gives at most one."""
 
-    Attributes:
-        settle_s: time that the joints must rest before a sighting counts, s.
-        sightings: number of sightings that are averaged.
-    """
-
-    settle_s: float = 0.5
-    sightings: int = 3
+    settle_s: float = 0.5  # how long the joints must rest before a sighting counts
+    sightings: int = 3  # number that is averaged
     _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
     _arrived_s: float = math.inf
@@ -214,10 +209,7 @@ def still_since(times: np.ndarray, joints: np.ndarray, begin: float) -> float:
 
 
 def joints_at_rest(times: np.ndarray, joints: np.ndarray, begin: float) -> np.ndarray:
-    """Return the (n,) mean of the measured joints at rest; NaN if the joints did not come to rest.
-
-    Rest is found as in `mean_at_rest`.
-    """
+    """Return the (n,) mean of the joints at rest (`mean_at_rest`); NaN if they did not rest."""
     rest = _end_of_motion(times, joints, begin)[0] if len(times) else begin
     if not len(times) or times[-1] - rest < REST_S:
         return np.full(joints.shape[1], np.nan)

@@ -158,11 +158,7 @@ class Session(MeasuredRows):
         )
 
     def with_run_ups(self, lengths: np.ndarray) -> Session:
-        """Return the session with assumed lengths of the run-ups whose length is not known.
-
-        Args:
-            lengths: (n,) length for each joint, rad and m.
-        """
+        """Return the session with assumed lengths (n,), rad and m, of run-ups of unknown length."""
         if not self.told.any():
             return self
         history = recorded_history(self.q, self.index, self.told, self.run_up, lengths)
@@ -219,10 +215,7 @@ class Session(MeasuredRows):
 
     @cached_property
     def arrivals(self) -> tuple[tuple[int, int], ...]:
-        """Per joint, the numbers of rows that arrived from above (-1) and from below (+1).
-
-        Empty if no side of arrival is known.
-        """
+        """Per joint, the numbers of rows that arrived from above and from below; empty if unknown."""
         if not self.approach.any():
             return ()
         above, below = (self.approach < 0).sum(axis=0), (self.approach > 0).sum(axis=0)
@@ -344,11 +337,7 @@ class Session(MeasuredRows):
         return dataclasses.replace(self, begun_s=other.begun_s)
 
     def where(self, label: str, value: str) -> Session:
-        """Return the rows whose text column `label` holds `value`.
-
-        Raises:
-            InputError: there is no such text column.
-        """
+        """Return the rows whose text column `label` holds `value`; InputError without it."""
         if label not in self.labels:
             known = ", ".join(self.labels) or "none"
             raise self.error(label, "missing", f"a text column (there are: {known})")

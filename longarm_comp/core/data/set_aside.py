@@ -32,19 +32,12 @@ FEW = 3
 
 @dataclass(frozen=True)
 class SharedBy:
-    """A common trait of rows set aside.
+    """A common trait of rows set aside."""
 
-    Attributes:
-        input: column of the session, or ``order`` (the row's place in the file).
-        value: the common value or range of this input, in words.
-        rows: the number of rows set aside that have it.
-        p_value: probability of this many by chance, times the number of inputs that were tried.
-    """
-
-    input: str
-    value: str
-    rows: int
-    p_value: float
+    input: str  # column of the session, or ``order`` (the row's place in the file)
+    value: str  # the common value or range of this input, in words
+    rows: int  # the number of rows set aside that have it
+    p_value: float  # of this many by chance, times the number of inputs that were tried
 
     def __str__(self) -> str:
         return f"{self.input} {self.value} ({self.rows} of them, p {self.p_value:.1g})"
@@ -52,17 +45,11 @@ class SharedBy:
 
 @dataclass(frozen=True)
 class SetAside:
-    """Rows of a session that a fit does not believe.
+    """Rows of a session that a fit does not believe."""
 
-    Attributes:
-        rows: their positions among the rows that were fitted.
-        share: their fraction of the rows that were fitted.
-        shared_by: the traits that they have in common, the least probable first.
-    """
-
-    rows: tuple[int, ...]
-    share: float
-    shared_by: tuple[SharedBy, ...]
+    rows: tuple[int, ...]  # their positions among the rows that were fitted
+    share: float  # their fraction of these
+    shared_by: tuple[SharedBy, ...]  # the traits that they have in common, the least probable first
 
     @classmethod
     def of(cls, session: Session, aside: np.ndarray) -> SetAside:
@@ -91,11 +78,7 @@ class SetAside:
         return f"{text}, which share {shared}" if shared else text
 
     def describe(self, session: Session) -> str:
-        """Return the summary, followed by the text column `point` of each row, else its index.
-
-        Args:
-            session: the rows that were fitted.
-        """
+        """Return the summary, and the text `point` or else the index of each of the fitted rows."""
         numbers = session.labels.get("point", session.index)[list(self.rows)]
         return f"{self.summary}: {', '.join(map(str, numbers))}" if self.rows else self.summary
 

@@ -112,12 +112,7 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
 
 
 def place_touched(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
-    """Return the terms with each touched point and plane placed at the tips, in closed form.
-
-    Args:
-        terms: the model's terms on the measuring side; terms of other kinds are not changed.
-        tips: (N, 3) predicted tips at the rows of the session, m.
-    """
+    """Return a model's biases with each touched point and plane placed at the tips (N, 3), m."""
     places: dict[str, np.ndarray] = {}
     made: list[Bias] = []
     for term in terms:
@@ -136,10 +131,7 @@ def place_touched(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> 
 def with_touched(model: Model, session: Session, at: Posture) -> Model:
     """Return the model with a term for each touched point and plane of the session that it lacks.
 
-    The model may have been fitted to other rows.
-
-    Args:
-        at: posture of the arm at the rows.
+    It may have been fitted to other rows.  `at` is the posture of the arm at these.
     """
     if all(kind.cells for kind in session.kinds):
         return model

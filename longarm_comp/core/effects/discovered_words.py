@@ -103,8 +103,7 @@ def reading(terms: Sequence[Found]) -> str:
 def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> str:
     """Return terms as a formula, ``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``.
 
-    Args:
-        amounts: value, standard error and unit of each term's amount.
+    `amounts` are the value, standard error and unit of each term's amount.
     """
     by_place: dict[str, list[str]] = {}
     for term, (value, error, unit) in zip(terms, amounts, strict=True):
@@ -117,8 +116,7 @@ def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> 
 def seen_alike(terms: Sequence[Found]) -> list[str]:
     """List the errors of the camera that would look the same as the terms.
 
-    It is one text, for a shift of all points, if the terms only move the base by recorded columns;
-    else none.
+    Only terms that move the base by recorded columns have one, a shift of all points.
     """
     traits = _Traits(terms)
     moved = all(t.at == BASE_PLACE and t.component.startswith(Move.word) for t in terms)

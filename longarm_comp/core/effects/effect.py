@@ -219,7 +219,7 @@ class _Term:
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Return the candidates of a diagnosis, each a group of instances that are fitted together.
+        """Return the groups of instances that a diagnosis fits together.
 
         By default each is one instance: every place of `sites` in every form that is tried.
         """
@@ -235,12 +235,7 @@ class _Term:
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:
-        """Return the instance of a `stepped` effect at a joint, with steps of a size.
-
-        Args:
-            row: row id of the joint.
-            step: rad or m.
-        """
+        """Return the instance of a `stepped` effect at a joint (row id), with a step (rad, m)."""
         raise NotImplementedError(cls.name)
 
     def step(self, arm: Arm) -> float:
@@ -264,11 +259,7 @@ class _Term:
         return ()
 
     def check(self, arm: Arm, where: str) -> None:
-        """Raise `InputError` if its fields are not valid on an arm.
-
-        Args:
-            where: the source of the fields, as the error names it.
-        """
+        """Raise `InputError` if its fields, from `where`, are not valid on an arm."""
 
     def missing(self, context: Context) -> str:
         """Return the name of the first column that it reads and the context lacks, or ""."""

@@ -39,12 +39,7 @@ class LinkDeflection(Effect):
 
 
 def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
-    """Return a fraction of the declared cantilever twists, by station, of one beam or of all.
-
-    Args:
-        share: the fraction, one for all rows or one for each.
-        beam: name of the beam; empty for all.
-    """
+    """Return a fraction of the declared cantilever twists by station; `beam` "": of all beams."""
     return {
         e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
         for e in posture.chain.elements
@@ -136,11 +131,9 @@ def _cantilever(
 
 
 def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
-    """Compute the twist at the end of a beam element under an end load, to first order.
+    """Compute the twist at the end of a beam element under an end load (N, N m), to first order.
 
-    Args:
-        force: N, in the axes of the element's station.
-        moment: N m, in the same axes.
+    Load and twist are in the axes of the element's station.
     """
     length, sign, inverse = _describe_beam(posture, element)
     ends = (_beam_axes(element.axis, v) for v in (force, moment))

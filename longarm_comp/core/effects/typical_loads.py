@@ -40,9 +40,8 @@ class TypicalLoads(NamedTuple):
         """Return the torque (N m) that the stiffness of the part at a row is assumed to scale with.
 
         It is the geometric mean of the arm's typical torque and that of the place: parts are as
-        stiff as they are strong, but an arm has only few sizes of them. It gives the smallest
-        errors on real arms (`longarm study real`): WAM 2.15 mm (2.28 with the torque of the place
-        alone), iiwa 14 0.147 (0.156).
+        stiff as they are strong, but an arm has only few sizes of them. With it errors of real arms
+        are smallest (`longarm study real`): WAM 2.15 mm (2.28 with the torque of the place alone).
         """
         return self.torque * math.sqrt(self.shares[max(row - 1, 0)])
 
