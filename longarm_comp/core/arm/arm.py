@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.arm.measuring import (
@@ -67,8 +67,7 @@ class Arm(Declared):
     keep_out: dict[str, Box] = Field(default_factory=dict)
     tolerance: Placements = Placements()
 
-    @model_validator(mode="after")
-    def _check_chain(self) -> Arm:
+    def check_together(self) -> None:
         rows, ids = len(self.joints), [j.id for j in self.joints]
         if ids != list(range(1, rows + 1)):
             raise Misdeclared("joints.id", ids, f"1..{rows} in order, base to tip")
@@ -105,7 +104,6 @@ class Arm(Declared):
                 allowed = "where the rows that mimic it turn, by whole turns"
                 raise Misdeclared(f"joints.{number - 1}.endless", True, allowed)
         self._check_beams()
-        return self
 
     def _check_beams(self) -> None:
         names = [beam.name for beam in self.links]

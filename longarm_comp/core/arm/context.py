@@ -211,17 +211,11 @@ def _of_each(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which numbers a `Context` holds, so that a compiled model reads them in a fixed order.
+    """Which numbers a `Context` holds, so that a compiled model reads them in a fixed order."""
 
-    Attributes:
-        joints: number of scalars of each per-joint field, in the order of `PER_JOINT`.
-        columns: names of the columns, sorted.
-        labels: names and values of the text columns, which are constants in compiled code.
-    """
-
-    joints: tuple[int, ...]
-    columns: tuple[str, ...]
-    labels: tuple[tuple[str, object], ...]
+    joints: tuple[int, ...]  # number of scalars of each per-joint field, in order of `PER_JOINT`
+    columns: tuple[str, ...]  # sorted
+    labels: tuple[tuple[str, object], ...]  # text columns, which are constants in compiled code
 
     @property
     def traceable(self) -> bool:

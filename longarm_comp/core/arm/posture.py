@@ -216,25 +216,16 @@ class Chain:
 
 @dataclass(frozen=True)
 class Posture:
-    """The arm at given joint values, or at N of them (scalars are then (N,) arrays).
-
-    Attributes:
-        q: commanded joints, n scalars (rad, m).
-        frames: every station's frame in the base frame (m).
-        lengths: signed length of the element that ends at each station (m); 0 at others.
-        gravity: in the base frame (m/s^2).
-        twists: by station, as applied in `frames`.
-        extra: masses that effects add.
-    """
+    """The arm at given joint values, or at N of them (scalars are then (N,) arrays)."""
 
     chain: Chain
-    q: tuple[Scalar, ...]
+    q: tuple[Scalar, ...]  # n commanded joints (rad, m)
     context: Context
-    frames: list[Frame]
-    lengths: list[Scalar]
-    gravity: Vec
-    twists: Twists = field(default_factory=dict)
-    extra: tuple[Lumped, ...] = ()
+    frames: list[Frame]  # every station's in the base frame (m)
+    lengths: list[Scalar]  # signed, of the element that ends at each station (m); 0 at others
+    gravity: Vec  # in the base frame (m/s^2)
+    twists: Twists = field(default_factory=dict)  # by station, as applied in `frames`
+    extra: tuple[Lumped, ...] = ()  # masses that effects add
     _made: dict[tuple[object, ...], object] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )

@@ -215,7 +215,7 @@ class Session(MeasuredRows):
 
     @cached_property
     def arrivals(self) -> tuple[tuple[int, int], ...]:
-        """Per joint, the numbers of rows that arrived from above and from below; empty if unknown."""
+        """Per joint, the numbers of rows from above and from below; empty if no side is known."""
         if not self.approach.any():
             return ()
         above, below = (self.approach < 0).sum(axis=0), (self.approach > 0).sum(axis=0)

@@ -46,70 +46,45 @@ Sites = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class _Term:
-    """The common base of arm-side effects and measuring-side biases: identity, parameters, files.
+    """The common base of arm-side effects and measuring-side biases."""
 
-    Attributes:
-        name: canonical name, used in files and reports.
-        title: what a mechanic calls it: ``play``.
-        action: what can be done about it at the arm, in one sentence.
-        whole: text for its place if it has no place field: ``arm``.
-        part: attribute of `Arm` that must not be empty for this effect: ``links``, ``camera``.
-        needs: recorded inputs that every instance needs.
-        geometry: whether it is always fitted, and never "named" by a diagnosis.
-        slips: whether it may slip while the arm works, though it is geometry.
-        knocked: whether a knock may change it. A knock of the measuring device looks the same.
-        passing: whether it belongs to one fit only (such as the place of a touched point) and is
-            never written into model.yaml.
-        seen_only: whether it moves the arm, and gravity with it, only in the frame of the
-            measurements.
-        continuous: whether it changes little for a small motion of the joints.
-        loaded: whether it depends on the loads, so that it must be iterated as the arm sags.
-        elastic: whether it is a part that yields under its load. A little of it at every place is
-            no finding.
-        searched: whether a diagnosis tries it. Geometry is always fitted instead.
-        on_request: whether a diagnosis tries it only if the user names it (`kinds`).
-        through_others: whether it moves the tip only through other effects of the model; it is then
-            not searched.
-        aliases: effects that no measurement of the tip can distinguish from it. One of the two
-            declares the other.
-        limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
-            bounds. Studies accept either name there.
-        free_levels: for an effect that depends only on the position of one turning joint: number
-            of distinct positions at which it can take any values, together with the joint's
-            zero.  On a grid with no more positions it imitates every other such function.  0 for
-            other effects.
-        displaces_joint: whether its only parameter displaces one joint. Its column is then the
-            motion of the tip by any displacement of that joint, and structure is sought along it.
-        stepped: whether it has steps of a size that a scan finds (`of_step`).
-        bends_beams: whether it computes the bending of the declared beams.
-        acts: where it acts. An encoder at the motor sees effects at the ``servo``, one at the
-            joint also those at the ``gear``; no encoder sees those at the ``arm``.
-    """
-
-    name: ClassVar[str]
-    title: ClassVar[str] = ""
-    action: ClassVar[str] = "Look for its cause at that place."
-    whole: ClassVar[str] = "arm"
-    part: ClassVar[str] = ""
-    needs: ClassVar[tuple[str, ...]] = ()
-    geometry: ClassVar[bool] = False
-    slips: ClassVar[bool] = False
-    knocked: ClassVar[bool] = False
-    passing: ClassVar[bool] = False
+    name: ClassVar[str]  # canonical name, used in files and reports
+    title: ClassVar[str] = ""  # what a mechanic calls it: ``play``
+    action: ClassVar[str] = "Look for its cause at that place."  # what can be done about it
+    whole: ClassVar[str] = "arm"  # text for its place if it has no place field
+    part: ClassVar[str] = ""  # attribute of `Arm` that must not be empty: ``links``, ``camera``
+    needs: ClassVar[tuple[str, ...]] = ()  # recorded inputs that every instance needs
+    geometry: ClassVar[bool] = False  # is always fitted, and never "named" by a diagnosis
+    slips: ClassVar[bool] = False  # may slip while the arm works, though it is geometry
+    knocked: ClassVar[bool] = False  # a knock may change it; one of the camera looks alike
+    passing: ClassVar[bool] = False  # belongs to one fit and is never written into model.yaml
     seen_only: ClassVar[bool] = False
-    loaded: ClassVar[bool] = False
-    elastic: ClassVar[bool] = False
-    continuous: ClassVar[bool] = True
-    searched: ClassVar[bool] = True
-    on_request: ClassVar[bool] = False
-    through_others: ClassVar[bool] = False
+    """Whether it moves the arm, and gravity with it, only in the frame of the measurements."""
+    loaded: ClassVar[bool] = False  # depends on the loads: it is iterated as the arm sags
+    elastic: ClassVar[bool] = False  # yields under load: a little of it everywhere is no finding
+    continuous: ClassVar[bool] = True  # changes little for a small motion of the joints
+    searched: ClassVar[bool] = True  # a diagnosis tries it; geometry is always fitted instead
+    on_request: ClassVar[bool] = False  # a diagnosis tries it only if the user names it (`kinds`)
+    through_others: ClassVar[bool] = False  # moves the tip only through other effects: not searched
     aliases: ClassVar[tuple[str, ...]] = ()
+    """Effects that no measurement of the tip can distinguish from it. One of two declares it."""
     limit_aliases: ClassVar[tuple[str, ...]] = ()
+    """Effects that it equals at an end of its form's scale or of a parameter's bounds.
+
+    Studies accept either name there.
+    """
     free_levels: ClassVar[int] = 0
+    """For an effect that depends only on the position of one turning joint: number of positions at
+    which it can take any values, together with the joint's zero.  On a grid with no more positions
+    it imitates every other such function."""
     displaces_joint: ClassVar[bool] = False
-    stepped: ClassVar[bool] = False
-    bends_beams: ClassVar[bool] = False
+    """Whether its only parameter displaces one joint. Its column is then the motion of the tip by
+    any displacement of that joint, and structure is sought along it."""
+    stepped: ClassVar[bool] = False  # has steps of a size that a scan finds (`of_step`)
+    bends_beams: ClassVar[bool] = False  # computes the bending of the declared beams
     acts: ClassVar[Drive] = "arm"
+    """Where it acts. An encoder at the motor sees effects at the ``servo``, one at the joint also
+    those at the ``gear``; no encoder sees those at the ``arm``."""
 
     @classmethod
     def heading(cls) -> str:
@@ -315,18 +290,15 @@ class Effect(_Term, ABC):
 
 @dataclass(frozen=True)
 class Bias(_Term, ABC):
-    """A measuring-side cause. It moves the *seen* point, not the arm, and is never compensated.
-
-    Attributes:
-        sees: names of the kinds of measurement (`core/data/kinds.py`) on which it acts.
-        instruments: the instruments (`measuring` in arm.yaml) that may have it, each with its
-            own text for `action`, or "" for `action` itself. Empty: all instruments.
-    """
+    """A measuring-side cause. It moves the *seen* point, not the arm, and is never compensated."""
 
     whole: ClassVar[str] = "measuring side"
     commandable: ClassVar[bool] = False
     sees: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
+    """Names of the kinds of measurement (`core/data/kinds.py`) on which it acts."""
     instruments: ClassVar[Mapping[Instrument, str]] = {}
+    """The instruments (`measuring` in arm.yaml) that may have it, each with its own text for
+    `action`, or "" for `action` itself. Empty: all instruments."""
 
     @classmethod
     def of_instrument(cls, arm: Arm) -> bool:

@@ -20,30 +20,22 @@ Of seven seats of first joints of real arms, five have two compliances within a 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect: unit, meaning, prior standard deviation and physical bounds.
-
-    Attributes:
-        unit: SI.
-        meaning: description in a few words.
-        prior: standard deviation of plausible values; 0 means fixed at its value.
-        lower, upper: physical bounds.
-        unknown: nothing is known in advance, so the fit's prior is made so wide that it has no
-            influence.
-        like: name of a group of parameters of one effect that are probably nearly equal (`ALIKE`).
-            It matters where explanations are compared; in a fit each is independent.
-        usual: standard deviation of the values that every arm has. These are no finding, and they
-            are never fitted.
-    """
+    """One number of an effect: unit, meaning, prior standard deviation and physical bounds."""
 
     name: str
-    unit: str
-    meaning: str
-    prior: float
-    lower: float = -math.inf
+    unit: str  # SI
+    meaning: str  # in a few words
+    prior: float  # standard deviation of plausible values; 0 means fixed at its value
+    lower: float = -math.inf  # physical bound
     upper: float = math.inf
-    unknown: bool = False
+    unknown: bool = False  # nothing is known in advance: the fit's prior has no influence
     like: str = ""
+    """Name of a group of parameters of one effect that are probably nearly equal (`ALIKE`).
+
+    It matters where explanations are compared; in a fit each is independent.
+    """
     usual: float = 0.0
+    """Standard deviation of the values that every arm has: no finding, and never fitted."""
 
     @property
     def width(self) -> float:

@@ -21,21 +21,14 @@ _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 @dataclass(frozen=True)
 class JointTerm(Effect):
-    """An effect at one row's joint.
+    """An effect at one row's joint."""
 
-    Attributes:
-        joint: row id.
-        actions: texts that replace `action`, by the joint's `drive` in arm.yaml.
-        types: the joint types that may have it, unless `fits` is overridden.
-        passive: whether every movable joint may have it, whatever its type, even a passive one.
-    """
-
-    actions: ClassVar[Mapping[str, str]] = {}
-    types: ClassVar[tuple[str, ...]] = ("revolute",)
-    passive: ClassVar[bool] = False
+    actions: ClassVar[Mapping[str, str]] = {}  # replace `action`, by the joint's `drive`
+    types: ClassVar[tuple[str, ...]] = ("revolute",)  # that may have it, unless `fits` says which
+    passive: ClassVar[bool] = False  # every movable joint may have it, even a passive one
     acts: ClassVar[Drive] = "gear"
 
-    joint: int = place(moving_joints)
+    joint: int = place(moving_joints)  # row id
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:

@@ -20,21 +20,17 @@ _PAYLOAD = 0.3
 
 
 class TypicalLoads(NamedTuple):
-    """The size of an arm's loads.
+    """The size of an arm's loads."""
 
-    Attributes:
-        force: the arm's weight, N.
-        torque: the typical torque of the arm, N m: a quarter of weight times reach, or the RMS
-            moment at the most loaded joint over random poses if it is less, because a heavy base
-            loads no joint. It is always the quarter if the arm declares no weight, or if the
-            place of a mass is recorded (`position_columns`).
-        shares: by row, the moment for which the bearing of this row is built, over the largest
-            of them: the RMS moment of the arm's own weight and of a payload (`_PAYLOAD`).
-    """
-
-    force: float
+    force: float  # the arm's weight, N
     torque: float
+    """The typical torque of the arm, N m: a quarter of weight times reach, or the RMS moment at the
+    most loaded joint over random poses if it is less, because a heavy base loads no joint. It is
+    always the quarter if the arm declares no weight, or if the place of a mass is recorded
+    (`position_columns`)."""
     shares: tuple[float, ...]
+    """By row, the moment for which the bearing of this row is built, over the largest of them: the
+    RMS moment of the arm's own weight and of a payload (`_PAYLOAD`)."""
 
     def at(self, row: int) -> float:
         """Return the torque (N m) that the stiffness of the part at a row is assumed to scale with.
