@@ -17,6 +17,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import INCLINATION
+from longarm_comp.core.arm.measuring import CameraSensor
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.data.belonging import find_mistake, sample_rows, undo_mistakes
 from longarm_comp.core.data.kinds import KINDS
@@ -136,9 +137,10 @@ def _check_names(session: Session, arm: Arm) -> None:
         for name in np.unique(session.labels.get(label, np.zeros(0, dtype=str))):
             if any(declared) and name not in declared:
                 raise session.error(label, str(name), f"one of {', '.join(filter(None, declared))}")
+    cameras = [name for name, each in arm.sensors.items() if isinstance(each, CameraSensor)]
     for sensor in session.names_of(KINDS["ray"]):
-        if sensor not in arm.sensors:
-            known = ", ".join(arm.sensors) or "none"
+        if sensor not in cameras:
+            known = ", ".join(cameras) or "none"
             allowed = f"a camera of arm.yaml's sensors (there are: {known})"
             raise session.error("sensor", sensor, allowed)
     for mass in arm.point_masses:

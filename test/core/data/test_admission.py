@@ -12,7 +12,7 @@ import pytest
 from small_arm import ARM, measured
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.measuring import Marker
+from longarm_comp.core.arm.measuring import CameraSensor, Inclinometer, Marker
 from longarm_comp.core.arm.spatial import rpy_frame
 from longarm_comp.core.data.admission import Admission, admit
 from longarm_comp.core.data.belonging import MIN_POSES
@@ -208,6 +208,26 @@ def test_two_markers_may_share_an_index(session: Session) -> None:
     admit(both, arm)
     wrong = dataclasses.replace(both, labels={"marker": np.array(["a", "c"] * 40)})
     assert "marker: 'c'; allowed: one of a, b" in refusal(wrong, arm)
+
+
+def test_rays_are_seen_by_declared_cameras(session: Session) -> None:
+    arm = ARM.model_copy(
+        update={
+            "sensors": {
+                "left": CameraSensor(kind="camera"),
+                "level": Inclinometer(kind="inclinometer"),
+            }
+        }
+    )
+
+    def seen_by(sensor: str) -> Session:
+        labels = {"sensor": np.full(80, sensor)}
+        return dataclasses.replace(session, labels=labels, readings={"ray": session.xyz}, blocks=())
+
+    admit(seen_by("left"), arm)
+    for other in ("right", "level"):
+        text = f"sensor: '{other}'; allowed: a camera of arm.yaml's sensors (there are: left)"
+        assert text in refusal(seen_by(other), arm)
 
 
 def test_rows_out_of_order_by_their_index_alone_are_admitted(session: Session) -> None:
