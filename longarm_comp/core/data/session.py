@@ -99,7 +99,7 @@ class Session(MeasuredRows):
         }
         for name, (kind, shape) in shapes.items():
             values = getattr(self, name)
-            if name in ("legs", "last_way", "told") and len(values) != n_rows:
+            if name in ("legs", "last_way", "told") and not len(values):
                 values = np.zeros(shape)  # unknown
             if values is not None:
                 object.__setattr__(self, name, freeze(self.source, name, values, kind, shape))

@@ -101,6 +101,12 @@ def test_what_is_no_session_is_refused(name: str, value: object, rng: np.random.
         Session.record(**fields)  # type: ignore[arg-type]
 
 
+def test_a_history_of_other_rows_is_refused(rng: np.random.Generator) -> None:
+    session = measured(3, rng)
+    with pytest.raises(InputError, match="legs: 'shape"):
+        dataclasses.replace(session, legs=session.legs[:2])
+
+
 def test_hash_follows_the_contents(rng: np.random.Generator) -> None:
     session = measured(5, rng)
     same = Session.record(session.q, session.xyz, source="another file")
