@@ -151,13 +151,16 @@ class FrameTree:
 
 
 def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Rotate a covariance (6, 6) of position and rotation from a frame of a pose to its parent."""
+    """Rotate a covariance (6, 6) of position and rotation from a frame to its parent.
+
+    `pose` (4, 4) is that of the frame in the parent.
+    """
     turn = np.kron(np.eye(2), pose[:3, :3])
     return np.asarray(turn @ covariance @ turn.T)
 
 
 def carry_place(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Transform points (..., 3), m, or poses (..., 4, 4) from a frame of a pose to its parent."""
+    """Transform points (..., 3), m, or poses (..., 4, 4) by the `pose` of their frame (4, 4)."""
     if target.shape[-2:] == (4, 4):
         return np.asarray(pose @ target)
     return np.asarray(target @ pose[:3, :3].T + pose[:3, 3])

@@ -15,9 +15,7 @@ class Move:
     """A motion of the joints to a command."""
 
     q: np.ndarray  # (n,) joint values of the command (rad, m)
-    run_up: (
-        np.ndarray | None
-    )  # (n,) where the last approach begins; None: the direct move is enough
+    run_up: np.ndarray | None  # (n,) where the last approach begins; None: no run-up is needed
     side: np.ndarray  # (n,) of -1, 0, +1: the side from which each joint arrives; 0: it stays
     doubtful: np.ndarray  # (n,) bool: joints that need a run-up and have no room for it
 

@@ -73,8 +73,7 @@ class Chain:
         def cut(row: int, role: str, axis: int) -> Iterator[Element]:
             beams = [b for b in arm.links if b.row == row and b.role == role]
             for k, beam in enumerate(beams):
-                sliding = (b for b in beams[k + 1 :] if b.mass_kg > 0 and b.body_length_m)
-                later = tuple(sliding)
+                later = tuple(b for b in beams[k + 1 :] if b.mass_kg > 0 and b.body_length_m)
                 for _ in range(elements_per_beam):
                     yield Element(beam, next(numbers), axis, 1 / elements_per_beam, later)
 
@@ -146,8 +145,8 @@ class Chain:
         """
         frames, _ = self.place(tuple(self.arm.mid.tolist()), {})
         at, length, off = np.array(frames[BASE].p), 0.0, []
-        for frame in (frames[station] for station in (BASE, *(row.frame for row in self.rows))):
-            origin, axis = np.array(frame.p), np.array(frame.a)
+        for station in (BASE, *(row.frame for row in self.rows)):
+            origin, axis = np.array(frames[station].p), np.array(frames[station].a)
             along = float((at - origin) @ axis)
             length += float(np.linalg.norm(origin + along * axis - at))
             at = origin + along * axis

@@ -49,7 +49,7 @@ class Session(MeasuredRows):
             `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
         labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
         source: file or bag from which it was read, for messages.
-        legs, last_way: (N, n, LEGS) and (N, n) rad and m, as of a `History`.
+        legs, last_way: (N, n, LEGS) and (N, n) rad and m, as in a `Context`.
         told: (N, n) side (+-1) of joints of which only the side of arrival was recorded, with a
             run-up of unknown length; 0 for others.
         readings: further measurements by kind (`core/data/kinds.py`), (N, c) each; NaN in rows
@@ -270,20 +270,17 @@ class Session(MeasuredRows):
             digest.update("\0".join([name, *self.labels[name]]).encode())
         return digest.hexdigest()
 
-    def context(self, rows: _Rows | None = None) -> Context:
-        """Return the circumstances of the rows, or of some of them; every scalar is (N,).
+    def context(self) -> Context:
+        """Return the circumstances of the rows; every scalar is (N,).
 
-        The history of the joints is left out if no side of arrival is known in the whole session.
+        The history of the joints is left out if no side of arrival is known.
         """
-        at: _Rows = slice(None) if rows is None else rows
-        history = History(self.approach[at].astype(float), self.legs[at], self.last_way[at])
-        columns = {name: values[at] for name, values in self.columns.items()}
+        history = History(self.approach.astype(float), self.legs, self.last_way)
+        columns = dict(self.columns)
         if self.t_s is not None:
-            columns["t_s"] = columns["t_s"] - self.begun_s
+            columns["t_s"] = self.t_s - self.begun_s
         return Context(
-            **(history.fields() if self.approach.any() else {}),
-            columns=columns,
-            labels={name: values[at] for name, values in self.labels.items()},
+            **(history.fields() if self.approach.any() else {}), columns=columns, labels=self.labels
         )
 
     def take(self, rows: _Rows) -> Session:

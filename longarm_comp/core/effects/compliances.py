@@ -184,7 +184,7 @@ class LinkBending(Effect):
         start, station = posture.frame(self.row - 1), posture.frame(self.row)
         end = posture.frames[station]
         r = end.unrotate(spatial.sub(end.p, posture.frames[start].p))
-        length: Scalar = spatial.sqrt(spatial.dot(r, r) + 1e-12)  # a micrometre has no direction
+        length: Scalar = spatial.sqrt(spatial.dot(r, r) + 1e-12)  # m^2: a point has no direction
         force, moment = posture.force(station), posture.moment(station)
         lever = spatial.cross(r, force)
         along = spatial.scale(spatial.dot(r, moment) / length, r)

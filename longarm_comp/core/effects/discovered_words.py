@@ -116,7 +116,7 @@ def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> 
 def seen_alike(terms: Sequence[Found]) -> list[str]:
     """List the errors of the camera that would look the same as the terms.
 
-    Only terms that move the base by recorded columns have one, a shift of all points.
+    Terms that only move the base by recorded columns have one: a shift of all points.
     """
     traits = _Traits(terms)
     moved = all(t.at == BASE_PLACE and t.component.startswith(Move.word) for t in terms)

@@ -56,7 +56,7 @@ class _Term:
     needs: ClassVar[tuple[str, ...]] = ()  # recorded inputs that every instance needs
     geometry: ClassVar[bool] = False  # is always fitted, and never "named" by a diagnosis
     slips: ClassVar[bool] = False  # may slip while the arm works, though it is geometry
-    knocked: ClassVar[bool] = False  # a knock may change it; one of the camera looks alike
+    knocked: ClassVar[bool] = False  # a knock may change it (or the measuring device)
     passing: ClassVar[bool] = False  # belongs to one fit and is never written into model.yaml
     seen_only: ClassVar[bool] = False
     """Whether it moves the arm, and gravity with it, only in the frame of the measurements."""
@@ -313,7 +313,7 @@ class Bias(_Term, ABC):
         """Return the point that is reported for a tip at `point`, both (3,) m in the base frame."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """Return what the encoder of a row's joint reads instead of `value`, rad or m."""
+        """Return what the encoder of a row's joint reads where it should read `value` (rad, m)."""
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:

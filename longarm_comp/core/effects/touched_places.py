@@ -85,7 +85,7 @@ class TouchBeside(Bias):
         return (*turn, dataclasses.replace(stretch, prior=self.tolerance))
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the tip less the way from the other point, m, in the rows of `TouchPlace.seen`."""
+        """Return the tip less the way from the other point, m, as `TouchPlace` does."""
         turn = spatial.exp_large((0.0, 0.0, 0.0, self.rx, self.ry, self.rz))
         way = spatial.scale(self.distance + self.stretch, turn.rotate((1.0, 0.0, 0.0)))
         mine = rows_that_touched(context, self.touch, self.carries)

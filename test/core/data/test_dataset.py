@@ -47,7 +47,7 @@ def test_context_carries_what_was_recorded(rng: np.random.Generator) -> None:
         columns={"temperature_c": np.linspace(20, 25, 6)},
         labels={"group": ["a", "a", "b", "b", "b", "b"]},
     )
-    context = session.context([1, 4])
+    context = session.context().take(np.array([1, 4]))
     assert np.allclose(context.column("temperature_c"), [21, 24])
     assert context.is_label("group", "b").tolist() == [0.0, 1.0]
     assert np.array_equal(np.stack(context.approach, -1), session.approach[[1, 4]])
